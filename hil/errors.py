@@ -1,0 +1,124 @@
+"""The one error tree of the project and the exit code that each branch maps to.
+
+Every error that can reach a user derives from `HilError`. A leaf also inherits the builtin that a
+Python reader would expect (`ValueError`, `OSError`, ...), carries the data needed to act on it, and
+says what was found, what was expected and what to do. The command line turns it into one line on
+stderr and `exit_code`; it never shows a traceback for one of these.
+"""
+
+from __future__ import annotations
+
+EXIT_PASS = 0
+EXIT_LIMIT_FAILED = 1
+EXIT_USAGE = 2
+EXIT_DEVICE = 3
+EXIT_ABORTED = 4
+
+
+class HilError(Exception):
+    """Root of every error raised on purpose.
+
+    Args:
+        message: what is wrong, naming the file, key or device.
+        expected: what would have been right, if that can be said.
+        remedy: what the user can do about it.
+    """
+
+    exit_code = EXIT_USAGE
+
+    def __init__(self, message: str, *, expected: str = "", remedy: str = "") -> None:
+        self.message = message
+        self.expected = expected
+        self.remedy = remedy
+        parts = [message]
+        if expected:
+            parts.append(f"expected {expected}")
+        if remedy:
+            parts.append(remedy)
+        super().__init__("; ".join(parts))
+
+
+class ConfigError(HilError, ValueError):
+    """A configuration file or option is wrong; `problems` lists every fault found at once."""
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        problems: tuple[str, ...] = (),
+        expected: str = "",
+        remedy: str = "",
+    ) -> None:
+        self.problems = problems
+        super().__init__(
+            "\n  ".join((message, *problems)) if problems else message,
+            expected=expected,
+            remedy=remedy,
+        )
+
+
+class UsageError(HilError, ValueError):
+    """A command or a call cannot mean anything sensible (bad argument, bad combination)."""
+
+
+class DataError(HilError, ValueError):
+    """A recording or another data file cannot be used; `path` names it."""
+
+    def __init__(self, path: str, message: str, *, expected: str = "", remedy: str = "") -> None:
+        self.path = path
+        super().__init__(f"{path}: {message}" if path else message, expected=expected, remedy=remedy)
+
+
+class TrajectoryError(HilError, ValueError):
+    """A reference cannot be followed; carries the first offending time and value.
+
+    Args:
+        t_s: time on the trajectory, s.
+        quantity: name with unit, for example `wheel speed (m/s)`.
+        value: the offending value; `limit` is what it was held against.
+    """
+
+    def __init__(self, message: str, *, t_s: float, quantity: str, value: float, limit: float) -> None:
+        self.t_s, self.quantity, self.value, self.limit = t_s, quantity, value, limit
+        super().__init__(
+            f"{message}: {quantity} is {value:.4g} at t = {t_s:.3f} s",
+            expected=f"at most {limit:.4g}",
+            remedy="slow the motion down or change its shape",
+        )
+
+
+class DeviceError(HilError, OSError):
+    """A device cannot be used or has failed for good; `device` and `port` name it."""
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(
+        self, device: str, message: str, *, port: str = "", expected: str = "", remedy: str = ""
+    ) -> None:
+        self.device, self.port = device, port
+        where = f"{device} at {port}" if port else device
+        super().__init__(f"{where}: {message}", expected=expected, remedy=remedy)
+
+
+class DeviceTimeoutError(DeviceError, TimeoutError):
+    """A device did not answer within its budget, repeatedly."""
+
+
+class FaultNotSupportedError(UsageError):
+    """A fault was asked for that the emulated device does not model, or on real hardware."""
+
+
+class SafetyStop(HilError, RuntimeError):
+    """The supervisor stopped the robot; `reason` is a short machine-readable word."""
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(self, reason: str, message: str) -> None:
+        self.reason = reason
+        super().__init__(f"robot stopped ({reason}): {message}")
+
+
+class Aborted(HilError, RuntimeError):
+    """The operator or a signal ended the work; the robot is held."""
+
+    exit_code = EXIT_ABORTED

@@ -1,0 +1,155 @@
+"""The fault vocabulary and timeline: which fault is active on which emulated device, when.
+
+One vocabulary for every device (`design.md`). A fault spec is written
+`DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
+`servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
+without `+` until the end. A device declares what it supports; anything else is refused.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from hil.clock import NS_PER_S, nanoseconds
+from hil.errors import FaultNotSupportedError, UsageError
+
+SIGNAL_FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
+WIRE_FAULTS = (
+    "drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "bus_off", "unplug", "brownout",
+    "reset", "jump",
+)  # fmt: skip
+PLANT_FAULTS = ("adhesion_loss",)
+VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+
+_SPEC = re.compile(
+    r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
+    r"(?P<options>(?:,\w+=[^,]+)*)"
+)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault on one device during [start_ns, end_ns) of bench time counted from the world's start."""
+
+    device: str
+    kind: str
+    start_ns: int = 0
+    end_ns: int | None = None
+    options: Mapping[str, float] = field(default_factory=dict)
+
+    def active(self, t_ns: int) -> bool:
+        """Whether the fault acts at `t_ns`."""
+        return self.start_ns <= t_ns and (self.end_ns is None or t_ns < self.end_ns)
+
+    def option(self, key: str, default: float) -> float:
+        """A numeric option of the fault, or its default."""
+        return self.options.get(key, default)
+
+
+def make_fault(
+    device: str, kind: str, *, at: float = 0.0, duration: float | None = None, **options: float
+) -> Fault:
+    """A fault from seconds; raises `UsageError` for an unknown kind or an impossible time."""
+    if kind not in VOCABULARY:
+        raise UsageError(
+            f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY)
+        )
+    if not (math.isfinite(at) and at >= 0) or (duration is not None and not duration > 0):
+        raise UsageError(
+            f"fault {device}:{kind} has start {at} s and duration {duration} s",
+            expected="a start >= 0 and a duration > 0",
+        )
+    start = nanoseconds(at)
+    return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
+
+
+def parse_fault(spec: str) -> Fault:
+    """Parse one command-line spec; raises `UsageError` that shows the form."""
+    match = _SPEC.fullmatch(spec.strip())
+    try:
+        if match is None:
+            raise ValueError(spec)
+        pairs = [item.split("=", 1) for item in match["options"].split(",") if item]
+        return make_fault(
+            match["device"],
+            match["kind"],
+            at=float(match["start"] or 0.0),
+            duration=float(match["duration"]) if match["duration"] else None,
+            **{key: float(value) for key, value in pairs},
+        )
+    except UsageError:
+        raise
+    except ValueError:
+        raise UsageError(
+            f"fault {spec!r} cannot be read",
+            expected="DEVICE:KIND[@START_S[+DURATION_S]][,key=number...], for example imu:stuck@2+3",
+        ) from None
+
+
+class FaultPlan:
+    """All faults of a run. Devices ask `active(names, t_ns)` with their own names.
+
+    A device may go by several names (`servos`, `servo.drive_FL`, `servo.1`).
+    """
+
+    def __init__(self, faults: Iterable[Fault] = ()) -> None:
+        self._faults = list(faults)
+        self._supported: dict[str, frozenset[str]] = {}
+
+    def declare(self, device: str, supported: Iterable[str]) -> None:
+        """A device announces a name and what it can do; checks the faults known so far at `check`."""
+        self._supported[device] = frozenset(supported)
+
+    def add(self, fault: Fault) -> None:
+        """Add a fault while running; refused at once when unsupported."""
+        self._check_one(fault)
+        self._faults.append(fault)
+
+    def clear(self, device: str | None = None) -> None:
+        """Remove all faults (of one device)."""
+        self._faults = [f for f in self._faults if device is not None and f.device != device]
+
+    def check(self) -> None:
+        """Raise `FaultNotSupportedError` for the first fault that no device can produce."""
+        for fault in self._faults:
+            self._check_one(fault)
+
+    def _check_one(self, fault: Fault) -> None:
+        if fault.device not in self._supported:
+            raise FaultNotSupportedError(
+                f"fault {fault.device}:{fault.kind}: no emulated device of that name",
+                expected="one of " + ", ".join(sorted(self._supported)),
+                remedy="faults are refused on real hardware",
+            )
+        if fault.kind not in self._supported[fault.device]:
+            raise FaultNotSupportedError(
+                f"{fault.device} cannot produce the fault {fault.kind!r}",
+                expected="one of " + ", ".join(sorted(self._supported[fault.device])),
+            )
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to ask for: lets devices skip the query."""
+        return not self._faults
+
+    def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
+        """The first active fault of that kind on that device, or None."""
+        for fault in self._faults:
+            if fault.kind == kind and fault.device == device and fault.active(t_ns):
+                return fault
+        return None
+
+    def active(self, device: str, t_ns: int) -> tuple[Fault, ...]:
+        """All faults active on a device, in the order given."""
+        return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
+
+
+def describe(fault: Fault) -> str:
+    """The spec form of a fault, which `parse_fault` reads back."""
+    text = f"{fault.device}:{fault.kind}@{fault.start_ns / NS_PER_S:g}"
+    if fault.end_ns is not None:
+        text += f"+{(fault.end_ns - fault.start_ns) / NS_PER_S:g}"
+    return text + "".join(f",{key}={value:g}" for key, value in fault.options.items())

@@ -1,0 +1,88 @@
+"""The seam between emulated chips and the robot body: joint commands in, physical truth out.
+
+Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hil.signals.SERVOS`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from hil.geometry import Array
+
+JointMode = Literal["off", "velocity", "position", "pwm", "current"]
+
+
+@dataclass(frozen=True)
+class JointCommand:
+    """What a servo's firmware asks of its motor.
+
+    Attributes:
+        mode: closed loop to run; `off` leaves the motor without torque.
+        goal: rad/s, rad, duty -1..1 or A, by mode.
+        velocity_limit_rad_s: profile or register limit; `inf` for none.
+        current_limit_a: current limit; `inf` for none.
+        pwm_limit: largest duty, 0..1.
+    """
+
+    mode: JointMode = "off"
+    goal: float = 0.0
+    velocity_limit_rad_s: float = float("inf")
+    current_limit_a: float = float("inf")
+    pwm_limit: float = 1.0
+
+
+@dataclass(frozen=True)
+class PlantState:
+    """Physical truth at `t_ns`.
+
+    Attributes:
+        pose_body_in_wall: (3,) x m, y m, theta rad (unwrapped).
+        twist_body: (3,) m/s, m/s, rad/s.
+        acceleration_body: (2,) m/s^2, kinematic (no gravity), body axes.
+        joint_position_rad, joint_velocity_rad_s, joint_current_a: (8,), multi-turn.
+        steering_true_rad: (4,) heading of each wheel beyond backlash and horn offset, body frame.
+        normal_load_n: (4,).
+        slip_m_s: (4, 2) longitudinal and lateral slip velocity in the wheel frame.
+        tilt_rad: 0 floor, pi/2 wall.
+        fallen: the robot has left the wall.
+    """
+
+    t_ns: int
+    pose_body_in_wall: Array
+    twist_body: Array
+    acceleration_body: Array
+    joint_position_rad: Array
+    joint_velocity_rad_s: Array
+    joint_current_a: Array
+    steering_true_rad: Array
+    normal_load_n: Array
+    slip_m_s: Array
+    tilt_rad: float
+    fallen: bool
+
+
+class Plant(Protocol):
+    """The robot as a physical body. Deterministic; results do not depend on how `advance` is split."""
+
+    @property
+    @abstractmethod
+    def t_ns(self) -> int:
+        """Time up to which the body has been integrated."""
+
+    @abstractmethod
+    def command(self, joint: int, command: JointCommand) -> None:
+        """Set what a joint's motor is asked to do from now on."""
+
+    @abstractmethod
+    def advance(self, t_ns: int) -> None:
+        """Integrate up to `t_ns` (whole internal steps; the remainder waits)."""
+
+    @abstractmethod
+    def joints(self) -> tuple[Array, Array, Array]:
+        """Cheap views of position (8,), velocity (8,) and current (8,): read only, not copies."""
+
+    @abstractmethod
+    def truth(self) -> PlantState:
+        """A frozen copy of everything."""

@@ -1,0 +1,37 @@
+"""What a chip with a byte-stream interface looks like to the line that carries its bytes.
+
+A chip is a model (registers, firmware, timing); the serial line (`serial_line.py`) adds pacing, USB
+latency and wire faults; a face (in-process pyserial URL or PTY) carries the bytes to a client.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Protocol
+
+
+@dataclass(frozen=True)
+class Reply:
+    """Bytes a chip puts on the wire: not before `ready_ns` (world time), then paced at the baud rate."""
+
+    ready_ns: int
+    data: bytes
+
+
+class SerialChip(Protocol):
+    """A chip (or a bus of chips) at the far end of a serial line."""
+
+    name: str
+
+    @abstractmethod
+    def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
+        """Take bytes whose last one arrived at `t_ns`, sent at `baud`; return what is answered.
+
+        Bytes may come in any pieces. A wrong baud rate is the chip's affair: it hears noise.
+        `World.sync_plant` has been called for `t_ns`.
+        """
+
+    @abstractmethod
+    def reset(self, t_ns: int) -> None:
+        """Power was cycled (brownout, unplug and replug)."""

@@ -1,0 +1,96 @@
+"""The emulated world: one plant, one time axis, one seed, and the devices that live in it.
+
+Devices register as `Scheduled` parts: each says when it next has something to do and does it. In
+virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emulation server calls
+`advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
+and every random number depend on the seed alone.
+"""
+
+from __future__ import annotations
+
+import zlib
+from abc import abstractmethod
+from typing import Protocol
+
+import numpy as np
+
+from hil.clock import Clock
+from hil.errors import UsageError
+from hil.fakes.faults import FaultPlan
+from hil.fakes.plant_api import Plant
+
+NEVER_NS = 1 << 62
+
+
+class Scheduled(Protocol):
+    """A part of the world that acts at times of its own."""
+
+    @abstractmethod
+    def next_due_ns(self) -> int:
+        """World time of the next action, `NEVER_NS` if none is planned."""
+
+    @abstractmethod
+    def on_due(self, t_ns: int) -> None:
+        """Act; must move `next_due_ns` beyond `t_ns`. The plant has been advanced to `t_ns`."""
+
+
+class World:
+    """Holds the plant, the faults and the scheduled parts, and moves them in one order."""
+
+    def __init__(self, plant: Plant, *, seed: int = 0, faults: FaultPlan | None = None) -> None:
+        self.plant = plant
+        self.seed = seed
+        self.faults = faults if faults is not None else FaultPlan()
+        self._parts: list[Scheduled] = []
+        self._now_ns = 0
+
+    @property
+    def now_ns(self) -> int:
+        """World time."""
+        return self._now_ns
+
+    def add(self, part: Scheduled) -> None:
+        """Register a part; ties in time are resolved in order of registration."""
+        self._parts.append(part)
+
+    def rng(self, name: str) -> np.random.Generator:
+        """An independent random stream for a named device, fixed by the world's seed."""
+        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+
+    def sync_plant(self) -> None:
+        """Bring the plant up to world time (lazily: it is only integrated when somebody looks)."""
+        self.plant.advance(self._now_ns)
+
+    def advance_to(self, t_ns: int) -> None:
+        """Move the world to `t_ns`, letting every part act at its own time on the way."""
+        if t_ns < self._now_ns:
+            return
+        while self._parts:
+            due_ns, index = min((part.next_due_ns(), i) for i, part in enumerate(self._parts))
+            if due_ns > t_ns:
+                break
+            self._now_ns = max(due_ns, self._now_ns)
+            self.sync_plant()
+            self._parts[index].on_due(self._now_ns)
+        self._now_ns = t_ns
+
+    def next_due_ns(self) -> int:
+        """World time of the earliest planned action."""
+        return min((part.next_due_ns() for part in self._parts), default=NEVER_NS)
+
+
+class VirtualClock(Clock):
+    """Time that moves only when somebody waits; waiting advances the world."""
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+
+    def now_ns(self) -> int:
+        """World time, ns."""
+        return self._world.now_ns
+
+    def sleep_until_ns(self, t_ns: int) -> None:
+        """Advance the world to `t_ns` at once."""
+        if t_ns >= NEVER_NS:
+            raise UsageError("the virtual clock was asked to sleep for ever")
+        self._world.advance_to(t_ns)

@@ -1,0 +1,132 @@
+"""Plane and space geometry: angles, SE(2), quaternions.
+
+Conventions: SI units, angles in radians, quaternions `(w, x, y, z)`, a pose is `(x_m, y_m, theta_rad)`
+of the body in some frame, a twist is `(v_x_m_s, v_y_m_s, omega_rad_s)` in the body frame.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+Array: TypeAlias = npt.NDArray[np.float64]
+ArrayLike: TypeAlias = npt.ArrayLike
+
+_SMALL_ANGLE_RAD = 1e-4
+
+
+def wrap(angle_rad: float) -> float:
+    """Angle wrapped into (-pi, pi]."""
+    return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
+
+
+def wrap_array(angle_rad: ArrayLike) -> Array:
+    """Angles wrapped into (-pi, pi], elementwise; NaN stays NaN."""
+    return np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2.0 * np.pi)
+
+
+def rotation2(theta_rad: float) -> Array:
+    """2x2 rotation matrix that takes body vectors to the frame in which `theta_rad` is measured."""
+    c, s = math.cos(theta_rad), math.sin(theta_rad)
+    return np.array([[c, -s], [s, c]])
+
+
+def se2_exp(delta: ArrayLike) -> Array:
+    """SE(2) exponential of a body displacement.
+
+    Args:
+        delta: shape (3,), body twist times time: (m, m, rad).
+
+    Returns:
+        Shape (3,): the pose of the end frame in the start frame. Source: closed form of the
+        left Jacobian of SO(2), series below 1e-4 rad (relative error below 1e-16).
+    """
+    dx, dy, dth = np.asarray(delta, dtype=np.float64)
+    if abs(dth) < _SMALL_ANGLE_RAD:
+        a, b = 1.0 - dth * dth / 6.0, dth / 2.0 * (1.0 - dth * dth / 12.0)
+    else:
+        a, b = math.sin(dth) / dth, (1.0 - math.cos(dth)) / dth
+    return np.array([a * dx - b * dy, b * dx + a * dy, dth])
+
+
+def se2_log(pose: ArrayLike) -> Array:
+    """Inverse of `se2_exp` for |theta| < pi. Shape (3,) in and out."""
+    x, y, th = np.asarray(pose, dtype=np.float64)
+    if abs(th) < _SMALL_ANGLE_RAD:
+        a = 1.0 - th * th / 12.0
+    else:
+        a = 0.5 * th / math.tan(0.5 * th)
+    b = 0.5 * th
+    return np.array([a * x + b * y, -b * x + a * y, th])
+
+
+def compose(pose: ArrayLike, step: ArrayLike) -> Array:
+    """Pose of frame C in A, from B in A (`pose`) and C in B (`step`). Heading is not wrapped."""
+    x, y, th = np.asarray(pose, dtype=np.float64)
+    dx, dy, dth = np.asarray(step, dtype=np.float64)
+    c, s = math.cos(th), math.sin(th)
+    return np.array([x + c * dx - s * dy, y + s * dx + c * dy, th + dth])
+
+
+def inverse(pose: ArrayLike) -> Array:
+    """Pose of A in B from the pose of B in A."""
+    x, y, th = np.asarray(pose, dtype=np.float64)
+    c, s = math.cos(th), math.sin(th)
+    return np.array([-c * x - s * y, s * x - c * y, -th])
+
+
+def between(a: ArrayLike, b: ArrayLike) -> Array:
+    """Pose of frame B in A, both given in one common frame. Heading is not wrapped."""
+    return compose(inverse(a), b)
+
+
+def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
+    """Hamilton product of two quaternions, shape (4,)."""
+    aw, ax, ay, az = np.asarray(a_wxyz, dtype=np.float64)
+    bw, bx, by, bz = np.asarray(b_wxyz, dtype=np.float64)
+    return np.array(
+        [
+            aw * bw - ax * bx - ay * by - az * bz,
+            aw * bx + ax * bw + ay * bz - az * by,
+            aw * by - ax * bz + ay * bw + az * bx,
+            aw * bz + ax * by - ay * bx + az * bw,
+        ]
+    )
+
+
+def quat_conjugate(q_wxyz: ArrayLike) -> Array:
+    """Conjugate (inverse of a unit quaternion)."""
+    return np.asarray(q_wxyz, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def quat_rotate(q_wxyz: ArrayLike, vector: ArrayLike) -> Array:
+    """Vector (3,) rotated by a unit quaternion: child coordinates to parent coordinates."""
+    q = np.asarray(q_wxyz, dtype=np.float64)
+    v = np.asarray(vector, dtype=np.float64)
+    t = 2.0 * np.cross(q[1:], v)
+    return np.asarray(v + q[0] * t + np.cross(q[1:], t), dtype=np.float64)
+
+
+def quat_from_yaw(yaw_rad: float) -> Array:
+    """Unit quaternion of a rotation about z."""
+    return np.array([math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad)])
+
+
+def quat_from_rotvec(rotvec_rad: ArrayLike) -> Array:
+    """Unit quaternion of a rotation vector (3,), rad."""
+    r = np.asarray(rotvec_rad, dtype=np.float64)
+    angle = float(np.linalg.norm(r))
+    k = 0.5 - angle * angle / 48.0 if angle < _SMALL_ANGLE_RAD else math.sin(0.5 * angle) / angle
+    return np.array([math.cos(0.5 * angle), *(k * r)])
+
+
+def yaw_of_quat(q_wxyz: ArrayLike) -> float:
+    """Rotation about z (the twist of a swing-twist split), rad in (-pi, pi].
+
+    Unlike the Euler yaw it is defined for every attitude but a half turn about a horizontal axis.
+    """
+    w, _, _, z = np.asarray(q_wxyz, dtype=np.float64)
+    return wrap(2.0 * math.atan2(z, w))
