@@ -1,0 +1,100 @@
+"""The `hil` command: finds the sub-command, runs it, turns our errors into one line and an exit code.
+
+Sub-commands live one to a module and are imported only when called, so that `hil --help` is quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import logging
+import sys
+from collections.abc import Sequence
+
+import click
+
+from hil import __version__
+from hil.errors import EXIT_ABORTED, EXIT_USAGE, HilError
+
+COMMANDS = {
+    "calibrate": "fit the odometry parameters to recordings, with validation",
+    "campaign": "run a procedure many times",
+    "demo-data": "write a generated data set of the six motions",
+    "discover": "find ports and IDs and print a ready bench.toml",
+    "doctor": "check a bench and say what to do about each finding",
+    "emulate": "serve the emulated devices to any client",
+    "evaluate": "odometry error table of recordings",
+    "export": "a recording as CSV or Parquet",
+    "info": "versions for a bug report",
+    "live": "the control-estimate loop with monitoring",
+    "replay": "re-run estimation on a recording",
+    "report": "HTML report of a result folder, or a comparison",
+    "run": "run a procedure",
+    "setup": "set one servo's ID and baud rate",
+}
+
+
+class LazyGroup(click.Group):
+    """A click group that imports a command's module on first use."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of the commands that are part of this installation."""
+        return [n for n in COMMANDS if importlib.util.find_spec(_module(n)) is not None]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """Import and return a command."""
+        if cmd_name not in self.list_commands(ctx):
+            return None
+        command = importlib.import_module(_module(cmd_name)).command
+        assert isinstance(command, click.Command)
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """List the commands without importing them."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(n, COMMANDS[n]) for n in self.list_commands(ctx)])
+
+
+def _module(name: str) -> str:
+    return "hil.cli." + name.replace("-", "_")
+
+
+@click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__)
+@click.option("-v", "--verbose", count=True, help="More messages on stderr (twice: debug).")
+def cli(verbose: int) -> None:
+    """Hardware-in-the-loop bench for a 4WIS4WID wall-climbing robot."""
+    level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
+    logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line.
+
+    Returns:
+        The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted.
+    """
+    try:
+        result = cli.main(args=list(argv) if argv is not None else None, prog_name="hil", standalone_mode=False)
+    except HilError as error:
+        click.echo(f"hil: {error}", err=True)
+        return error.exit_code
+    except click.exceptions.Abort:
+        click.echo("hil: aborted", err=True)
+        return EXIT_ABORTED
+    except KeyboardInterrupt:
+        click.echo("hil: interrupted", err=True)
+        return EXIT_ABORTED
+    except click.exceptions.Exit as leave:
+        return leave.exit_code
+    except click.ClickException as error:
+        error.show(sys.stderr)
+        return EXIT_USAGE
+    except BrokenPipeError:
+        return EXIT_ABORTED
+    return result if isinstance(result, int) else 0
+
+
+def script() -> None:
+    """Console entry point."""
+    sys.exit(main())

@@ -1,0 +1,5 @@
+"""`python -m hil.cli` is the same as `hil`."""
+
+from hil.cli import script
+
+script()

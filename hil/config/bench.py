@@ -1,0 +1,222 @@
+"""The whole `bench.toml`: its model, how it is found, read, overridden and checked.
+
+Strict: unknown keys are errors, and every problem is reported at once with its dotted path.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+
+from hil.config.control import ControlConfig
+from hil.config.encoders import EncodersConfig
+from hil.config.estimator import EstimatorConfig
+from hil.config.imu import ImuConfig
+from hil.config.mocap import MocapConfig
+from hil.config.robot import RobotConfig
+from hil.config.servos import ServosConfig
+from hil.config.tracker import TrackerConfig
+from hil.errors import ConfigError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
+
+
+class Strict(BaseModel):
+    """Base of the models here: unknown keys rejected, values frozen."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+
+
+class LoopConfig(Strict):
+    """Rate and real-time behaviour of the control loop."""
+
+    rate_hz: float = Field(100.0, gt=0, le=1000)
+    late_after_s: float = Field(0.001, gt=0)
+    fifo_priority: int | None = Field(None, ge=1, le=99)
+    cpu: int | None = Field(None, ge=0)
+
+
+class SafetyConfig(Strict):
+    """When the supervisor stops the robot."""
+
+    servo_stale_s: float = Field(0.1, gt=0)
+    imu_stale_s: float = Field(0.5, gt=0)
+    tracker_stale_s: float = Field(2.0, gt=0)
+    wheel_rate_limit_rad_s: float = Field(4.9, gt=0)
+    steering_limit_rad: float = Field(2.0944, gt=0)
+    heading_limit_rad: float = Field(0.2618, gt=0)
+    tracking_error_limit_m: float = Field(0.5, gt=0)
+
+
+class AlignmentConfig(Strict):
+    """Signs and zeros between servo angles and body angles, wheel order FL, BL, BR, FR."""
+
+    drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    steer_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _signs(self) -> AlignmentConfig:
+        for name in ("drive_sign", "steer_sign"):
+            if any(s not in (-1, 1) for s in getattr(self, name)):
+                raise ValueError(f"{name} must hold only 1 and -1")
+        return self
+
+
+class EmulationConfig(Strict):
+    """The emulated world: only read when at least one device is emulated."""
+
+    surface: str = "melamine"
+    tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
+    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    randomise_truth: bool = True
+
+
+class ExitConfig(Strict):
+    """What happens to the robot when the work ends: held (default) or released."""
+
+    policy: Literal["hold", "release"] = "hold"
+
+
+class BenchConfig(Strict):
+    """Everything about one bench. A missing device section means that the bench lacks the device."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    name: str = Field(min_length=1)
+    surface: Literal["wall", "floor"] = "wall"
+    calibration: str | None = None
+    robot: RobotConfig = RobotConfig()
+    control: ControlConfig = ControlConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    loop: LoopConfig = LoopConfig()
+    safety: SafetyConfig = SafetyConfig()
+    alignment: AlignmentConfig = AlignmentConfig()
+    emulation: EmulationConfig = EmulationConfig()
+    exit: ExitConfig = ExitConfig()
+    servos: ServosConfig | None = None
+    encoders: EncodersConfig | None = None
+    imu: ImuConfig | None = None
+    tracker: TrackerConfig | None = None
+    mocap: MocapConfig | None = None
+
+    def devices(self) -> dict[str, Any]:
+        """Configured devices by name, in the fixed order."""
+        return {n: getattr(self, n) for n in DEVICES if getattr(self, n) is not None}
+
+    def emulated(self) -> tuple[str, ...]:
+        """Names of the devices whose backend is emulated."""
+        return tuple(n for n, c in self.devices().items() if c.backend == "emulated")
+
+
+def profile_names() -> tuple[str, ...]:
+    """Names of the shipped profiles."""
+    folder = resources.files("hil.profiles")
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def find_bench(source: str | Path) -> tuple[str, str]:
+    """Text and printable origin of a bench file: a path, or the name of a shipped profile."""
+    path = Path(source)
+    if path.suffix == ".toml" or path.exists():
+        try:
+            return path.read_text(encoding="utf-8"), str(path)
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(
+                f"{path}: cannot be read ({error})", remedy="give a bench.toml or a profile name"
+            ) from None
+    if str(source) in profile_names():
+        return (
+            resources.files("hil.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8"),
+            f"profile {source}",
+        )
+    raise ConfigError(
+        f"bench {str(source)!r} is neither a file nor a shipped profile",
+        expected="a path to a .toml file or one of " + ", ".join(profile_names()),
+    )
+
+
+def _overlay(tree: dict[str, Any], dotted: str, value: object) -> None:
+    *path, leaf = dotted.split(".")
+    for key in path:
+        nested = tree.setdefault(key, {})
+        if not isinstance(nested, dict):
+            raise ConfigError(f"override {dotted}: {key} is a value, not a table")
+        tree = nested
+    tree[leaf] = value
+
+
+def load_bench(
+    source: str | Path | BenchConfig = "emulated",
+    *,
+    emulate: str | tuple[str, ...] | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> BenchConfig:
+    """Read and check a bench configuration.
+
+    Args:
+        source: path, profile name, or a model that is already built.
+        emulate: `all` or device names whose backend is switched to emulated.
+        overrides: dotted key -> value, applied before validation.
+
+    Raises:
+        ConfigError: listing every problem with its dotted path.
+    """
+    if isinstance(source, BenchConfig):
+        tree, origin = source.model_dump(by_alias=True, exclude_none=True), source.name
+    else:
+        text, origin = find_bench(source)
+        try:
+            tree = tomllib.loads(text)
+        except tomllib.TOMLDecodeError as error:
+            raise ConfigError(f"{origin}: not valid TOML ({error})") from None
+    for dotted, value in (overrides or {}).items():
+        _overlay(tree, dotted, value)
+    for name in _to_emulate(tree, emulate):
+        tree[name]["backend"] = "emulated"
+    return validate(tree, origin)
+
+
+def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) -> tuple[str, ...]:
+    if emulate is None:
+        return ()
+    names = tuple(emulate.split(",")) if isinstance(emulate, str) else emulate
+    present = tuple(n for n in DEVICES if isinstance(tree.get(n), dict))
+    if names == ("all",):
+        return present
+    for name in names:
+        if name not in present:
+            raise ConfigError(
+                f"--emulate {name}: the bench has no such device",
+                expected="all or some of " + ", ".join(present),
+            )
+    return names
+
+
+def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
+    """Model of a parsed file; raises `ConfigError` with all problems."""
+    try:
+        return BenchConfig.model_validate(tree)
+    except ValidationError as error:
+        problems = tuple(
+            f"{'.'.join(str(part) for part in item['loc']) or 'file'}: {_reason(item)}"
+            for item in error.errors()
+        )
+    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=problems)
+
+
+def _reason(item: Any) -> str:
+    if item["type"] == "extra_forbidden":
+        return "unknown key; remove it or check the spelling"
+    if item["type"] == "missing":
+        return "missing"
+    return f"{item['msg']} (found {item['input']!r})"
