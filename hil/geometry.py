@@ -18,6 +18,12 @@ ArrayLike: TypeAlias = npt.ArrayLike
 _SMALL_ANGLE_RAD = 1e-4
 
 
+def _floats(values: ArrayLike) -> list[float]:
+    """Plain Python floats: arithmetic on four of them is ten times quicker than on an array."""
+    out = values.tolist() if isinstance(values, np.ndarray) else list(values)  # type: ignore[arg-type]
+    return out  # type: ignore[return-value]
+
+
 def wrap(angle_rad: float) -> float:
     """Angle wrapped into (-pi, pi]."""
     return math.pi - (math.pi - angle_rad) % (2.0 * math.pi)
@@ -55,10 +61,7 @@ def se2_exp(delta: ArrayLike) -> Array:
 def se2_log(pose: ArrayLike) -> Array:
     """Inverse of `se2_exp` for |theta| < pi. Shape (3,) in and out."""
     x, y, th = np.asarray(pose, dtype=np.float64)
-    if abs(th) < _SMALL_ANGLE_RAD:
-        a = 1.0 - th * th / 12.0
-    else:
-        a = 0.5 * th / math.tan(0.5 * th)
+    a = 1.0 - th * th / 12.0 if abs(th) < _SMALL_ANGLE_RAD else 0.5 * th / math.tan(0.5 * th)
     b = 0.5 * th
     return np.array([a * x + b * y, -b * x + a * y, th])
 
@@ -85,8 +88,8 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
 
 def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
     """Hamilton product of two quaternions, shape (4,)."""
-    aw, ax, ay, az = np.asarray(a_wxyz, dtype=np.float64)
-    bw, bx, by, bz = np.asarray(b_wxyz, dtype=np.float64)
+    aw, ax, ay, az = _floats(a_wxyz)
+    bw, bx, by, bz = _floats(b_wxyz)
     return np.array(
         [
             aw * bw - ax * bx - ay * by - az * bz,
@@ -99,15 +102,22 @@ def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
 
 def quat_conjugate(q_wxyz: ArrayLike) -> Array:
     """Conjugate (inverse of a unit quaternion)."""
-    return np.asarray(q_wxyz, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+    w, x, y, z = _floats(q_wxyz)
+    return np.array([w, -x, -y, -z])
 
 
 def quat_rotate(q_wxyz: ArrayLike, vector: ArrayLike) -> Array:
     """Vector (3,) rotated by a unit quaternion: child coordinates to parent coordinates."""
-    q = np.asarray(q_wxyz, dtype=np.float64)
-    v = np.asarray(vector, dtype=np.float64)
-    t = 2.0 * np.cross(q[1:], v)
-    return np.asarray(v + q[0] * t + np.cross(q[1:], t), dtype=np.float64)
+    w, x, y, z = _floats(q_wxyz)
+    vx, vy, vz = _floats(vector)
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    return np.array(
+        [
+            vx + w * tx + y * tz - z * ty,
+            vy + w * ty + z * tx - x * tz,
+            vz + w * tz + x * ty - y * tx,
+        ]
+    )
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:
@@ -128,5 +138,5 @@ def yaw_of_quat(q_wxyz: ArrayLike) -> float:
 
     Unlike the Euler yaw it is defined for every attitude but a half turn about a horizontal axis.
     """
-    w, _, _, z = np.asarray(q_wxyz, dtype=np.float64)
+    w, _, _, z = _floats(q_wxyz)
     return wrap(2.0 * math.atan2(z, w))

@@ -239,7 +239,7 @@ class RobotState:
 
 @dataclass(frozen=True)
 class Reference:
-    """Where the robot should be at `t_s` on a trajectory: pose in the wall frame, body twist, wall acceleration."""
+    """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
 
     t_s: float
     pose_in_wall: Array

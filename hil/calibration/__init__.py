@@ -1,0 +1,1 @@
+"""Odometry calibration: data sets, models, solvers, identifiability, validation."""

@@ -51,8 +51,10 @@ class LazyGroup(click.Group):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """List the commands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(n, COMMANDS[n]) for n in self.list_commands(ctx)])
+        rows = [(n, COMMANDS[n]) for n in self.list_commands(ctx)]
+        if rows:
+            with formatter.section("Commands"):
+                formatter.write_dl(rows)
 
 
 def _module(name: str) -> str:
@@ -75,7 +77,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted.
     """
     try:
-        result = cli.main(args=list(argv) if argv is not None else None, prog_name="hil", standalone_mode=False)
+        result = cli.main(
+            args=list(argv) if argv is not None else None, prog_name="hil", standalone_mode=False
+        )
     except HilError as error:
         click.echo(f"hil: {error}", err=True)
         return error.exit_code

@@ -1,0 +1,1 @@
+"""Pose tracking: control laws, the module layer, limits."""

@@ -1,0 +1,1 @@
+"""Real drivers; the same code talks to hardware and to emulated devices."""

@@ -1,0 +1,1 @@
+"""Pose estimation: odometry, EKF and UKF over late and missing measurements."""

@@ -54,9 +54,7 @@ def make_fault(
 ) -> Fault:
     """A fault from seconds; raises `UsageError` for an unknown kind or an impossible time."""
     if kind not in VOCABULARY:
-        raise UsageError(
-            f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY)
-        )
+        raise UsageError(f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY))
     if not (math.isfinite(at) and at >= 0) or (duration is not None and not duration > 0):
         raise UsageError(
             f"fault {device}:{kind} has start {at} s and duration {duration} s",

@@ -1,0 +1,240 @@
+"""The ring: one control cycle from devices to devices, and the deterministic part of it by itself.
+
+`Brain.decide` is steps 2 to 7 of `design.md`: a function of the inputs and its own state, so a
+recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
+`ControlLoop.run` adds the devices, the clock and the sinks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hil.alignment import Alignment
+from hil.clock import NS_PER_S, Clock
+from hil.errors import SafetyStop
+from hil.interfaces import Controller, Estimator, Sink
+from hil.rig import Rig
+from hil.signals import (
+    CycleRecord,
+    Event,
+    Inputs,
+    Measurements,
+    Reference,
+    RobotState,
+    ServoSetpoint,
+    WheelMeasurement,
+    WheelSetpoint,
+)
+from hil.supervisor import Supervisor
+
+ReferenceAt = Callable[[float], Reference]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the brain made of one cycle's inputs."""
+
+    measurements: Measurements
+    state: RobotState
+    reference: Reference | None
+    setpoint: WheelSetpoint
+    command: ServoSetpoint
+    events: tuple[Event, ...]
+
+
+class Brain:
+    """Supervisor, alignment, estimator and controller in their fixed order.
+
+    Args:
+        reference_at: reference by seconds since the first cycle; None observes without moving.
+        observers: further estimators that run on the same measurements; their poses appear in the
+            state's diagnostics as `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`.
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        alignment: Alignment,
+        estimator: Estimator,
+        controller: Controller | None = None,
+        reference_at: ReferenceAt | None = None,
+        observers: Mapping[str, Estimator] | None = None,
+    ) -> None:
+        self.supervisor, self.alignment = supervisor, alignment
+        self.estimator, self.controller = estimator, controller
+        self.reference_at = reference_at
+        self.observers = dict(observers or {})
+        self._t0_ns: int | None = None
+        self._steering = np.zeros(4)
+
+    def reset(self, state: RobotState) -> None:
+        """Start a run from a known state; the reference's time starts with the next cycle."""
+        self._t0_ns = None
+        self.supervisor.reset()
+        self.alignment.reset()
+        self.estimator.reset(state)
+        for observer in self.observers.values():
+            observer.reset(state)
+        if self.controller is not None:
+            self.controller.reset()
+
+    def decide(self, inputs: Inputs) -> Decision:
+        """Steps 2 to 7; raises `SafetyStop` when the robot must be held."""
+        if self._t0_ns is None:
+            self._t0_ns = inputs.t_ns
+        events = self.supervisor.check(inputs)  # 2
+        measurements = self.alignment.measure(inputs)  # 3
+        state = self._estimate(measurements)  # 4
+        reference = None
+        if self.reference_at is not None:
+            reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
+        self.supervisor.guard(state, reference)
+        setpoint = self._control(state, reference, measurements)  # 6
+        setpoint = self.supervisor.limit(setpoint)  # 7
+        return Decision(measurements, state, reference, setpoint, self.alignment.to_servos(setpoint), events)
+
+    def _estimate(self, measurements: Measurements) -> RobotState:
+        state = self.estimator.update(measurements)
+        if not self.observers:
+            return state
+        extra = dict(state.diagnostics)
+        for name, observer in self.observers.items():
+            x_m, y_m, theta_rad = observer.update(measurements).pose_body_in_wall
+            extra |= {f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad}
+        return replace(state, diagnostics={k: float(v) for k, v in extra.items()})
+
+    def _control(
+        self, state: RobotState, reference: Reference | None, measurements: Measurements
+    ) -> WheelSetpoint:
+        wheels = measurements.wheels[-1] if measurements.wheels else None
+        if wheels is not None:
+            known = np.isfinite(wheels.steering_rad)
+            self._steering = np.where(known, wheels.steering_rad, self._steering)
+        if self.controller is None or reference is None or wheels is None:
+            return WheelSetpoint(np.zeros(4), self._steering.copy())
+        return self.controller.update(state, reference, self._complete(wheels))
+
+    def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
+        return replace(wheels, steering_rad=self._steering.copy())
+
+
+@dataclass
+class LoopStatistics:
+    """Punctuality of a run; times in ns, `sections_ns` holds every cycle's durations by section."""
+
+    cycles: int = 0
+    late: int = 0
+    skipped: int = 0
+    sections_ns: dict[str, list[int]] = field(default_factory=dict)
+
+    def add(self, timing_ns: Mapping[str, int]) -> None:
+        """Note one cycle."""
+        for name, value in timing_ns.items():
+            self.sections_ns.setdefault(name, []).append(value)
+
+    def summary(self) -> dict[str, float]:
+        """Mean, 99th percentile and worst per section (ms), counts of cycles, late and skipped."""
+        out: dict[str, float] = {"cycles": self.cycles, "late": self.late, "skipped": self.skipped}
+        for name, values in self.sections_ns.items():
+            ms = np.asarray(values) / 1e6
+            out[f"{name}_mean_ms"] = float(ms.mean())
+            out[f"{name}_p99_ms"] = float(np.percentile(ms, 99))
+            out[f"{name}_worst_ms"] = float(ms.max())
+        return out
+
+
+class ControlLoop:
+    """Runs a brain on a rig at a fixed rate with absolute deadlines.
+
+    A missed deadline is counted; deadlines that have passed entirely are skipped on the grid, never
+    made up for in a burst. Whatever goes wrong, the actuators are stopped before the error leaves.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        clock: Clock,
+        brain: Brain,
+        *,
+        rate_hz: float = 100.0,
+        late_after_s: float = 0.001,
+        sinks: tuple[Sink, ...] = (),
+    ) -> None:
+        self.rig, self.clock, self.brain = rig, clock, brain
+        self.period_ns = round(NS_PER_S / rate_hz)
+        self.late_ns = round(late_after_s * NS_PER_S)
+        self.sinks = sinks
+        self.statistics = LoopStatistics()
+        self._cycle = 0
+
+    def run(self, until: Callable[[CycleRecord], bool]) -> None:
+        """Cycle until `until(record)` says so; always leaves the robot held."""
+        deadline_ns = self.clock.now_ns()
+        try:
+            while True:
+                self.clock.sleep_until_ns(deadline_ns)  # 10
+                record = self.cycle(deadline_ns)
+                if until(record):
+                    return
+                deadline_ns = self._next_deadline(deadline_ns)
+        finally:
+            if self.rig.servos is not None:
+                self.rig.servos.stop()
+
+    def cycle(self, deadline_ns: int) -> CycleRecord:
+        """One pass through the ring."""
+        start_ns = self.clock.now_ns()
+        late = start_ns - deadline_ns > self.late_ns
+        tick = [self.clock.now_ns()]
+        inputs = self.rig.read(self._cycle)  # 1
+        tick.append(self.clock.now_ns())
+        try:
+            decision = self.brain.decide(inputs)  # 2 to 7
+        except SafetyStop as stop:
+            self._stopped(inputs, stop)
+            raise
+        tick.append(self.clock.now_ns())
+        if self.brain.controller is not None and self.rig.servos is not None:
+            self.rig.servos.command(decision.command)  # 8
+        tick.append(self.clock.now_ns())
+        names = ("read", "decide", "write")
+        timing = {name: b - a for name, a, b in zip(names, tick, tick[1:], strict=True)}
+        timing["lateness"] = start_ns - deadline_ns
+        record = CycleRecord(
+            self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
+            decision.reference, decision.setpoint, decision.command, decision.events, timing,
+        )  # fmt: skip
+        for sink in self.sinks:  # 9
+            sink.write(record)
+        self.statistics.cycles += 1
+        self.statistics.late += late
+        self.statistics.add({**timing, "sinks": self.clock.now_ns() - tick[-1]})
+        self._cycle += 1
+        return record
+
+    def _next_deadline(self, deadline_ns: int) -> int:
+        following = deadline_ns + self.period_ns
+        behind_ns = self.clock.now_ns() - following
+        if behind_ns > 0:
+            missed = behind_ns // self.period_ns
+            self.statistics.skipped += missed
+            following += missed * self.period_ns
+        return following
+
+    def _stopped(self, inputs: Inputs, stop: SafetyStop) -> None:
+        """Hold the robot at once and leave a last record that names the reason."""
+        if self.rig.servos is not None:
+            self.rig.servos.stop()
+        event = Event(inputs.t_ns, "error", "supervisor", str(stop))
+        zero = np.zeros(4)
+        nothing = Measurements(inputs.cycle, inputs.t_ns)
+        state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
+        record = CycleRecord(
+            self._cycle, inputs.t_ns, inputs.t_ns, inputs, nothing, state, None,
+            WheelSetpoint(zero, zero), ServoSetpoint(zero, zero), (event,),
+        )  # fmt: skip
+        for sink in self.sinks:
+            sink.write(record)

@@ -1,0 +1,128 @@
+"""Safety: judges data before they are used and setpoints before they are sent.
+
+Stale, implausible or faulty data are reported as events; a condition under which the robot must not
+go on raises `SafetyStop`, which the loop answers with `stop()` (held, torque on). Deterministic:
+depends on the inputs seen since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.clock import nanoseconds
+from hil.errors import SafetyStop
+from hil.geometry import wrap
+from hil.signals import Event, Inputs, Reference, RobotState, Status, WheelSetpoint
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` counts on a wall only."""
+
+    servo_stale_s: float = 0.1
+    imu_stale_s: float = 0.5
+    tracker_stale_s: float = 2.0
+    wheel_rate_limit_rad_s: float = 4.9
+    steering_limit_rad: float = 2.0944
+    heading_limit_rad: float = math.radians(15.0)
+    tracking_error_limit_m: float = 0.5
+    on_wall: bool = True
+
+
+class Supervisor:
+    """Watches one run."""
+
+    def __init__(self, limits: SafetyLimits, *, watched: tuple[str, ...] = ("servos",)) -> None:
+        self.limits = limits
+        self._watched = watched
+        self._stale_ns = {
+            "servos": nanoseconds(limits.servo_stale_s),
+            "imu": nanoseconds(limits.imu_stale_s),
+            "tracker": nanoseconds(limits.tracker_stale_s),
+        }
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget ages and alarms."""
+        self._last_ok_ns: dict[str, int] = {}
+        self._alarmed: set[str] = set()
+
+    def check(self, inputs: Inputs) -> tuple[Event, ...]:
+        """Judge one cycle's inputs.
+
+        Raises:
+            SafetyStop: `stale_servos` or `hardware_error`. A silent IMU or camera is an event, not a
+                stop: the estimator lives without it for a while and says how sure it is.
+        """
+        events: list[Event] = []
+        good = {
+            "servos": any(s.ok for s in inputs.servos),
+            "imu": any(s.status is Status.OK for s in inputs.imu),
+            "tracker": any(s.status is Status.OK for s in inputs.tracker),
+        }
+        for name in self._watched:
+            if name in good:
+                self._age(name, good[name], inputs.t_ns, events)
+        for sample in inputs.servos:
+            if any(sample.alert):
+                raise SafetyStop(
+                    "hardware_error",
+                    f"servo alert bytes {sample.alert}; reboot the servo after removing the cause",
+                )
+        return tuple(events)
+
+    def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
+        last_ns = self._last_ok_ns.setdefault(name, t_ns)
+        if good:
+            self._last_ok_ns[name] = t_ns
+            if name in self._alarmed:
+                self._alarmed.discard(name)
+                events.append(Event(t_ns, "info", name, "answers again"))
+            return
+        if t_ns - last_ns <= self._stale_ns[name]:
+            return
+        if name == "servos":
+            raise SafetyStop("stale_servos", f"no complete servo read for {(t_ns - last_ns) / 1e9:.3f} s")
+        if name not in self._alarmed:
+            self._alarmed.add(name)
+            events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / 1e9:.3f} s"))
+
+    def guard(self, state: RobotState, reference: Reference | None) -> None:
+        """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
+        pose = state.pose_body_in_wall
+        if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(state.twist_body))):
+            raise SafetyStop("not_finite", "the estimated state is not finite")
+        if self.limits.on_wall and abs(wrap(float(pose[2]))) > self.limits.heading_limit_rad:
+            raise SafetyStop(
+                "heading",
+                f"heading {math.degrees(pose[2]):.1f} deg exceeds "
+                f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold",
+            )
+        if reference is None:
+            return
+        if not np.all(np.isfinite(reference.pose_in_wall)):
+            raise SafetyStop("not_finite", "the reference is not finite")
+        error_m = math.hypot(*(reference.pose_in_wall[:2] - pose[:2]))
+        if error_m > self.limits.tracking_error_limit_m:
+            raise SafetyStop("tracking", f"{error_m:.3f} m from the reference")
+
+    def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
+        """Setpoint within command limits; scaling keeps the centre of rotation.
+
+        Raises:
+            SafetyStop: `not_finite` or `steering_limit`.
+        """
+        rate, steering = setpoint.wheel_rate_rad_s, setpoint.steering_rad
+        if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(steering))):
+            raise SafetyStop("not_finite", "a setpoint is not finite")
+        if np.any(np.abs(steering) > self.limits.steering_limit_rad + 1e-9):
+            raise SafetyStop(
+                "steering_limit", f"steering setpoint {np.degrees(steering).round(1).tolist()} deg"
+            )
+        peak = float(np.max(np.abs(rate)))
+        if peak <= self.limits.wheel_rate_limit_rad_s:
+            return setpoint
+        return WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
