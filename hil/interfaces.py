@@ -108,9 +108,7 @@ class Controller(Protocol):
         """Forget integrators and held angles."""
 
     @abstractmethod
-    def update(
-        self, state: RobotState, reference: Reference, wheels: WheelMeasurement
-    ) -> WheelSetpoint:
+    def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
         """Wheel setpoints at the state's time; `wheels` gives the measured steering angles."""
 
 

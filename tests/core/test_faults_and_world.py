@@ -1,0 +1,92 @@
+"""The fault vocabulary and the order of events in the world."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.errors import FaultNotSupportedError, UsageError
+from hil.fakes.faults import VOCABULARY, FaultPlan, describe, make_fault, parse_fault
+from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
+
+
+class StillPlant:
+    """A plant that only keeps time."""
+
+    t_ns = 0
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+
+class Ticker(Scheduled):
+    def __init__(self, name, period_ns, log):
+        self.name, self.period_ns, self.log, self.due_ns = name, period_ns, log, period_ns
+
+    def next_due_ns(self):
+        return self.due_ns
+
+    def on_due(self, t_ns):
+        self.log.append((t_ns, self.name))
+        self.due_ns += self.period_ns
+
+
+@given(
+    st.sampled_from(VOCABULARY),
+    st.integers(0, 1000),
+    st.none() | st.integers(1, 1000),
+    st.dictionaries(st.sampled_from(["probability", "value"]), st.integers(0, 9)),
+)
+def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options):
+    fault = make_fault("servo.drive_FL", kind, at=at, duration=duration, **options)
+    assert parse_fault(describe(fault)) == fault
+
+
+@pytest.mark.parametrize(
+    "spec", ["", "imu", "imu:stuck@", "imu:stuck@x", "imu:stuck@1+0", "imu:melt", "imu:stuck,a=b"]
+)
+def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
+    with pytest.raises(UsageError, match="expected"):
+        parse_fault(spec)
+
+
+def test_a_fault_acts_in_its_half_open_interval():
+    fault = parse_fault("imu:stuck@2+3")
+    assert [fault.active(t * 10**9) for t in (1, 2, 4, 5)] == [False, True, True, False]
+
+
+def test_unsupported_faults_and_unknown_devices_are_refused():
+    plan = FaultPlan([parse_fault("imu:jump")])
+    plan.declare("imu", ["stuck"])
+    with pytest.raises(FaultNotSupportedError, match="cannot produce"):
+        plan.check()
+    with pytest.raises(FaultNotSupportedError, match="no emulated device"):
+        plan.add(parse_fault("tracker:jump"))
+
+
+def test_parts_act_in_time_order_and_ties_by_registration():
+    log = []
+    world = World(StillPlant())
+    world.add(Ticker("b", 30, log))
+    world.add(Ticker("a", 20, log))
+    VirtualClock(world).sleep_until_ns(60)
+    assert log == [(20, "a"), (30, "b"), (40, "a"), (60, "b"), (60, "a")]
+    assert world.plant.t_ns == 60
+    assert world.now_ns == 60
+
+
+def test_time_never_runs_backwards_and_sleeping_for_ever_is_refused():
+    world = World(StillPlant())
+    clock = VirtualClock(world)
+    clock.sleep_until_ns(50)
+    clock.sleep_until_ns(10)
+    assert clock.now_ns() == 50
+    with pytest.raises(UsageError):
+        clock.sleep_until_ns(NEVER_NS)
+
+
+def test_random_streams_depend_on_seed_and_name_only():
+    first = World(StillPlant(), seed=3).rng("imu").standard_normal(4)
+    np.testing.assert_array_equal(first, World(StillPlant(), seed=3).rng("imu").standard_normal(4))
+    assert not np.array_equal(first, World(StillPlant(), seed=4).rng("imu").standard_normal(4))
+    assert not np.array_equal(first, World(StillPlant(), seed=3).rng("can").standard_normal(4))
