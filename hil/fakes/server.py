@@ -1,0 +1,83 @@
+"""Serves the emulated devices in real time to any client: the engine of `hil emulate`.
+
+The world follows the monotonic clock; a client's bytes are handed to the face they arrive at as
+soon as the kernel reports them. One thread, no sleeping beyond the next planned action.
+"""
+
+from __future__ import annotations
+
+import select
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Protocol
+
+from hil.clock import NS_PER_S, Clock
+from hil.fakes.world import Scheduled, World
+
+_LONGEST_WAIT_S = 0.05
+
+
+class Face(Scheduled, Protocol):
+    """An emulated device's connection to the outside: PTY, socket or CAN interface."""
+
+    @abstractmethod
+    def filenos(self) -> list[int]:
+        """File descriptors to watch for input."""
+
+    @abstractmethod
+    def on_readable(self, fd: int, t_ns: int) -> None:
+        """Take what has arrived; the world has been advanced to `t_ns`."""
+
+    @abstractmethod
+    def endpoint(self) -> Mapping[str, object]:
+        """How a client reaches it, for the JSON line of `hil emulate`."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go. Idempotent."""
+
+
+class EmulationServer:
+    """Runs a world and its faces until told to stop."""
+
+    def __init__(self, world: World, clock: Clock, faces: Mapping[str, Face]) -> None:
+        self.world, self.clock, self.faces = world, clock, dict(faces)
+        self._start_ns = clock.now_ns()
+        self._running = True
+        for face in self.faces.values():
+            world.add(face)
+
+    def endpoints(self) -> dict[str, Mapping[str, object]]:
+        """Endpoint of every face by name."""
+        return {name: face.endpoint() for name, face in self.faces.items()}
+
+    def stop(self) -> None:
+        """Make `run` return soon; safe to call from a signal handler."""
+        self._running = False
+
+    def run(self) -> None:
+        """Serve until `stop`; always closes the faces."""
+        try:
+            while self._running:
+                self.step()
+        finally:
+            self.close()
+
+    def step(self) -> None:
+        """Advance the world to now and serve what is readable, waiting at most 50 ms for it."""
+        self.world.advance_to(self._now_ns())
+        owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
+        wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
+        readable, _, _ = select.select(list(owners), [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
+        for fd in readable:
+            t_ns = self._now_ns()
+            self.world.advance_to(t_ns)
+            owners[fd].on_readable(fd, t_ns)
+
+    def close(self) -> None:
+        """Close every face."""
+        for face in self.faces.values():
+            face.close()
+
+    def _now_ns(self) -> int:
+        return self.clock.now_ns() - self._start_ns
