@@ -1,0 +1,216 @@
+"""`Recording`: wheel log and ground truth of one run, checked and repaired, on one time axis.
+
+Whatever file a run came from (public CSV pair, plain CSV, MCAP), calibration and evaluation see this
+type. `build_recording` repairs what can be repaired, counts each repair, and refuses the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import SupportsInt
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.geometry import Array
+from hil.kinematics import NOMINAL_RADIUS_M
+
+_GAP_S = 0.1
+_MIN_STEP_S = 1e-6
+_MIN_ROWS = 20
+_STEERING_LIMIT_RAD = 3.5
+_ROTATION_RAD = 5.0
+_ROTATION_PATH_M = 0.3
+
+
+@dataclass(frozen=True)
+class Log:
+    """Rows as read from a file, before repair.
+
+    Attributes:
+        t_s: (n,) best time stamp (the source's own clock, shifted to the receiver's by its median).
+        values: (n, k).
+        receive_s: (n,) receive stamps where the file has them.
+    """
+
+    t_s: Array
+    values: Array
+    receive_s: Array | None = None
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run of the robot; wheel order FL, BL, BR, FR.
+
+    Attributes:
+        name: file or run name; `motion` groups repetitions; `sources` and `sha256` say where it is from.
+        t_s: (n,) strictly increasing, s; `truth_t_s` (m,) shares its axis.
+        wheel_angle_rad: (n, 4) cumulative; `steering_rad` (n, 4).
+        wheel_rate_rad_s: (n, 4) velocity register, NaN where the source has none.
+        truth_pose: (m, 3) m, m, rad unwrapped.
+        receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
+        repairs: what was repaired, by name and count.
+    """
+
+    name: str
+    motion: str
+    t_s: Array
+    wheel_angle_rad: Array
+    steering_rad: Array
+    wheel_rate_rad_s: Array
+    truth_t_s: Array
+    truth_pose: Array
+    receive_s: Array
+    truth_receive_s: Array
+    sources: tuple[str, ...] = ()
+    sha256: tuple[str, ...] = ()
+    repairs: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether the velocity register was recorded."""
+        return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
+
+    def warnings(self) -> tuple[str, ...]:
+        """The repairs in words, one line each."""
+        return tuple(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items()))
+
+
+def build_recording(
+    name: str,
+    wheels: Log,
+    truth: Log,
+    *,
+    motion: str = "",
+    sources: tuple[str, ...] = (),
+    sha256: tuple[str, ...] = (),
+) -> Recording:
+    """Repair and check the two logs of a run.
+
+    Args:
+        name: what to call it in messages.
+        wheels: columns phi_1..4, delta_1..4 and, optionally, wheel rates 1..4.
+        truth: columns x, y, theta (theta may be wrapped).
+        motion: group name; classified from the ground truth when empty.
+        sources: files it was read from.
+        sha256: digests of those files, in the same order.
+
+    Raises:
+        DataError: too short, no ground truth, no overlap in time, or units that cannot be right.
+    """
+    where = sources[0] if sources else name
+    repairs: dict[str, int] = {}
+    t_s, w, receive_s = _clean(wheels, 8, "wheel", repairs)
+    truth_t_s, pose, truth_receive_s = _clean(truth, 3, "ground-truth", repairs)
+    if len(t_s) < _MIN_ROWS:
+        raise DataError(where, f"only {len(t_s)} usable wheel rows", expected=f"at least {_MIN_ROWS}")
+    if len(truth_t_s) < _MIN_ROWS:
+        raise DataError(
+            where,
+            f"only {len(truth_t_s)} usable ground-truth rows",
+            expected="x, y and theta from motion capture",
+            remedy="a run without ground truth can be replayed but not evaluated or calibrated",
+        )
+    overlap_s = min(t_s[-1], truth_t_s[-1]) - max(t_s[0], truth_t_s[0])
+    if overlap_s < 1.0:
+        raise DataError(where, f"wheels and ground truth share {max(overlap_s, 0):.2f} s", expected=">= 1 s")
+    angle = _unwrap_jumps(w[:, :4], repairs)
+    pose = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
+    _check_units(where, angle, w[:, 4:8], pose)
+    return Recording(
+        name=name,
+        motion=motion or classify(angle, w[:, 4:8], pose),
+        t_s=t_s,
+        wheel_angle_rad=angle,
+        steering_rad=w[:, 4:8].copy(),
+        wheel_rate_rad_s=w[:, 8:12].copy() if w.shape[1] >= 12 else np.full((len(w), 4), np.nan),
+        truth_t_s=truth_t_s,
+        truth_pose=pose,
+        receive_s=receive_s,
+        truth_receive_s=truth_receive_s,
+        sources=sources,
+        sha256=sha256,
+        repairs=repairs,
+    )
+
+
+def _count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
+    if int(number):
+        repairs[what] = repairs.get(what, 0) + int(number)
+
+
+def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
+    """Finite rows in strictly increasing time; receive stamps made increasing the authors' way."""
+    t_s, values = log.t_s, log.values
+    receive_s = log.receive_s if log.receive_s is not None else t_s
+    good = np.isfinite(t_s) & np.all(np.isfinite(values[:, :needed]), axis=1)
+    _count(repairs, f"{kind} rows without numbers dropped", np.count_nonzero(~good))
+    t_s, values, receive_s = t_s[good], values[good], receive_s[good]
+    if len(t_s) == 0:
+        return t_s, values, receive_s
+    _count(repairs, f"{kind} stamps out of order sorted", np.count_nonzero(np.diff(t_s) < 0))
+    order = np.argsort(t_s, kind="stable")
+    t_s, values, receive_s = t_s[order], values[order], receive_s[order]
+    keep = np.concatenate([[True], np.diff(t_s) > _MIN_STEP_S])
+    _count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
+    t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
+    _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(t_s) > _GAP_S))
+    return t_s, values, increasing(receive_s)
+
+
+def increasing(t_s: Array) -> Array:
+    """Stamps made strictly increasing by pushing each at least 1 us past its predecessor."""
+    step = np.arange(len(t_s)) * _MIN_STEP_S
+    return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)
+
+
+def _unwrap_jumps(angle: Array, repairs: dict[str, int]) -> Array:
+    """Undo jumps of more than half a turn between rows: a multi-turn counter that wrapped."""
+    jumps = np.abs(np.diff(angle, axis=0)) > np.pi
+    if not jumps.any():
+        return np.array(angle)
+    _count(repairs, "wheel-angle wrap-arounds undone", np.count_nonzero(jumps))
+    return np.asarray(np.unwrap(angle, axis=0), dtype=np.float64)
+
+
+def _check_units(where: str, angle: Array, steering: Array, pose: Array) -> None:
+    if np.max(np.abs(steering)) > _STEERING_LIMIT_RAD:
+        raise DataError(
+            where,
+            f"steering angles reach {np.max(np.abs(steering)):.1f}",
+            expected="rad, within +-120 deg",
+            remedy="convert degrees to radians",
+        )
+    rolled_m = float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * NOMINAL_RADIUS_M
+    span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
+    if span_m > 20.0 * rolled_m + 1.0:
+        raise DataError(
+            where,
+            f"the robot moved {span_m:.3g} by ground truth while its wheels rolled {rolled_m:.3g} m",
+            expected="positions in m",
+            remedy="convert millimetres to metres",
+        )
+    if rolled_m > 0.5 and 0 < span_m < 0.02 * rolled_m and np.ptp(pose[:, 2]) < 0.5:
+        raise DataError(
+            where,
+            f"wheels rolled {rolled_m:.3g} m but ground truth moved {span_m:.3g}",
+            expected="positions in m and wheel angles in rad",
+            remedy="check the units of both",
+        )
+
+
+def classify(angle: Array, steering: Array, pose: Array) -> str:
+    """Motion name from what the robot did: one of the paper's six, or `other`."""
+    turn = float(pose[-1, 2] - pose[0, 2])
+    path_m = float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * NOMINAL_RADIUS_M
+    sense = "ccw" if turn > 0 else "cw"
+    if abs(turn) > _ROTATION_RAD:
+        span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
+        return f"rotation_{sense}" if span_m < _ROTATION_PATH_M else f"circle_{sense}"
+    c, s = np.cos(pose[0, 2]), np.sin(pose[0, 2])
+    moved = pose[-1, :2] - pose[0, :2]
+    ahead, left = abs(c * moved[0] + s * moved[1]), abs(-s * moved[0] + c * moved[1])
+    if abs(turn) < 1.0 and max(ahead, left) > 0.5 * path_m > 0.05:
+        return "line_x" if ahead > left else "line_y"
+    return "other"

@@ -1,0 +1,84 @@
+"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units (`design.md`).
+
+Ground truth may be empty or NaN in any row. The motion is the file name before its last `_`.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.errors import DataError
+from hil.geometry import Array
+from hil.recording.public_csv import read_bytes
+
+WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
+TRUTH_COLUMNS = ("x", "y", "theta")
+RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+
+
+def read_plain(path: Path) -> Recording:
+    """Read one run.
+
+    Raises:
+        DataError: missing columns, damaged file, no usable rows.
+    """
+    data = read_bytes(path)
+    header, _, _ = data.partition(b"\n")
+    columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
+    needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
+    missing = [c for c in needed if c not in columns]
+    if missing:
+        raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
+    table = _table(path, data, len(columns))
+    if len(table) == 0:
+        raise DataError(str(path), "has a header but no rows")
+    rates = all(c in columns for c in RATE_COLUMNS)
+    wheels = [columns.index(c) for c in (*WHEEL_COLUMNS, *(RATE_COLUMNS if rates else ()))]
+    truth = [columns.index(c) for c in TRUTH_COLUMNS]
+    t_s = table[:, columns.index("t")]
+    seen = np.any(np.isfinite(table[:, truth]), axis=1)
+    stem = path.name.removesuffix(".gz").removesuffix(".csv")
+    return build_recording(
+        stem,
+        Log(t_s, table[:, wheels]),
+        Log(t_s[seen], table[seen][:, truth]),
+        motion=stem.rpartition("_")[0] or stem,
+        sources=(str(path),),
+        sha256=(hashlib.sha256(data).hexdigest(),),
+    )
+
+
+def _table(path: Path, data: bytes, width: int) -> Array:
+    rows = []
+    reader = csv.reader(io.StringIO(data.decode("utf-8", "replace")))
+    next(reader)
+    for number, fields in enumerate(reader, start=2):
+        if not fields:
+            continue
+        if len(fields) != width:
+            raise DataError(str(path), f"line {number} has {len(fields)} fields", expected=str(width))
+        try:
+            rows.append([float(f) if f.strip() else np.nan for f in fields])
+        except ValueError:
+            raise DataError(str(path), f"line {number} holds text", expected="numbers, or nothing") from None
+    return np.array(rows, dtype=np.float64).reshape(-1, width)
+
+
+def write_plain(path: Path, recording: Recording) -> None:
+    """Write a recording; ground truth is interpolated to the wheel rows."""
+    truth = [np.interp(recording.t_s, recording.truth_t_s, recording.truth_pose[:, k]) for k in range(3)]
+    columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth]
+    names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]
+    if recording.has_rates:
+        columns += list(recording.wheel_rate_rad_s.T)
+        names += RATE_COLUMNS
+    with path.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([f"{value:.9g}" for value in row] for row in np.column_stack(columns).tolist())

@@ -1,0 +1,174 @@
+"""The public 4WIS4WID recordings: folders of `odom_N.csv[.gz]` and `abs_N.csv[.gz]`.
+
+Format in `data/README.md` of the data set: `;`-separated, servo tuples in the file's own name order,
+receive time as text, header stamps as integers. The quick path turns a whole file into numbers at
+once; a file it cannot read goes through a row-by-row path that drops and counts broken rows.
+"""
+
+from __future__ import annotations
+
+import ast
+import gzip
+import hashlib
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.errors import DataError
+from hil.geometry import Array
+
+_WHEELS = ("FL", "BL", "BR", "FR")
+_NAMES = tuple(f"{w}_Wheel" for w in _WHEELS) + tuple(f"{w}_Position" for w in _WHEELS)
+_ODOM_COLUMNS = ("time", ".header.stamp.secs", ".header.stamp.nsecs", ".name", ".position", ".velocity")
+_ABS_COLUMNS = (
+    "time", ".header.stamp.secs", ".header.stamp.nsecs", ".pose.position.x", ".pose.position.y",
+    ".pose.orientation.x", ".pose.orientation.y", ".pose.orientation.z", ".pose.orientation.w",
+)  # fmt: skip
+_TO_COMMAS = bytes.maketrans(b";/:\n", b",,,,")
+_MAX_BROKEN_SHARE = 0.1
+_FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
+
+
+def read_bytes(path: Path) -> bytes:
+    """Content of a plain or gzip file; raises `DataError` when it is missing, empty or truncated."""
+    try:
+        raw = path.read_bytes()
+        data = gzip.decompress(raw) if path.suffix == ".gz" else raw
+    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+        raise DataError(
+            str(path), f"damaged gzip ({error})", expected="a whole file", remedy="copy it again"
+        ) from None
+    except OSError as error:
+        raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
+    if not data.strip():
+        raise DataError(str(path), "is empty", expected="a header line and rows")
+    return data
+
+
+def find_pairs(folder: Path) -> list[tuple[Path, Path]]:
+    """Pairs (odom, abs) of a folder in order of their run; raises `DataError` for a lonely odom file."""
+    pairs = []
+    for odom in sorted(folder.glob("odom_*.csv*"), key=_run_key):
+        if _FILE.fullmatch(odom.name) is not None:
+            pairs.append((odom, partner(odom)))
+    return pairs
+
+
+def is_pair_file(path: Path) -> bool:
+    """Whether a file is named like half of a public pair."""
+    return _FILE.fullmatch(path.name) is not None
+
+
+def partner(odom: Path) -> Path:
+    """The `abs` file that belongs to an `odom` file."""
+    stem = odom.name.replace("odom_", "abs_", 1).removesuffix(".gz")
+    for candidate in (odom.with_name(stem + ".gz"), odom.with_name(stem)):
+        if candidate.exists():
+            return candidate
+    raise DataError(str(odom), "has no ground truth", expected=f"{stem}[.gz] beside it")
+
+
+def _run_key(path: Path) -> tuple[int, str]:
+    match = _FILE.fullmatch(path.name)
+    run = match["run"] if match else path.name
+    return (int(run) if run.isdigit() else 1 << 30, run)
+
+
+def read_pair(odom: Path, absolute: Path) -> Recording:
+    """Read one run; its motion is classified from what the robot did.
+
+    Raises:
+        DataError: missing columns, damaged file, no usable rows.
+    """
+    wheel_bytes, truth_bytes = read_bytes(odom), read_bytes(absolute)
+    wheel_rows, names = _odom_numbers(odom, wheel_bytes)
+    order = [names.index(n) for n in _NAMES]
+    position, velocity = wheel_rows[:, 9:17][:, order], wheel_rows[:, 17:25][:, order]
+    wheels = np.column_stack([position, velocity[:, :4]])
+    truth_rows = _abs_numbers(absolute, truth_bytes)
+    qx, qy, qz, qw = truth_rows[:, 12:16].T
+    yaw = np.arctan2(2 * (qw * qz + qx * qy), 1 - 2 * (qy * qy + qz * qz))
+    truth = np.column_stack([truth_rows[:, 9], truth_rows[:, 10], yaw])
+    return build_recording(
+        odom.name.removesuffix(".gz").removesuffix(".csv"),
+        _log(wheel_rows, wheels),
+        _log(truth_rows, truth),
+        sources=(str(odom), str(absolute)),
+        sha256=tuple(hashlib.sha256(b).hexdigest() for b in (wheel_bytes, truth_bytes)),
+    )
+
+
+def _log(rows: Array, values: Array) -> Log:
+    """Header stamps shifted by the median receive delay: the source's regular clock, without jitter."""
+    days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
+    receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
+    header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9
+    return Log(header + float(np.median(receive - header)), values, receive)
+
+
+def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[list[str], bytes]:
+    head, _, body = data.partition(b"\n")
+    columns = head.decode("utf-8", "replace").strip().lstrip("\ufeff").split(";")
+    missing = [c for c in needed if c not in columns]
+    if missing:
+        raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=";".join(needed))
+    if not body.strip():
+        raise DataError(str(path), "has a header but no rows")
+    return columns, body.rstrip() + b"\n"
+
+
+def _odom_numbers(path: Path, data: bytes) -> tuple[Array, list[str]]:
+    _, body = _split_header(path, data, _ODOM_COLUMNS)
+    fields = body.split(b"\n", 1)[0].decode("utf-8", "replace").split(";")
+    try:
+        names = list(ast.literal_eval(fields[5]))
+    except (ValueError, SyntaxError, IndexError):
+        names = []
+    if sorted(map(str, names)) != sorted(_NAMES):
+        raise DataError(str(path), "does not name its eight servos", expected=", ".join(_NAMES))
+    constant = f";{fields[4]};{fields[5]};".encode()
+    quick = body.replace(constant, b";").translate(_TO_COMMAS, b"() ")
+    return _numbers(path, quick, body, 33), names
+
+
+def _abs_numbers(path: Path, data: bytes) -> Array:
+    _, body = _split_header(path, data, _ABS_COLUMNS)
+    fields = body.split(b"\n", 1)[0].decode("utf-8", "replace").split(";")
+    frame = fields[4] if len(fields) > 4 else ""
+    quick = body.replace(f";{frame};".encode(), b";").translate(_TO_COMMAS, b" ")
+    return _numbers(path, quick, body, 16)
+
+
+def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
+    """Rows (n, width); the slow path when the quick one does not come out even."""
+    lines = body.count(b"\n")
+    if (
+        quick.count(b",") == lines * width
+        and re.search(rb"[^0-9.,eE+-]", quick) is None
+        and b",," not in quick
+    ):
+        return np.fromstring(quick.decode("ascii"), sep=",", count=lines * width).reshape(-1, width)
+    rows = [_row(line, width) for line in body.decode("utf-8", "replace").splitlines()]
+    good = [r for r in rows if r is not None]
+    if len(rows) - len(good) > _MAX_BROKEN_SHARE * len(rows):
+        raise DataError(
+            str(path),
+            f"{len(rows) - len(good)} of {len(rows)} rows cannot be read",
+            expected=f"{width} numbers in a row",
+        )
+    out = np.array(good, dtype=np.float64)
+    return np.vstack([out, np.full((len(rows) - len(good), width), np.nan)])
+
+
+def _row(line: str, width: int) -> list[float] | None:
+    """Numbers of one row, None when they are not `width`; words (frame and servo names) are skipped."""
+    bare = re.sub(r"\[.*?\]", "", line)
+    fields = re.split(r"[;/:,()\s]+", bare)
+    try:
+        numbers = [float(f) for f in fields if (f and not f.isidentifier()) or f.lower() == "nan"]
+    except ValueError:
+        return None
+    return numbers if len(numbers) == width else None

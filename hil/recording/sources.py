@@ -1,0 +1,64 @@
+"""Which reader reads what: turns the paths of a command line into recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from hil.calibration.datasets import Recording
+from hil.errors import DataError
+from hil.recording import plain_csv, public_csv
+
+Job = Callable[[], Recording]
+
+
+def find_recordings(paths: Sequence[str | Path]) -> list[Job]:
+    """Readers for every run under the given files and folders, in a fixed order.
+
+    Raises:
+        DataError: a path that does not exist or holds no recording.
+    """
+    jobs: list[Job] = []
+    for given in paths:
+        path = Path(given)
+        found = _folder(path) if path.is_dir() else [_file(path)]
+        if not found:
+            raise DataError(
+                str(path), "holds no recording", expected="odom_N.csv + abs_N.csv pairs, or plain .csv files"
+            )
+        jobs += found
+    if not jobs:
+        raise DataError("", "no data given", expected="at least one file or folder")
+    return jobs
+
+
+def read_recordings(
+    paths: Sequence[str | Path], progress: Callable[[int, int], None] | None = None
+) -> list[Recording]:
+    """Read every run under the given files and folders; `progress(done, total)` after each."""
+    jobs = find_recordings(paths)
+    out = []
+    for number, job in enumerate(jobs, start=1):
+        out.append(job())
+        if progress is not None:
+            progress(number, len(jobs))
+    return out
+
+
+def _folder(folder: Path) -> list[Job]:
+    pairs = public_csv.find_pairs(folder)
+    if pairs:
+        return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
+    files = sorted([*folder.glob("*.csv"), *folder.glob("*.csv.gz")])
+    return [_file(f) for f in files]
+
+
+def _file(path: Path) -> Job:
+    if not path.exists():
+        raise DataError(str(path), "does not exist")
+    if public_csv.is_pair_file(path):
+        odom = path.with_name(path.name.replace("abs_", "odom_", 1))
+        if not odom.exists():
+            raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
+        return lambda: public_csv.read_pair(odom, public_csv.partner(odom))
+    return lambda: plain_csv.read_plain(path)
