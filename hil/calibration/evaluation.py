@@ -1,0 +1,169 @@
+"""Odometry against ground truth: the error table of recordings (`hil evaluate`).
+
+Two preprocessings. `paper` follows the authors' own (`data/README.md`): receive stamps made
+increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,
+forward Euler, initial heading from one sample. The default integrates on the SE(2) group and starts
+from the ground truth averaged over the initial rest, because one noisy first heading would cost
+millimetres per metre.
+
+Errors e_m and e_a are the paper's (`facts/robot.md`): e_m is the largest absolute error of any
+repetition, e_a the mean over the repetitions of each one's largest absolute error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.calibration.datasets import Recording
+from hil.errors import DataError, UsageError
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.odometry import integrate
+
+SIGNALS = ("position", "velocity")
+_PAPER_DROPPED = 29
+_REST_RAD = 0.02
+_REST_MIN = 5
+
+
+@dataclass(frozen=True)
+class Track:
+    """Odometry and truth of one recording at the same instants.
+
+    Attributes:
+        t_s: (n,), from 0.
+        odometry, truth: (n, 3), m, m, rad.
+    """
+
+    recording: Recording
+    t_s: Array
+    odometry: Array
+    truth: Array
+
+    @property
+    def error(self) -> Array:
+        """Odometry minus truth, (n, 3)."""
+        return self.odometry - self.truth
+
+
+def interpolate(at_s: Array, t_s: Array, values: Array) -> Array:
+    """Columns of `values` (n, k) linearly interpolated at `at_s`."""
+    return np.column_stack([np.interp(at_s, t_s, column) for column in values.T])
+
+
+def rest_pose(recording: Recording) -> Array:
+    """Ground truth (3,) averaged over the initial rest: until the wheels have turned 0.02 rad."""
+    moved = np.max(np.abs(recording.wheel_angle_rad - recording.wheel_angle_rad[0]), axis=1)
+    started = np.flatnonzero(moved > _REST_RAD)
+    start_s = recording.t_s[started[0]] if len(started) else recording.t_s[-1]
+    still = recording.truth_t_s < start_s - 0.05
+    count = max(int(np.count_nonzero(still)), _REST_MIN)
+    return np.asarray(recording.truth_pose[:count].mean(axis=0), dtype=np.float64)
+
+
+def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, Array]:
+    """Wheel rotation (n - 1, 4) rad and mean steering angle (n - 1, 4) rad between the instants `at_s`.
+
+    Raises:
+        DataError: the velocity register is asked for and was not recorded.
+    """
+    if signal not in SIGNALS:
+        raise UsageError(f"signal {signal!r}", expected="one of " + ", ".join(SIGNALS))
+    steering = interpolate(at_s, recording.t_s, recording.steering_rad)
+    middle = 0.5 * (steering[1:] + steering[:-1])
+    if signal == "position":
+        return np.diff(interpolate(at_s, recording.t_s, recording.wheel_angle_rad), axis=0), middle
+    if not recording.has_rates:
+        raise DataError(
+            recording.name, "has no wheel rates", expected="w1..w4", remedy="use --signal position"
+        )
+    rate = interpolate(at_s, recording.t_s, recording.wheel_rate_rad_s)
+    return 0.5 * (rate[1:] + rate[:-1]) * np.diff(at_s)[:, None], middle
+
+
+def truth_window(recording: Recording) -> tuple[Array, Array]:
+    """Ground truth rows within the wheel log: stamps (n,) and poses (n, 3)."""
+    inside = (recording.truth_t_s >= recording.t_s[0]) & (recording.truth_t_s <= recording.t_s[-1])
+    return recording.truth_t_s[inside], recording.truth_pose[inside]
+
+
+def track(
+    recording: Recording, geometry: WheelGeometry, model: str = "exact", signal: str = "position",
+    correction: Array | None = None,
+) -> Track:  # fmt: skip
+    """Odometry of a recording at its ground-truth stamps.
+
+    Args:
+        recording: the run.
+        geometry: wheel parameters.
+        model: forward model; `paper` also takes the authors' preprocessing.
+        signal: `position` or `velocity` (the lagging, truncated register).
+        correction: 3x3 matrix that multiplies each body displacement, from a twist calibration.
+    """
+    if model == "paper" and correction is None:
+        return _paper_track(recording, geometry, signal)
+    at_s, truth = truth_window(recording)
+    rotation, steering = wheel_steps(recording, at_s, signal)
+    u = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
+    motion = twist_of_vectors(geometry.x_m, geometry.y_m, u, model)
+    if correction is not None:
+        motion = motion @ correction.T
+    start = rest_pose(recording)
+    return Track(recording, at_s - at_s[0], integrate(start, motion), truth)
+
+
+def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> Track:
+    at_s = recording.truth_receive_s[_PAPER_DROPPED:]
+    truth = recording.truth_pose[_PAPER_DROPPED:]
+    steering = interpolate(at_s, recording.receive_s, recording.steering_rad)[:-1]
+    if signal == "velocity":
+        if not recording.has_rates:
+            wheel_steps(recording, at_s, signal)
+        rate = interpolate(at_s, recording.receive_s, recording.wheel_rate_rad_s)[:-1]
+        rotation = rate * np.diff(at_s)[:, None]
+    else:
+        rotation = np.diff(interpolate(at_s, recording.receive_s, recording.wheel_angle_rad), axis=0)
+    u = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
+    motion = twist_of_vectors(geometry.x_m, geometry.y_m, u, "paper")
+    return Track(recording, at_s - at_s[0], integrate(truth[0], motion, "euler"), truth)
+
+
+def metrics(tracks: Sequence[Track]) -> dict[str, float]:
+    """Errors of one motion's repetitions; keys as `design.md` fixes them."""
+    worst = np.array([np.max(np.abs(t.error), axis=0) for t in tracks])
+    out: dict[str, float] = {"n": len(tracks)}
+    for k, axis in enumerate(("x", "y", "theta")):
+        out[f"e_{axis}_m"] = float(worst[:, k].max())
+        out[f"e_{axis}_a"] = float(worst[:, k].mean())
+    out["rmse_position_m"] = float(np.mean([position_rmse(t) for t in tracks]))
+    out["rmse_theta_rad"] = float(np.mean([np.sqrt(np.mean(t.error[:, 2] ** 2)) for t in tracks]))
+    out["final_position_m"] = float(np.mean([np.hypot(*t.error[-1, :2]) for t in tracks]))
+    return out
+
+
+def position_rmse(run: Track) -> float:
+    """Root mean square over time of the distance between odometry and truth, m."""
+    return float(np.sqrt(np.mean(np.sum(run.error[:, :2] ** 2, axis=1))))
+
+
+def cost(tracks: Sequence[Track]) -> float:
+    """The paper's J: squared errors summed over recordings, samples and x, y, theta (m^2 + rad^2)."""
+    return float(sum(np.sum(t.error**2) for t in tracks))
+
+
+def evaluate(tracks: Sequence[Track]) -> dict[str, object]:
+    """Error table of recordings, by motion, with the mean over motions."""
+    groups: dict[str, list[Track]] = {}
+    for run in tracks:
+        groups.setdefault(run.recording.motion, []).append(run)
+    motions: Mapping[str, dict[str, float]] = {name: metrics(runs) for name, runs in groups.items()}
+    keys = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
+    return {
+        "recordings": len(tracks),
+        "cost": cost(tracks),
+        "motions": motions,
+        "mean": {k: float(np.mean([m[k] for m in motions.values()])) for k in keys},
+    }
