@@ -29,7 +29,7 @@ MODELS: tuple[str, ...] = get_args(ForwardModel)
 NOMINAL_HALF_BASE_M = 0.1125
 NOMINAL_RADIUS_M = 0.0254
 
-_EPSILON = 2e-3
+FRICTION_EPSILON = 2e-3
 _POWERS = (2.0, 1.5, 1.2, 1.0)
 _ITERATIONS = (1, 3, 3, 8)
 
@@ -197,9 +197,7 @@ def least_dissipation(p: Array, u: Array, load: Array | None = None) -> Array:
     return polish_dissipation(p, u, b, scale, share)
 
 
-def polish_dissipation(
-    p: Array, u: Array, b: Array, scale: Array, share: Array, steps: int = 3
-) -> Array:
+def polish_dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array, steps: int = 3) -> Array:
     """Newton steps on the smoothed dissipation from a start b (n, 3) that is already close."""
     for _ in range(steps):
         gradient, hessian = dissipation_derivatives(p, u, b, scale, share)
@@ -219,7 +217,7 @@ def _residuals(p: Array, u: Array, b: Array) -> tuple[Array, Array]:
 
 def _reweighted(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float) -> Array:
     _, size = _residuals(p, u, b)
-    weight = share * (size / scale[:, None] + _EPSILON) ** (power - 2.0)
+    weight = share * (size / scale[:, None] + FRICTION_EPSILON) ** (power - 2.0)
     wide = np.repeat(weight, 2, axis=1)
     products = (p[:, :, None] * p[:, None, :]).reshape(8, 9)
     return solve3((wide @ products).reshape(-1, 3, 3), (wide * u) @ p)
@@ -230,7 +228,7 @@ def dissipation_derivatives(p: Array, u: Array, b: Array, scale: Array, share: A
     e, size = _residuals(p, u, b)
     curvature = contact_curvature(e, size, scale, share)
     blocks = p.reshape(4, 2, 3)
-    weight = share / (size / scale[:, None] + _EPSILON)
+    weight = share / (size / scale[:, None] + FRICTION_EPSILON)
     gradient = (np.repeat(weight, 2, axis=1) * e.reshape(-1, 8)) @ p
     products = np.einsum("iab,icd->iacbd", blocks, blocks).reshape(16, 9)
     return gradient, (curvature.reshape(-1, 16) @ products).reshape(-1, 3, 3)
@@ -238,7 +236,7 @@ def dissipation_derivatives(p: Array, u: Array, b: Array, scale: Array, share: A
 
 def contact_curvature(e: Array, size: Array, scale: Array, share: Array) -> Array:
     """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2)."""
-    relative = size / scale[:, None] + _EPSILON
+    relative = size / scale[:, None] + FRICTION_EPSILON
     weight = share / relative
     direction = e / np.maximum(size, 1e-30)[..., None]
     bend = -share * size / (relative**2 * scale[:, None])
@@ -263,7 +261,9 @@ def _improve(p: Array, u: Array, b: Array, scale: Array, share: Array, step: Arr
 def _dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array) -> Array:
     _, size = _residuals(p, u, b)
     t = size / scale[:, None]
-    return np.asarray((share * (t - _EPSILON * np.log1p(t / _EPSILON))).sum(axis=1), dtype=np.float64)
+    return np.asarray(
+        (share * (t - FRICTION_EPSILON * np.log1p(t / FRICTION_EPSILON))).sum(axis=1), dtype=np.float64
+    )
 
 
 def solve3(a: Array, rhs: Array) -> Array:

@@ -1,0 +1,156 @@
+"""Body motion per block and its derivative by the parameters, for each forward model.
+
+A parameter vector z holds x_1..4, y_1..4, r_1..4 and, with offsets, the steering zeros
+d_1..4 (`WheelGeometry.vector`). With wheel vectors q that do not depend on z,
+u_i = r_i R(-d_i) q_i, and the motion is F(x, y) u for the linear models or the least-dissipation
+motion for `dry-friction` (`hil.kinematics`).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from typing import Protocol
+
+import numpy as np
+
+from hil.geometry import Array
+from hil.kinematics import (
+    FRICTION_EPSILON,
+    contact_curvature,
+    displacement_scale,
+    dissipation_derivatives,
+    forward_matrix,
+    forward_matrix_derivative,
+    least_dissipation,
+    polish_dissipation,
+    projection,
+    solve3,
+)
+
+
+class MotionModel(Protocol):
+    """Motion of blocks (n, 8) as a function of z (12,) or (16,)."""
+
+    @abstractmethod
+    def motion(self, z: Array) -> Array:
+        """Body displacement per block, (n, 3)."""
+
+    @abstractmethod
+    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Motion (n, 3) and its derivative (n, 3, len(z))."""
+
+
+def rolled(z: Array, wheel_rad: Array) -> Array:
+    """Wheel displacement vectors u (n, 8), m, of raw wheel vectors q (n, 8), rad."""
+    radius = z[8:12]
+    zero = z[12:16] if len(z) == 16 else np.zeros(4)
+    c, s = radius * np.cos(zero), radius * np.sin(zero)
+    out = np.empty_like(wheel_rad)
+    out[:, 0::2] = c * wheel_rad[:, 0::2] + s * wheel_rad[:, 1::2]
+    out[:, 1::2] = c * wheel_rad[:, 1::2] - s * wheel_rad[:, 0::2]
+    return out
+
+
+class LinearModel(MotionModel):
+    """`exact` and `paper`."""
+
+    def __init__(self, name: str, wheel_rad: Array) -> None:
+        self.name, self._q = name, wheel_rad
+
+    def motion(self, z: Array) -> Array:
+        """One product with the 3x8 matrix M(z)."""
+        return np.asarray(self._q @ linear_matrix(z, self.name).T, dtype=np.float64)
+
+    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Product rule over F(x, y), r and the steering zeros."""
+        u = rolled(z, self._q)
+        f = forward_matrix(z[0:4], z[4:8], self.name)
+        df = forward_matrix_derivative(z[0:4], z[4:8], self.name)
+        jacobian = np.empty((len(u), 3, len(z)))
+        jacobian[:, :, :8] = (u @ df.reshape(24, 8).T).reshape(-1, 8, 3).transpose(0, 2, 1)
+        for i in range(4):
+            fi, ui = f[:, 2 * i : 2 * i + 2], u[:, 2 * i : 2 * i + 2]
+            jacobian[:, :, 8 + i] = ui @ fi.T / z[8 + i]
+            if len(z) == 16:
+                jacobian[:, :, 12 + i] = np.column_stack([ui[:, 1], -ui[:, 0]]) @ fi.T
+        return u @ f.T, jacobian
+
+
+def linear_matrix(z: Array, model: str = "exact") -> Array:
+    """M(z) (3, 8): body displacement of raw wheel vectors, for the linear models."""
+    return np.asarray(forward_matrix(z[0:4], z[4:8], model) @ rolled(z, np.eye(8)).T, dtype=np.float64)
+
+
+class DryFrictionModel(MotionModel):
+    """Least dissipation; warm-started, since a fit asks for neighbouring z one after the other."""
+
+    def __init__(self, wheel_rad: Array) -> None:
+        self._q = wheel_rad
+        self._moving = np.any(wheel_rad != 0.0, axis=1)
+        self._last: tuple[Array, Array] | None = None
+
+    def motion(self, z: Array) -> Array:
+        """Newton from the last solution when it is near, the full continuation otherwise."""
+        out = np.zeros((len(self._q), 3))
+        out[self._moving] = self._solve(z)[0]
+        return out
+
+    def _solve(self, z: Array) -> tuple[Array, Array, Array, Array]:
+        u = rolled(z, self._q[self._moving])
+        p, scale, share = projection(z[0:4], z[4:8]), displacement_scale(u), np.ones(4)
+        if self._last is not None and np.max(np.abs(self._last[0] - z)) < 2e-3:
+            b = polish_dissipation(p, u, self._last[1], scale, share, steps=4)
+        else:
+            b = least_dissipation(p, u)
+            self._last = (z.copy(), b)
+        return b, u, p, scale
+
+    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Implicit derivative: H db = -(dG/dz) dz at the stationary point G(b, z) = 0."""
+        b, u, p, scale = self._solve(z)
+        self._last = (z.copy(), b)
+        share = np.ones(4)
+        e = (b @ p.T - u).reshape(-1, 4, 2)
+        size = np.sqrt(np.einsum("nij,nij->ni", e, e))
+        _, hessian = dissipation_derivatives(p, u, b, scale, share)
+        pull = _pull(z, b, u.reshape(-1, 4, 2), e, size, scale)
+        n, m = len(b), len(z)
+        solved = solve3(np.repeat(hessian, m, axis=0), -pull.transpose(0, 2, 1).reshape(n * m, 3)).reshape(
+            n, m, 3
+        )
+        motion, jacobian = np.zeros((len(self._q), 3)), np.zeros((len(self._q), 3, m))
+        motion[self._moving] = b
+        jacobian[self._moving] = solved.transpose(0, 2, 1)
+        return motion, jacobian
+
+
+def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array) -> Array:
+    """Derivative (n, 3, len(z)) of the dissipation's gradient by z at fixed motion b.
+
+    The smoothing scale is treated as fixed: its influence on the minimiser is of second order.
+    """
+    share = np.ones(4)
+    curvature = contact_curvature(e, size, scale, share)
+    force = e / (size / scale[:, None] + FRICTION_EPSILON)[..., None]
+    omega, zero = np.broadcast_to(b[:, 2:3], size.shape), np.zeros_like(size)
+    slips = [
+        np.stack([zero, omega], axis=-1),
+        np.stack([-omega, zero], axis=-1),
+        -u / z[8:12, None],
+    ]
+    if len(z) == 16:
+        slips.append(np.stack([-u[..., 1], u[..., 0]], axis=-1))
+    out = np.empty((len(b), 3, len(z)))
+    for k, slip in enumerate(slips):
+        moved = np.einsum("niab,nib->nia", curvature, slip)
+        columns = slice(4 * k, 4 * k + 4)
+        out[:, 0, columns], out[:, 1, columns] = moved[..., 0], moved[..., 1]
+        out[:, 2, columns] = -z[4:8] * moved[..., 0] + z[0:4] * moved[..., 1]
+    out[:, 2, 0:4] += force[..., 1]
+    out[:, 2, 4:8] -= force[..., 0]
+    return out
+
+
+def make_model(name: str, wheel_rad: Array) -> MotionModel:
+    """Motion model by name for blocks (n, 8)."""
+    return DryFrictionModel(wheel_rad) if name == "dry-friction" else LinearModel(name, wheel_rad)
