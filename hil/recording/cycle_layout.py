@@ -1,0 +1,93 @@
+"""The layout of a cycle record, derived from the type hints of `hil.signals`.
+
+It travels with every recording, so that a reader of another version can still take what it knows.
+A layout is JSON: a primitive name (`int float bool str array any`), or a pair such as
+`["tuple", layout]`, `["optional", layout]`, `["mapping", layout]`, `["enum", name]`, `["class", name]`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import struct
+import typing
+from collections.abc import Mapping
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from hil.signals import CycleRecord
+
+FORMAT = 1
+MAGIC = b"HIL\x01"
+
+Layout = Any
+
+INT, FLOAT, COUNT, BYTE = struct.Struct("<q"), struct.Struct("<d"), struct.Struct("<I"), struct.Struct("<B")
+MAX_DIMENSIONS = 4
+ARRAY_HEADS = tuple(struct.Struct(f"<cB{n}I") for n in range(MAX_DIMENSIONS + 1))
+DTYPES: dict[bytes, np.dtype[Any]] = {
+    b"d": np.dtype("<f8"),
+    b"f": np.dtype("<f4"),
+    b"q": np.dtype("<i8"),
+    b"?": np.dtype("?"),
+}
+
+
+def layout_of(hint: Any) -> Layout:
+    """Layout of one type hint used in `hil.signals`.
+
+    Raises:
+        TypeError: a hint that the codec has no rule for (found by the tests, not by a user).
+    """
+    simple = {int: "int", float: "float", bool: "bool", str: "str", Any: "any"}
+    if hint in simple:
+        return simple[hint]
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
+    if origin is np.ndarray:
+        return "array"
+    if origin is tuple:
+        return ["tuple", layout_of(args[0])]
+    if origin is Mapping:
+        return ["mapping", layout_of(args[1])]
+    if type(None) in args:
+        return ["optional", layout_of(next(a for a in args if a is not type(None)))]
+    if isinstance(hint, type) and issubclass(hint, enum.Enum):
+        return ["enum", hint.__name__]
+    if dataclasses.is_dataclass(hint):
+        return ["class", hint.__name__]  # type: ignore[union-attr]
+    raise TypeError(f"no layout for {hint!r}")
+
+
+def _collect(hint: Any, found: dict[str, Any]) -> None:
+    """Collect the dataclasses and enumerations that a hint reaches."""
+    if isinstance(hint, type) and (dataclasses.is_dataclass(hint) or issubclass(hint, enum.Enum)):
+        if hint.__name__ not in found:
+            found[hint.__name__] = hint
+            if dataclasses.is_dataclass(hint):
+                for inner in typing.get_type_hints(hint).values():
+                    _collect(inner, found)
+        return
+    for inner in typing.get_args(hint):
+        _collect(inner, found)
+
+
+@lru_cache(maxsize=1)
+def record_types() -> dict[str, Any]:
+    """Dataclasses and enumerations that make up a cycle record, by name."""
+    found: dict[str, Any] = {}
+    _collect(CycleRecord, found)
+    return found
+
+
+def describe() -> dict[str, Any]:
+    """Layout of a cycle record as JSON, stored in every recording."""
+    classes, enums = {}, {}
+    for name, kind in record_types().items():
+        if issubclass(kind, enum.Enum):
+            enums[name] = [member.value for member in kind]
+        else:
+            hints = typing.get_type_hints(kind)
+            classes[name] = [[f.name, layout_of(hints[f.name])] for f in dataclasses.fields(kind)]
+    return {"format": FORMAT, "root": CycleRecord.__name__, "classes": classes, "enums": enums}

@@ -1,0 +1,176 @@
+"""Reads recordings made by `hil.recording.mcap_writer`, whole or damaged.
+
+What can be read is read; what cannot is named in `problems`. A file without our header is refused
+with `DataError`: recordings of other robots are read with a topic mapping (`hil.recording.rosbag`).
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from hil.errors import DataError
+from hil.recording.cycle_decoder import CycleDecoder
+from hil.recording.mcap_writer import METADATA
+from hil.recording.ros_messages import octets_of, text_of
+from hil.signals import CycleRecord
+
+_CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
+
+
+class Note:
+    """Something kept between two cycles."""
+
+    def __init__(self, kind: str, data: dict[str, Any]) -> None:
+        self.kind, self.data = kind, data
+
+
+class RecordingReader:
+    """One pass over a recording.
+
+    Args:
+        path: the MCAP file.
+
+    Attributes:
+        header: what the writer was given.
+        problems: what could not be read so far; complete once the iteration has ended.
+
+    Raises:
+        DataError: not an MCAP file, not one of ours, or of a newer format.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.path = Path(path)
+        self.problems: list[str] = []
+        self.header, self._decoder = self._open()
+        self.problems += self._decoder.notes
+
+    def _open(self) -> tuple[dict[str, Any], CycleDecoder]:
+        from mcap.records import Chunk, Metadata
+
+        remedy = "recordings of other robots need a topic mapping (--topics FILE)"
+        for record in _records(self.path, []):
+            if isinstance(record, Metadata) and record.name == METADATA:
+                try:
+                    header = json.loads(record.metadata["header"])
+                    return header, CycleDecoder(json.loads(record.metadata["layout"]))
+                except (KeyError, ValueError) as error:
+                    raise DataError(
+                        str(self.path),
+                        f"cannot be understood ({error})",
+                        remedy="read it with the version that wrote it",
+                    ) from None
+            if isinstance(record, Chunk):
+                break
+        raise DataError(str(self.path), "holds no cycle records of this project", remedy=remedy)
+
+    def items(self) -> Iterator[CycleRecord | Note]:
+        """Cycles and notes in the order in which they were written."""
+        from mcap.exceptions import McapError
+        from mcap.records import Channel, Chunk, Message
+        from mcap.stream_reader import breakup_chunk
+
+        topics: dict[int, str] = {}
+        cycles = 0
+        for record in _records(self.path, self.problems):
+            if not isinstance(record, Chunk):
+                continue
+            try:
+                parts = breakup_chunk(record, validate_crc=True)
+            except (McapError, ValueError, struct.error, RuntimeError, *_compression_errors()) as error:
+                self.problems.append(f"a chunk after cycle {cycles} is damaged ({error})")
+                continue
+            for part in parts:
+                if isinstance(part, Channel):
+                    topics[part.id] = part.topic
+                elif isinstance(part, Message) and topics.get(part.channel_id) in (_CYCLE, _NOTE):
+                    item = self._item(topics[part.channel_id], part.data)
+                    if item is not None:
+                        cycles += isinstance(item, CycleRecord)
+                        yield item
+
+    def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
+        try:
+            if topic == _CYCLE:
+                return self._decoder.decode(octets_of(data))
+            note = json.loads(text_of(data))
+            return Note(note["kind"], note["data"])
+        except (ValueError, KeyError, TypeError) as error:
+            self.problems.append(f"a message on {topic} cannot be read ({error})")
+            return None
+
+    def __iter__(self) -> Iterator[CycleRecord]:
+        """Cycle records only."""
+        return (item for item in self.items() if isinstance(item, CycleRecord))
+
+
+def _compression_errors() -> tuple[type[Exception], ...]:
+    import zstandard
+
+    return zstandard.ZstdError, EOFError, MemoryError
+
+
+def _records(path: Path, problems: list[str]) -> Iterator[Any]:
+    """Top-level MCAP records; a file that ends early ends the iteration and is named in `problems`.
+
+    Raises:
+        DataError: not there or not MCAP.
+    """
+    from mcap.exceptions import InvalidMagic, McapError
+    from mcap.stream_reader import StreamReader
+
+    try:
+        with path.open("rb") as stream:
+            reader = StreamReader(stream, emit_chunks=True, record_size_limit=max(1, path.stat().st_size))
+            records, count = reader.records, 0
+            while True:
+                try:
+                    record = next(records)
+                except StopIteration:
+                    return
+                except (InvalidMagic, struct.error) as error:
+                    if count == 0:
+                        raise DataError(
+                            str(path), "is not an MCAP file", expected="a recording (.mcap)"
+                        ) from None
+                    problems.append(_ended(stream.tell(), error))
+                    return
+                except (McapError, ValueError, EOFError, MemoryError) as error:
+                    if count == 0:
+                        raise DataError(str(path), f"is not a readable MCAP file ({error})") from None
+                    problems.append(_ended(stream.tell(), error))
+                    return
+                count += 1
+                yield record
+    except OSError as error:
+        raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
+
+
+def _ended(at: int, error: Exception) -> str:
+    return f"ends early at byte {at} (writer killed or disk full): {error or type(error).__name__}"
+
+
+def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:
+    """Cycle records of a recording, exactly as they were recorded.
+
+    Args:
+        path: the MCAP file.
+        problems: receives what could not be read. Without it, damage raises after the last readable cycle.
+
+    Raises:
+        DataError: see `RecordingReader`; also damage when `problems` is None.
+    """
+    reader = RecordingReader(path)
+    yield from reader
+    if problems is not None:
+        problems += reader.problems
+    elif reader.problems:
+        raise DataError(str(path), "; ".join(reader.problems), remedy="what was readable has been read")
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """Header that the writer was given: configuration, calibration, seed, versions."""
+    return RecordingReader(path).header
