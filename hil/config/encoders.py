@@ -1,0 +1,54 @@
+"""Configuration of the external steering encoders on CAN (`[encoders]` of the bench file)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+Names = tuple[str, str, str, str]
+
+
+class EncodersConfig(BaseModel):
+    """How the AS5045 node is reached, decoded and judged.
+
+    Attributes:
+        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        dbc: path of a DBC file; the shipped `as5045.dbc` when None.
+        signals: DBC signal with the raw word of each steering axis, wheel order FL BL BR FR.
+        node_id: added to the frame identifiers of the DBC: the node's address switch.
+        rate_hz: sample sets per second that the node sends.
+        sign, zero_rad: encoder = sign * steering + zero, only used by the cross-check.
+        yellow_mode: MagINC and MagDEC both set is then no fault (MagCompEn, datasheet).
+        horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
+        backlash_limit_rad: largest direction-dependent part of that difference.
+        startup_discard: sample sets dropped after open and after a node reset.
+        fail_after_s: uninterrupted silence that raises.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    backend: Literal["real", "emulated"] = "real"
+    interface: str = Field("socketcan", min_length=1)
+    channel: str = Field("can0", min_length=1)
+    bitrate: int = Field(500_000, gt=0)
+    dbc: str | None = None
+    signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
+    node_id: int = Field(0, ge=0, le=0x3F)
+    rate_hz: float = Field(200.0, gt=0, le=1000)
+    sign: tuple[int, int, int, int] = (1, 1, 1, 1)
+    zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    yellow_mode: bool = False
+    horn_slip_threshold_rad: float = Field(0.03, gt=0)
+    backlash_limit_rad: float = Field(0.01, gt=0)
+    startup_discard: int = Field(1, ge=0, le=1000)
+    open_timeout_s: float = Field(1.0, gt=0, le=30)
+    fail_after_s: float = Field(1.0, gt=0)
+
+    @model_validator(mode="after")
+    def _check(self) -> EncodersConfig:
+        if any(s not in (-1, 1) for s in self.sign):
+            raise ValueError("sign must hold only 1 and -1")
+        if len(set(self.signals)) != 4:
+            raise ValueError("signals must name four different signals")
+        return self

@@ -1,0 +1,69 @@
+"""Configuration of the BNO055 inertial unit on its UART (`[imu]` of the bench file)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+Byte = Annotated[int, Field(ge=0, le=255)]
+
+
+class ImuConfig(BaseModel):
+    """How the IMU is reached, set up and judged.
+
+    Attributes:
+        port: any pyserial URL or device path.
+        fusion_mode: `imu` ignores the magnetometer (steel walls, motors); `ndof` uses it.
+        axis_map, axis_sign: registers 0x41 and 0x42; right-handed maps only (datasheet 3.4).
+        mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
+            (`facts/robot.md`).
+        calibration_file: 22 offset bytes as hex text or as TOML, written at open and after a reset.
+        reply_timeout_s: longest silence before a request counts as lost.
+        retry_budget_s: time one `read` may spend on repeating requests.
+        retry_gap_s: pause before a request is repeated after an error reply.
+        check_period_s: how often mode and system status are looked at.
+        fail_after_s: uninterrupted failure that raises instead of being reported as data.
+        outage_poll_s: time between polls while the sensor is silent.
+        stuck_after_s: bit-identical data for longer than this are marked stale.
+        sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    backend: Literal["real", "emulated"] = "real"
+    port: str = Field("/dev/ttyUSB0", min_length=1)
+    baud: int = Field(115_200, gt=0)
+    fusion_mode: Literal["imu", "ndof", "ndof_fmc_off", "compass", "m4g"] = "imu"
+    axis_map: Byte = 0x24
+    axis_sign: Annotated[int, Field(ge=0, le=7)] = 0x00
+    external_crystal: bool = False
+    mount_position_m: tuple[float, float, float] = (0.0655, 0.0, 0.098)
+    mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    calibration_file: str | None = None
+    reply_timeout_s: float = Field(0.008, gt=0, le=1)
+    retry_budget_s: float = Field(0.02, ge=0, le=1)
+    retry_gap_s: float = Field(0.002, ge=0, le=0.1)
+    open_timeout_s: float = Field(2.0, gt=0, le=30)
+    check_period_s: float = Field(1.0, gt=0)
+    fail_after_s: float = Field(3.0, gt=0)
+    outage_poll_s: float = Field(0.05, gt=0)
+    stuck_after_s: float = Field(0.5, gt=0)
+    sample_age_s: float = Field(0.005, ge=0, le=0.1)
+
+    @field_validator("axis_map")
+    @classmethod
+    def _permutation(cls, value: int) -> int:
+        if sorted((value >> shift) & 3 for shift in (0, 2, 4)) != [0, 1, 2] or value >> 6:
+            raise ValueError(f"axis_map 0x{value:02X} is not a permutation of the axes, for example 0x24")
+        return value
+
+    @field_validator("mount_rotation_wxyz")
+    @classmethod
+    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        norm = math.sqrt(sum(v * v for v in value))
+        if not 0.99 < norm < 1.01:
+            raise ValueError(f"mount_rotation_wxyz has norm {norm:.3g}, not 1")
+        w, x, y, z = value
+        return (w / norm, x / norm, y / norm, z / norm)

@@ -1,0 +1,126 @@
+"""Request and reply with a BNO055 over a pyserial port: framing, error codes, bounded repetition.
+
+Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its whole time-out on a
+two-byte error reply (`facts/devices.md` section 3). Vendor exceptions end here.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+
+import serial
+
+from hil.clock import Clock, nanoseconds
+from hil.config.imu import ImuConfig
+from hil.errors import DeviceError
+from hil.signals import Status
+
+READ, WRITE = 0x01, 0x00
+STATUS_TEXT = {
+    0x02: "read failed",
+    0x03: "write failed",
+    0x04: "invalid register address",
+    0x05: "register write disabled",
+    0x06: "wrong start byte",
+    0x07: "bus overrun",
+    0x08: "longest length exceeded",
+    0x09: "shortest length undercut",
+    0x0A: "receive character time-out",
+}
+_WRITTEN, _OVERRUN = 0x01, 0x07
+_MAX_ATTEMPTS = 10
+
+
+class ExchangeError(Exception):
+    """One exchange failed; stays inside this package."""
+
+    def __init__(self, status: Status, reason: str) -> None:
+        super().__init__(reason)
+        self.status, self.reason = status, reason
+
+
+class Link:
+    """An open port to one chip."""
+
+    def __init__(self, config: ImuConfig, clock: Clock, name: str) -> None:
+        self._clock, self._name, self.port_name = clock, name, config.port
+        self._gap_ns = nanoseconds(config.retry_gap_s)
+        self._dirty = True
+        try:
+            self._port = serial.serial_for_url(
+                config.port,
+                baudrate=config.baud,
+                timeout=config.reply_timeout_s,
+                write_timeout=max(config.reply_timeout_s, 0.1),
+            )
+        except (serial.SerialException, ValueError, OSError) as error:
+            raise self._cannot_open(error) from None
+
+    def _cannot_open(self, error: Exception) -> DeviceError:
+        number = getattr(error, "errno", None)
+        remedy = "check the cable and the port name; `hil discover` lists ports"
+        if number == errno.EACCES:
+            remedy = "give the user access to the port (group dialout, or a udev rule)"
+        elif number == errno.EBUSY:
+            remedy = "close the other program that uses the port"
+        detail = os.strerror(number) if number else str(error)
+        return DeviceError(
+            self._name,
+            f"port cannot be opened ({detail})",
+            port=self.port_name,
+            expected="a BNO055 in UART mode at a serial port or pyserial URL",
+            remedy=remedy,
+        )
+
+    def close(self) -> None:
+        """Let go of the port; never raises."""
+        try:
+            self._port.close()
+        except (serial.SerialException, OSError):
+            return
+
+    def read(self, register: int, length: int, deadline_ns: int) -> bytes:
+        """Read registers, repeating until `deadline_ns`; raises `ExchangeError`."""
+        return self._repeat(bytes((0xAA, READ, register, length)), length, deadline_ns)
+
+    def write(self, register: int, data: bytes, deadline_ns: int) -> None:
+        """Write registers, repeating until `deadline_ns`; raises `ExchangeError`."""
+        self._repeat(bytes((0xAA, WRITE, register, len(data))) + data, 0, deadline_ns)
+
+    def _repeat(self, request: bytes, length: int, deadline_ns: int) -> bytes:
+        for _ in range(_MAX_ATTEMPTS):
+            try:
+                return self._exchange(request, length)
+            except ExchangeError as error:
+                failure = error
+            again_ns = self._clock.now_ns() + self._gap_ns
+            if again_ns >= deadline_ns:
+                break
+            self._clock.sleep_until_ns(again_ns)
+        raise failure
+
+    def _exchange(self, request: bytes, length: int) -> bytes:
+        try:
+            if self._dirty:
+                self._port.reset_input_buffer()
+            self._dirty = True
+            self._port.write(request)
+            head = self._port.read(2)
+            if len(head) < 2:
+                raise ExchangeError(Status.TIMEOUT, f"{len(head)} of 2 header bytes before the time-out")
+            if head[0] == 0xBB and length and head[1] == length:
+                data: bytes = self._port.read(length)
+                if len(data) < length:
+                    raise ExchangeError(Status.TIMEOUT, f"{len(data)} of {length} data bytes")
+                self._dirty = False
+                return data
+        except (serial.SerialException, OSError, ValueError, TypeError) as error:
+            raise ExchangeError(Status.TIMEOUT, f"the port failed ({error})") from None
+        if head[0] == 0xEE:
+            self._dirty = False
+            if head[1] == _WRITTEN and not length:
+                return b""
+            text = STATUS_TEXT.get(head[1], "unknown status")
+            raise ExchangeError(Status.PROTOCOL, f"error reply 0x{head[1]:02X} ({text})")
+        raise ExchangeError(Status.PROTOCOL, f"unexpected reply {head.hex(' ')}")

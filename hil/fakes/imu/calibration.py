@@ -1,0 +1,83 @@
+"""Self-calibration of the emulated BNO055: offsets it has learnt and how sure it says it is.
+
+The gyroscope learns at rest, the accelerometer from several attitudes, the magnetometer from several
+headings (datasheet 3.11); the four levels 0..3 go to register 0x35.
+"""
+
+from __future__ import annotations
+
+Vector = tuple[float, float, float]
+
+_GYRO_LEVEL_S = 0.5
+_ATTITUDES_PER_LEVEL = 2
+_RESTORED_ATTITUDES = 4
+_MAX_LEVEL = 3
+
+
+class SelfCalibration:
+    """Offset estimates in chip axes: accelerometer m/s^2, gyroscope rad/s, magnetometer uT."""
+
+    def __init__(self) -> None:
+        self.clear()
+
+    def clear(self) -> None:
+        """As after power-up."""
+        self.accelerometer: list[float] = [0.0] * 3
+        self.gyroscope: list[float] = [0.0] * 3
+        self.magnetometer: list[float] = [0.0] * 3
+        self.forget_levels()
+
+    def forget_levels(self) -> None:
+        """Offsets stay, confidence starts anew."""
+        self._still_s = 0.0
+        self._attitudes: set[tuple[int, int, int]] = set()
+        self._headings: set[int] = set()
+        self._restored = {"accelerometer": False, "gyroscope": False, "magnetometer": False}
+
+    def restore(self, sensor: str, values: Vector) -> None:
+        """A client wrote the last byte of one sensor's offsets."""
+        setattr(self, sensor, list(values))
+        self._restored[sensor] = True
+
+    def learn(
+        self, *, still: bool, dt_s: float, up: Vector, heading_octant: int, truth: SensorOffsets
+    ) -> None:
+        """One fusion step; `up` is the unit vertical in sensor axes, (3,)."""
+        if still:
+            self._still_s += dt_s
+            if self.levels()[1] <= _MAX_LEVEL:
+                gain = min(1.0, dt_s / _GYRO_LEVEL_S)
+                self.gyroscope = [
+                    g + gain * (b - g) for g, b in zip(self.gyroscope, truth.gyroscope, strict=True)
+                ]
+        attitude = (round(1.4 * up[0]), round(1.4 * up[1]), round(1.4 * up[2]))
+        if attitude not in self._attitudes:
+            self._attitudes.add(attitude)
+            if len(self._attitudes) > 1 and not self._restored["accelerometer"]:
+                self.accelerometer = [
+                    a + 0.5 * (b - a) for a, b in zip(self.accelerometer, truth.accelerometer, strict=True)
+                ]
+        if heading_octant not in self._headings:
+            self._headings.add(heading_octant)
+            if not self._restored["magnetometer"]:
+                self.magnetometer = [
+                    m + 0.5 * (b - m) for m, b in zip(self.magnetometer, truth.magnetometer, strict=True)
+                ]
+
+    def levels(self) -> tuple[int, int, int]:
+        """(accelerometer, gyroscope, magnetometer), each 0..3."""
+        attitudes = len(self._attitudes) - 1 + _RESTORED_ATTITUDES * self._restored["accelerometer"]
+        headings = len(self._headings) - 1 + _RESTORED_ATTITUDES * self._restored["magnetometer"]
+        still_s = self._still_s + _GYRO_LEVEL_S * self._restored["gyroscope"]
+        return (
+            max(0, min(_MAX_LEVEL, attitudes // _ATTITUDES_PER_LEVEL)),
+            min(_MAX_LEVEL, int(still_s / _GYRO_LEVEL_S)),
+            max(0, min(_MAX_LEVEL, headings // _ATTITUDES_PER_LEVEL)),
+        )
+
+
+class SensorOffsets:
+    """True offsets in chip axes, same units as the estimates."""
+
+    def __init__(self, accelerometer: Vector, gyroscope: Vector, magnetometer: Vector) -> None:
+        self.accelerometer, self.gyroscope, self.magnetometer = accelerometer, gyroscope, magnetometer

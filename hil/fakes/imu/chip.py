@@ -1,0 +1,255 @@
+"""The emulated BNO055 as a chip at the end of a serial line: firmware states, registers, faults.
+
+Timing: reset 650 ms of silence, CONFIG to any mode 7 ms, any mode to CONFIG 19 ms, fusion at 100 Hz of
+its own clock (datasheet, `facts/devices.md` section 3). Register 0x3D and everything a client sees
+follow from the requests and the world's truth alone.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+from hil.fakes.imu import registers as reg
+from hil.fakes.imu import uart
+from hil.fakes.imu.faulty import SUPPORTED_FAULTS, ImuFaults
+from hil.fakes.imu.offsets import load_offsets, store_offsets
+from hil.fakes.imu.output import EMPTY, LENGTH, encode
+from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, product, remap
+from hil.fakes.wire import Reply
+from hil.fakes.world import NEVER_NS, World
+
+__all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
+
+RESET_NS = 650_000_000
+TO_RUNNING_NS, TO_CONFIG_NS = 7_000_000, 19_000_000
+_ANSWER_NS = 100_000
+_CELSIUS = 27.0
+_HISTORY = 256
+_BAUD_TOLERANCE = 0.03
+
+
+class Bno055Chip:
+    """A `SerialChip` and a scheduled part of the world.
+
+    Args:
+        world: truth, seed and faults; the chip registers itself as a part.
+        name: device name, also of its faults.
+        options: true imperfections.
+        mount_rotation_wxyz: sensor axes in the body **after** the remap `bench_remap` is applied, so
+            that a bench that configures this remap finds its mount true.
+        bench_remap: (axis map, axis sign) of that bench.
+        overrun_probability: chance that a read is answered with bus overrun; five times less without
+            the magnetometer, whose 20 Hz processing causes it (`facts/devices.md`).
+        acknowledge_reset: whether the reset write is answered before the silence (both occur).
+    """
+
+    def __init__(
+        self,
+        world: World,
+        *,
+        name: str = "imu",
+        options: ImuTruthOptions | None = None,
+        mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
+        bench_remap: tuple[int, int] = (0x24, 0x00),
+        overrun_probability: float = 0.01,
+        acknowledge_reset: bool = True,
+    ) -> None:
+        self.name = name
+        self._world = world
+        rng = world.rng(name)
+        self._rng = rng
+        options = options if options is not None else ImuTruthOptions()
+        chip_in_body = product(matrix(mount_rotation_wxyz), remap(*bench_remap))
+        self.sensors = InertialSensors(options, rng, chip_in_body=chip_in_body)
+        self._overrun = overrun_probability
+        self._acknowledge_reset = acknowledge_reset
+        self._stretch = 1.0 + 1e-6 * options.clock_ppm
+        self._serial = int(rng.integers(1, 1 << 60))
+        self._parser = uart.RequestParser()
+        self._faults = ImuFaults(world.faults, name, rng)
+        self._history: deque[tuple[int, bytes]] = deque(maxlen=_HISTORY)
+        self._boot(0)
+        self._boot_end_ns = self._switched_ns = 0
+        world.add(self)
+
+    @property
+    def opr_mode(self) -> int:
+        """The operating mode that the client asked for."""
+        return self._pages[0][reg.OPR_MODE] & 0x0F
+
+    def next_due_ns(self) -> int:
+        """Time of the next fusion output."""
+        return self._due_ns
+
+    def on_due(self, t_ns: int) -> None:
+        """Sense and publish one set of outputs."""
+        mode = self._mode
+        period_ns = round(1e9 / mode.rate_hz * self._stretch * self._faults.slowness(t_ns))
+        self._due_ns = t_ns + period_ns
+        if self._power(t_ns):
+            return
+        sensors = self.sensors
+        sensors.yaw_error_rad += self._faults.jump_rad(t_ns)
+        sensed = sensors.sense(self._world.plant.truth(), mode, period_ns * 1e-9)
+        if not self._world.faults.empty:
+            sensed = self._faults.distort(sensed, t_ns)
+        block = encode(sensed, mode, self._pages[0][reg.UNIT_SEL], self._calibration_byte(mode), _CELSIUS)
+        self._history.append((t_ns, block))
+        self._pages[0][reg.DATA : reg.DATA + LENGTH] = self._faults.shown(block, self._history, t_ns)
+
+    def reset(self, t_ns: int) -> None:
+        """Power was cycled: the chip is silent while it boots, then in CONFIG mode."""
+        self._boot(t_ns)
+
+    def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
+        """Answer requests; at a wrong baud rate, while booting or without power there is silence."""
+        if self._power(t_ns) or t_ns < self._boot_end_ns:
+            self._parser.reset()
+            return []
+        if abs(baud - uart.BAUD) > _BAUD_TOLERANCE * uart.BAUD:
+            self._parser.reset()
+            return []
+        replies = self.poll(t_ns)
+        ready_ns = t_ns + _ANSWER_NS + self._faults.delay_ns(t_ns)
+        for request in self._parser.feed(data, t_ns):
+            answer = self._faults.spoil(self._answer(request, t_ns), t_ns)
+            if answer:
+                replies.append(Reply(ready_ns, answer))
+        return replies
+
+    def poll(self, t_ns: int) -> list[Reply]:
+        """What the chip says unasked: character time-out of a request that was never finished."""
+        if self._parser.expire(t_ns):
+            return [Reply(t_ns, uart.status(uart.CHARACTER_TIMEOUT))]
+        return []
+
+    def next_poll_ns(self) -> int:
+        """When `poll` may have something to say, `NEVER_NS` if nothing is pending."""
+        expires_ns = self._parser.expires_ns()
+        return NEVER_NS if expires_ns is None else expires_ns
+
+    def _boot(self, t_ns: int) -> None:
+        self._pages = (reg.page_zero(), reg.page_one(self._serial))
+        self._page = 0
+        self._mode = reg.MODES[reg.CONFIG]
+        self._boot_end_ns = t_ns + RESET_NS
+        self._switched_ns = self._boot_end_ns
+        self._due_ns = NEVER_NS
+        self._parser.reset()
+        self._history.clear()
+        self.sensors.calibration.clear()
+        self.sensors.set_remap(0x24, 0x00)
+        self.sensors.restart_fusion()
+
+    def _power(self, t_ns: int) -> bool:
+        """Follow power faults; True while the chip has no power or is booting."""
+        if self._world.faults.empty:
+            return False
+        boot_ns = self._faults.boot_at_ns(t_ns)
+        if boot_ns is not None:
+            self._boot(boot_ns)
+        return self._faults.dead or t_ns < self._boot_end_ns
+
+    def _answer(self, request: uart.Request, t_ns: int) -> bytes:
+        if request.error:
+            return uart.status(request.error)
+        if request.data is not None:
+            return self._write(request.register, request.data, t_ns)
+        if request.register + request.length > reg.SIZE:
+            return uart.status(uart.INVALID_ADDRESS)
+        if self._overrun > 0.0 and self._rng.random() < self._overrun_now():
+            return uart.status(uart.BUS_OVERRUN)
+        return bytes((0xBB, request.length)) + self._read(request.register, request.length, t_ns)
+
+    def _overrun_now(self) -> float:
+        if not self._mode.fusion:
+            return 0.0
+        return self._overrun if self._mode.magnetometer else 0.2 * self._overrun
+
+    def _read(self, register: int, length: int, t_ns: int) -> bytes:
+        page = self._pages[self._page]
+        page[reg.PAGE_ID] = self._page
+        if self._page == 0:
+            running = self._mode is not reg.MODES[reg.CONFIG] and t_ns >= self._switched_ns
+            state = reg.STATUS_FUSION if self._mode.fusion else reg.STATUS_NO_FUSION
+            page[reg.SYS_STATUS] = state if running else reg.STATUS_IDLE
+        return bytes(page[register : register + length])
+
+    def _write(self, register: int, data: bytes, t_ns: int) -> bytes:
+        end = register + len(data)
+        if end > reg.SIZE:
+            return uart.status(uart.INVALID_ADDRESS)
+        allowed = reg.writable if self.opr_mode == reg.CONFIG else reg.writable_while_running
+        if not all(allowed(self._page, a) for a in range(register, end)):
+            return uart.status(uart.WRITE_DISABLED)
+        if t_ns < self._switched_ns and register != reg.PAGE_ID:
+            return uart.status(uart.WRITE_FAIL)
+        code = uart.WRITE_SUCCESS
+        for address, value in enumerate(data, register):
+            code = self._store(address, value, t_ns)
+            if code != uart.WRITE_SUCCESS:
+                break
+        return uart.status(code) if code else b""
+
+    def _store(self, address: int, value: int, t_ns: int) -> int:
+        """Write one register with its side effects; returns the status code, 0 for silence."""
+        if address == reg.PAGE_ID:
+            if value > 1:
+                return uart.WRITE_FAIL
+            self._page = value
+            return uart.WRITE_SUCCESS
+        page = self._pages[self._page]
+        if self._page == 1:
+            page[address] = value
+            return uart.WRITE_SUCCESS
+        if address == reg.OPR_MODE:
+            return self._switch(value & 0x0F, t_ns)
+        if address == reg.SYS_TRIGGER:
+            return self._trigger(value, t_ns)
+        if address == reg.PWR_MODE and value & 0x03 == 0x03:
+            return uart.WRITE_FAIL
+        page[address] = value
+        if address in (reg.AXIS_MAP, reg.AXIS_SIGN):
+            self.sensors.set_remap(page[reg.AXIS_MAP], page[reg.AXIS_SIGN])
+        load_offsets(page, address, self.sensors.calibration)
+        return uart.WRITE_SUCCESS
+
+    def _switch(self, mode: int, t_ns: int) -> int:
+        if mode not in reg.MODES:
+            return uart.WRITE_FAIL
+        page = self._pages[0]
+        if mode == self.opr_mode:
+            return uart.WRITE_SUCCESS
+        suspended = page[reg.PWR_MODE] & 0x03 == reg.POWER_SUSPEND
+        page[reg.OPR_MODE] = mode
+        self._mode = reg.MODES[mode]
+        self._switched_ns = t_ns + (TO_CONFIG_NS if mode == reg.CONFIG else TO_RUNNING_NS)
+        if mode == reg.CONFIG:
+            page[reg.DATA : reg.DATA + LENGTH] = EMPTY
+            store_offsets(page, self.sensors.calibration)
+        else:
+            page[reg.DATA : reg.DATA + LENGTH] = EMPTY
+            self.sensors.restart_fusion()
+        stopped = mode == reg.CONFIG or suspended
+        self._due_ns = NEVER_NS if stopped else self._switched_ns + round(1e9 / self._mode.rate_hz)
+        return uart.WRITE_SUCCESS
+
+    def _trigger(self, value: int, t_ns: int) -> int:
+        if value & reg.TRIGGER_RESET:
+            self._boot(t_ns)
+            return uart.WRITE_SUCCESS if self._acknowledge_reset else 0
+        if value & reg.TRIGGER_SELF_TEST:
+            self._pages[0][reg.SELFTEST] = 0x0F
+        if value & reg.TRIGGER_RESET_INT:
+            self._pages[0][reg.INT_STA] = 0
+        self._pages[0][reg.SYS_TRIGGER] = value & reg.TRIGGER_CRYSTAL
+        return uart.WRITE_SUCCESS
+
+    def _calibration_byte(self, mode: reg.Mode) -> int:
+        if not mode.fusion:
+            return 0
+        accelerometer, gyroscope, magnetometer = self.sensors.calibration.levels()
+        gyroscope = gyroscope if mode.gyroscope else 0
+        magnetometer = magnetometer if mode.magnetometer else 0
+        used = [accelerometer] + [gyroscope] * mode.gyroscope + [magnetometer] * mode.magnetometer
+        return min(used) << 6 | gyroscope << 4 | accelerometer << 2 | magnetometer

@@ -1,0 +1,100 @@
+"""UART protocol of the BNO055: request framing and status bytes.
+
+Write `AA 00 reg len data...` -> `EE status`; read `AA 01 reg len` -> `BB len data...` or `EE status`
+(datasheet 4.7, `facts/devices.md` section 3).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+WRITE_SUCCESS, READ_FAIL, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x02, 0x03, 0x04, 0x05
+WRONG_START, BUS_OVERRUN, MAX_LENGTH, MIN_LENGTH, CHARACTER_TIMEOUT = 0x06, 0x07, 0x08, 0x09, 0x0A
+
+BAUD = 115_200
+LONGEST = 128
+CHARACTER_TIMEOUT_NS = 30_000_000
+
+
+def status(code: int) -> bytes:
+    """A two-byte acknowledgement or error."""
+    return bytes((0xEE, code))
+
+
+@dataclass(frozen=True)
+class Request:
+    """One complete request; `data` is None for a read, `length` what a read asks for.
+
+    A framing fault is a request with `error` set to its status byte.
+    """
+
+    register: int = 0
+    length: int = 0
+    data: bytes | None = None
+    error: int = 0
+
+
+class RequestParser:
+    """Cuts an arbitrary byte stream into requests; never raises and never keeps more than one frame."""
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._last_ns = 0
+        self._in_noise = False
+
+    def reset(self) -> None:
+        """Forget a partial request."""
+        self._buffer.clear()
+        self._in_noise = False
+
+    def expires_ns(self) -> int | None:
+        """When a partial request times out; None when there is none."""
+        return self._last_ns + CHARACTER_TIMEOUT_NS if self._buffer else None
+
+    def expire(self, t_ns: int) -> bool:
+        """Drop a partial request whose next byte is overdue; True when there was one."""
+        if self._buffer and t_ns - self._last_ns >= CHARACTER_TIMEOUT_NS:
+            self.reset()
+            return True
+        return False
+
+    def feed(self, data: bytes, t_ns: int) -> list[Request]:
+        """Requests completed by `data`, whose last byte arrived at `t_ns`."""
+        self._last_ns = t_ns
+        self._buffer += data
+        found: list[Request] = []
+        while self._buffer:
+            request = self._take()
+            if request is None:
+                break
+            if request.error != WRONG_START or not self._in_noise:
+                found.append(request)
+            self._in_noise = request.error == WRONG_START
+        self._in_noise = self._in_noise and bool(self._buffer)
+        return found
+
+    def _take(self) -> Request | None:
+        buffer = self._buffer
+        if buffer[0] != 0xAA:
+            return self._drop(1, WRONG_START)
+        if len(buffer) > 1 and buffer[1] > 1:
+            return self._drop(2, WRONG_START)
+        if len(buffer) < 4:
+            return None
+        writing, register, length = buffer[1] == 0, buffer[2], buffer[3]
+        if length == 0:
+            return self._drop(4, MIN_LENGTH)
+        if length > LONGEST:
+            return self._drop(len(buffer) if writing else 4, MAX_LENGTH)
+        if not writing:
+            del buffer[:4]
+            return Request(register, length)
+        if len(buffer) < 4 + length:
+            return None
+        payload = bytes(buffer[4 : 4 + length])
+        del buffer[: 4 + length]
+        return Request(register, length, payload)
+
+    def _drop(self, count: int, error: int) -> Request:
+        del self._buffer[:count]
+        return Request(error=error)

@@ -1,0 +1,145 @@
+"""A moving plant and the shortest serial line there is, so that the chip and the driver meet directly."""
+
+import math
+import sys
+import types
+from collections import deque
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import serial
+
+from hil.config.imu import ImuConfig
+from hil.drivers.imu import Bno055Imu
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.imu import SUPPORTED_FAULTS, Bno055Chip, ImuTruthOptions
+from hil.fakes.plant_api import PlantState
+from hil.fakes.world import VirtualClock, World
+
+_LINES = {}
+
+
+class TurningPlant:
+    """Turns at a constant rate about the body origin, on a surface of given tilt."""
+
+    def __init__(self, tilt_rad=math.pi / 2, theta_rad=0.0, rate_rad_s=0.0):
+        self.t_ns, self.tilt_rad, self.theta_rad, self.rate_rad_s = 0, tilt_rad, theta_rad, rate_rad_s
+        self.acceleration = np.zeros(2)
+
+    def command(self, joint, command):
+        raise AssertionError("an IMU commands nothing")
+
+    def advance(self, t_ns):
+        self.theta_rad += self.rate_rad_s * (t_ns - self.t_ns) * 1e-9
+        self.t_ns = t_ns
+
+    def joints(self):
+        return np.zeros(8), np.zeros(8), np.zeros(8)
+
+    def truth(self):
+        return PlantState(
+            self.t_ns,
+            np.array([0.0, 0.0, self.theta_rad]),
+            np.array([0.0, 0.0, self.rate_rad_s]),
+            self.acceleration.copy(),
+            *(np.zeros(8) for _ in range(3)),
+            np.zeros(4),
+            np.full(4, 8.0),
+            np.zeros((4, 2)),
+            self.tilt_rad,
+            False,
+        )
+
+
+class DirectPort:
+    """A pyserial-like port whose bytes reach one chip at the pace of the wire."""
+
+    def __init__(self, port, baudrate=9600, timeout=None, write_timeout=None):
+        self.port, self.baudrate, self.timeout = port, baudrate, timeout
+
+    def open(self):
+        name = self.port.split("//")[1]
+        if name not in _LINES:
+            raise serial.SerialException(2, "No such file or directory")
+        self.world, self.chip, self.written = _LINES[name]
+        self._coming = deque()
+        self._free_ns = 0
+
+    def close(self):
+        self._coming = deque()
+
+    def reset_input_buffer(self):
+        while self._coming and self._coming[0][0] <= self.world.now_ns:
+            self._coming.popleft()
+
+    def write(self, data):
+        self.written.append(bytes(data))
+        self.world.advance_to(self.world.now_ns + self._wire_ns(len(data)))
+        self.world.sync_plant()
+        for reply in self.chip.receive(bytes(data), self.world.now_ns, self.baudrate):
+            self.push(reply.ready_ns, reply.data)
+        return len(data)
+
+    def push(self, ready_ns, data):
+        self._free_ns = max(self._free_ns, ready_ns)
+        for byte in data:
+            self._free_ns += self._wire_ns(1)
+            self._coming.append((self._free_ns, byte))
+
+    def read(self, size=1):
+        deadline_ns = self.world.now_ns + round(self.timeout * 1e9)
+        if len(self._coming) >= size and self._coming[size - 1][0] <= deadline_ns:
+            self.world.advance_to(self._coming[size - 1][0])
+        else:
+            self.world.advance_to(deadline_ns)
+        out = bytearray()
+        while self._coming and len(out) < size and self._coming[0][0] <= self.world.now_ns:
+            out.append(self._coming.popleft()[1])
+        return bytes(out)
+
+    def _wire_ns(self, count):
+        return round(count * 10e9 / self.baudrate)
+
+
+_package = types.ModuleType("imu_wire")
+_module = types.ModuleType("imu_wire.protocol_chip")
+_module.Serial = DirectPort
+sys.modules.update({"imu_wire": _package, "imu_wire.protocol_chip": _module})
+serial.protocol_handler_packages.append("imu_wire")
+
+
+@pytest.fixture
+def imu_bench():
+    """Factory of a chip, its world and a driver on it."""
+
+    def build(*faults, plant=None, config=None, options=None, seed=1, declare=True, **chip_options):
+        plan = FaultPlan([parse_fault(spec) for spec in faults])
+        if declare:
+            plan.declare("imu", SUPPORTED_FAULTS)
+        plan.check()
+        plant = plant if plant is not None else TurningPlant()
+        world = World(plant, seed=seed, faults=plan)
+        config = ImuConfig(port="chip://imu", backend="emulated", **(config or {}))
+        chip = Bno055Chip(
+            world,
+            options=options or ImuTruthOptions(),
+            mount_rotation_wxyz=config.mount_rotation_wxyz,
+            bench_remap=(config.axis_map, config.axis_sign),
+            **chip_options,
+        )
+        written = []
+        _LINES["imu"] = (world, chip, written)
+        clock = VirtualClock(world)
+        driver = Bno055Imu(config, clock)
+        return SimpleNamespace(
+            plant=plant, world=world, chip=chip, clock=clock, driver=driver, config=config, written=written
+        )
+
+    yield build
+    _LINES.clear()
+
+
+@pytest.fixture
+def turning_plant():
+    return TurningPlant
