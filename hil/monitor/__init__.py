@@ -1,0 +1,5 @@
+"""Live view of the loop in Rerun: what the operator sees, at no cost to the loop."""
+
+from hil.monitor.sink import RerunMonitor
+
+__all__ = ["RerunMonitor"]

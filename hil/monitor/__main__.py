@@ -1,0 +1,52 @@
+"""The monitor's own process: cycle records from standard input, Rerun behind it.
+
+Frames on standard input come from `hil.monitor.sink` in the parent process and from nowhere else
+(they are pickles). Ends with the end frame or when the parent is gone; an interrupt is the parent's.
+"""
+
+from __future__ import annotations
+
+import pickle
+import signal
+import sys
+from collections.abc import Sequence
+from typing import BinaryIO
+
+from hil.errors import HilError
+from hil.monitor.sink import END, FRAME, RECORD
+
+
+def _frame(pipe: BinaryIO) -> tuple[bytes, int, bytes]:
+    head = pipe.read(FRAME.size)
+    if len(head) < FRAME.size:
+        return END, 0, b""
+    kind, length, dropped = FRAME.unpack(head)
+    payload = pipe.read(length)
+    return (kind, dropped, payload) if len(payload) == length else (END, 0, b"")
+
+
+def main(targets: Sequence[str], pipe: BinaryIO) -> int:
+    """Show records until the end frame."""
+    from hil.monitor.stream import RerunStream
+
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _, _, geometry = _frame(pipe)
+    if not geometry:
+        return 0
+    try:
+        stream = RerunStream(tuple(targets), pickle.loads(geometry))
+    except HilError as error:
+        print(f"hil monitor: {error}", file=sys.stderr)
+        return error.exit_code
+    while True:
+        kind, dropped, payload = _frame(pipe)
+        if kind != RECORD:
+            break
+        stream.add(pickle.loads(payload))
+        stream.dropped(dropped)
+    stream.close()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:], sys.stdin.buffer))

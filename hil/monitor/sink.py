@@ -1,0 +1,173 @@
+"""The monitor as the loop sees it: a bounded queue that drops the oldest, and whatever is behind it.
+
+In real time the records go through a pipe to a process of their own that talks to Rerun; a stalled
+or dead viewer fills the pipe, then the queue, and then costs drops, which are counted and shown. In
+virtual time (`lossless`) the records are sent in the caller's thread and nothing is dropped.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import pickle
+import struct
+import subprocess
+import sys
+import threading
+from collections import deque
+
+from hil.errors import UsageError
+from hil.interfaces import Sink
+from hil.kinematics import WheelGeometry
+from hil.signals import CycleRecord
+
+LOG = logging.getLogger(__name__)
+
+FRAME = struct.Struct("<cIQ")
+RECORD, END = b"R", b"E"
+
+_CAPACITY = 500
+_CLOSE_S = 5.0
+
+
+def split_targets(target: str) -> tuple[str, ...]:
+    """Outputs of a comma-separated list.
+
+    Raises:
+        UsageError: an empty list.
+    """
+    targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
+    if not targets:
+        raise UsageError(f"rerun target {target!r}", expected="spawn, connect, serve, a URL or a .rrd file")
+    return targets
+
+
+class RerunMonitor(Sink):
+    """Sink that shows every cycle in Rerun.
+
+    Args:
+        target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
+            them separated by commas.
+        lossless: send in the caller's thread and drop nothing (virtual time).
+        geometry: wheel geometry of the outline; nominal when None.
+        capacity: cycles that may wait before the oldest is dropped.
+
+    Attributes:
+        dropped: cycles that were not shown.
+        failure: why the view ended before the run, empty if it did not.
+
+    Raises:
+        UsageError: Rerun is not installed, or the target makes no sense.
+    """
+
+    def __init__(
+        self,
+        target: str,
+        *,
+        lossless: bool,
+        geometry: WheelGeometry | None = None,
+        capacity: int = _CAPACITY,
+    ) -> None:
+        targets = split_targets(target)
+        if importlib.util.find_spec("rerun") is None:
+            raise UsageError(
+                "the monitor needs Rerun, which is not installed",
+                remedy="install the extra: pip install 'hil-4wis4wid[rerun]'",
+            )
+        self.dropped = 0
+        self.failure = ""
+        self._closed = False
+        self._capacity = capacity
+        self._geometry = geometry if geometry is not None else WheelGeometry.nominal()
+        self._waiting: deque[CycleRecord | None] = deque()
+        self._something = threading.Event()
+        self._stream = self._process = self._thread = None
+        if lossless:
+            from hil.monitor.stream import RerunStream
+
+            self._stream = RerunStream(targets, self._geometry)
+            return
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "hil.monitor", *targets], stdin=subprocess.PIPE, start_new_session=True
+        )
+        self._thread = threading.Thread(target=self._feed, name="monitor", daemon=True)
+        self._thread.start()
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one record."""
+        if self._closed:
+            return
+        if self._stream is not None:
+            self._stream.add(record)
+            return
+        if len(self._waiting) >= self._capacity:
+            self._drop_oldest()
+        self._waiting.append(record)
+        self._something.set()
+
+    def _drop_oldest(self) -> None:
+        try:
+            self._waiting.popleft()
+        except IndexError:
+            return
+        self.dropped += 1
+
+    def _feed(self) -> None:
+        """Thread: records from the queue into the pipe."""
+        try:
+            self._send(b"G", pickle.dumps(self._geometry))
+            while True:
+                self._something.wait()
+                self._something.clear()
+                while self._waiting:
+                    try:
+                        record = self._waiting.popleft()
+                    except IndexError:
+                        break
+                    if record is None:
+                        self._send(END, b"")
+                        return
+                    self._send(RECORD, pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
+        except (OSError, ValueError) as error:
+            self.failure = f"the monitor process has ended ({error})"
+
+    def _send(self, kind: bytes, payload: bytes) -> None:
+        assert self._process is not None
+        assert self._process.stdin is not None
+        self._process.stdin.write(FRAME.pack(kind, len(payload), self.dropped) + payload)
+        self._process.stdin.flush()
+
+    def close(self) -> None:
+        """Show what waits and let go. Idempotent; never raises."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._stream is not None:
+            self._stream.close()
+        else:
+            self._close_process()
+        if self.dropped or self.failure:
+            LOG.warning("monitor: %d cycles not shown. %s", self.dropped, self.failure)
+
+    def _close_process(self) -> None:
+        assert self._process is not None
+        assert self._thread is not None
+        self._waiting.append(None)
+        self._something.set()
+        self._thread.join(_CLOSE_S)
+        try:
+            if self._thread.is_alive():
+                self._process.kill()
+                self.failure = f"the viewer did not take the rest within {_CLOSE_S:.0f} s"
+            self._process.wait(_CLOSE_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+            self.failure = "the viewer did not let go"
+        self._thread.join(_CLOSE_S)
+        self.dropped += sum(1 for record in self._waiting if record is not None)
+        try:
+            if self._process.stdin is not None:
+                self._process.stdin.close()
+        except OSError as error:
+            LOG.debug("monitor pipe: %s", error)

@@ -1,0 +1,190 @@
+"""Sends cycle records to Rerun in batches: columns for the plots, shapes for the wall view.
+
+Single-threaded. In a run in real time it lives in a process of its own (`hil.monitor.__main__`), so
+that neither the interpreter lock nor a stalled viewer can reach the loop.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.clock import NS_PER_S
+from hil.errors import UsageError
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+from hil.monitor import shapes
+from hil.monitor.blueprint import PATH_COLOURS, blueprint
+from hil.monitor.series import Series, SeriesCollector, finite, observer_poses
+from hil.signals import WHEELS, CycleRecord
+
+DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
+
+_BATCH_NS = NS_PER_S // 15
+_TRAIL_NS = NS_PER_S
+_LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
+_OTHER_COLOUR = (120, 120, 60)
+
+
+class RerunStream:
+    """One Rerun recording with its outputs.
+
+    Args:
+        targets: any of `spawn`, `connect`, `serve`, a `rerun+http://` URL, or the name of a `.rrd`
+            file; several at once are fed the same.
+        geometry: wheel geometry of the outline.
+
+    Raises:
+        UsageError: an output that cannot be opened.
+    """
+
+    def __init__(self, targets: tuple[str, ...], geometry: WheelGeometry) -> None:
+        import rerun
+
+        self._rr = rerun
+        self._geometry = geometry
+        self._stream = rerun.RecordingStream("hil", send_properties=False)
+        self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=blueprint())
+        self._stream.send_blueprint(blueprint())
+        self._collector = SeriesCollector()
+        self._trails: dict[str, shapes.Trail] = {}
+        self._named: set[str] = set()
+        self._latest: CycleRecord | None = None
+        self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
+        self._truth: Array | None = None
+        self._sent_ns = self._trails_ns = -(1 << 62)
+        self._dropped = 0
+
+    def _sink(self, target: str) -> Any:
+        rr = self._rr
+        if target == "spawn":
+            rr.spawn(connect=False, hide_welcome_screen=True)
+            return rr.GrpcSink(DEFAULT_URL)
+        if target == "connect":
+            return rr.GrpcSink(DEFAULT_URL)
+        if target.startswith(("rerun+http://", "rerun+https://", "rerun://")):
+            return rr.GrpcSink(target)
+        if target == "serve":
+            sink = rr.GrpcServerSink()
+            rr.serve_web_viewer(open_browser=False, connect_to=DEFAULT_URL)
+            print("rerun: open http://127.0.0.1:9090 in a browser", file=sys.stderr)
+            return sink
+        if not Path(target).resolve().parent.is_dir():
+            raise UsageError(
+                f"rerun target {target!r}", expected="spawn, connect, serve, a URL or a .rrd file"
+            )
+        return rr.FileSink(target)
+
+    def add(self, record: CycleRecord) -> None:
+        """Take one cycle; sends about fifteen times a second of the records' own time."""
+        self._collector.add(record)
+        self._latest = record
+        if record.measurements.wheels:
+            wheels = record.measurements.wheels[-1]
+            self._wheels = (wheels.steering_rad, wheels.wheel_rate_rad_s)
+        self._trail("estimate", record.state.pose_body_in_wall)
+        if record.reference is not None:
+            self._trail("reference", record.reference.pose_in_wall)
+        for mocap in record.measurements.mocap:
+            if mocap.valid:
+                self._truth = mocap.pose
+                self._trail("truth", mocap.pose)
+        for name, position in observer_poses(record).items():
+            self._trail(name, np.array(position))
+        for event in record.events:
+            self._at(record)
+            level = _LEVELS.get(event.level, "WARN")
+            self._stream.log("events", self._rr.TextLog(f"{event.source}: {event.message}", level=level))
+        if not 0 <= record.inputs.t_ns - self._sent_ns < _BATCH_NS:
+            self.flush()
+
+    def dropped(self, total: int) -> None:
+        """Show how many cycles the view has missed so far."""
+        if total == self._dropped or self._latest is None:
+            return
+        self._at(self._latest)
+        self._stream.log("monitor/dropped", self._rr.Scalars(total))
+        text = f"monitor: {total} cycles not shown so far"
+        self._stream.log("events", self._rr.TextLog(text, level="WARN"))
+        self._dropped = total
+
+    def flush(self) -> None:
+        """Send what has been collected."""
+        record = self._latest
+        if record is None:
+            return
+        self._sent_ns = record.inputs.t_ns
+        for entity, series in self._collector.take():
+            self._send_series(entity, series)
+        self._at(record)
+        if finite(record.state.pose_body_in_wall):
+            self._send_robot(record)
+        if not 0 <= record.inputs.t_ns - self._trails_ns < _TRAIL_NS:
+            self._send_trails()
+            self._trails_ns = record.inputs.t_ns
+
+    def close(self) -> None:
+        """Send the rest and let go of the outputs."""
+        self.flush()
+        if self._latest is not None:
+            self._send_trails()
+        self._stream.flush()
+        self._stream.disconnect()
+
+    def _at(self, record: CycleRecord) -> None:
+        self._stream.set_time("time", duration=self._collector.seconds(record))
+        self._stream.set_time("cycle", sequence=record.cycle)
+
+    def _trail(self, name: str, pose: Array) -> None:
+        self._trails.setdefault(name, shapes.Trail()).add(float(pose[0]), float(pose[1]))
+
+    def _send_series(self, entity: str, series: Series) -> None:
+        rr = self._rr
+        if entity not in self._named:
+            self._named.add(entity)
+            self._stream.log(entity, rr.SeriesLines(names=list(series.names)), static=True)
+        times = [rr.TimeColumn("time", duration=series.t_s), rr.TimeColumn("cycle", sequence=series.cycles)]
+        values = np.array(series.rows)
+        column = rr.Scalars.columns(scalars=values if values.shape[1] > 1 else values[:, 0])
+        self._stream.send_columns(entity, indexes=times, columns=column)
+
+    def _strip(self, entity: str, strips: list[Array], colour: tuple[int, int, int], width_px: float) -> None:
+        rr = self._rr
+        shown = [shapes.to_view(s) for s in strips]
+        radii = rr.Radius.ui_points(width_px)
+        self._stream.log(f"wall/{entity}", rr.LineStrips2D(shown, colors=[colour], radii=radii))
+
+    def _send_robot(self, record: CycleRecord) -> None:
+        rr, geometry = self._rr, self._geometry
+        pose, colour = record.state.pose_body_in_wall, PATH_COLOURS["estimate"]
+        steering_rad, rate_rad_s = self._wheels
+        self._strip("robot/body", [shapes.body_outline(pose, geometry)], colour, 1.5)
+        if self._truth is not None:
+            outline = shapes.body_outline(self._truth, geometry)
+            self._strip("robot/truth", [outline], PATH_COLOURS["truth"], 1.0)
+        if finite(record.state.covariance[:2, :2]):
+            ellipse = shapes.covariance_ellipse(pose, record.state.covariance)
+            self._strip("robot/covariance_95", [ellipse], colour, 0.75)
+        if not (finite(steering_rad) and finite(rate_rad_s)):
+            return
+        wheels = shapes.wheel_segments(pose, steering_rad, geometry)
+        self._strip("robot/wheels", list(wheels), (40, 40, 40), 4.0)
+        origins, vectors = shapes.speed_arrows(pose, steering_rad, rate_rad_s, geometry)
+        speeds = rate_rad_s * geometry.radius_m
+        labels = [f"{w} {1000.0 * v:.0f} mm/s" for w, v in zip(WHEELS, speeds, strict=True)]
+        arrows = rr.Arrows2D(
+            origins=shapes.to_view(origins),
+            vectors=shapes.to_view(vectors),
+            labels=labels,
+            colors=[(230, 60, 60)],
+        )
+        self._stream.log("wall/robot/speeds", arrows)
+
+    def _send_trails(self) -> None:
+        for name, trail in self._trails.items():
+            points = trail.points()
+            if len(points) > 1:
+                self._strip(f"path/{name}", [points], PATH_COLOURS.get(name, _OTHER_COLOUR), 1.0)
