@@ -175,33 +175,36 @@ def forward_matrix_derivative(x_m: ArrayLike, y_m: ArrayLike, model: str = "exac
     return out
 
 
-def least_dissipation(p: Array, u: Array, load: Array | None = None) -> Array:
+def least_dissipation(p: Array, u: Array, load: Array | None = None, power: float = 1.0) -> Array:
     """Body motion (n, 3) that dissipates least against dry friction at four contacts.
 
     Minimises sum_i load_i psi(|P_i b - u_i|) with psi' (e) = e (e / s + eps)^(q - 2), the smoothed
     Coulomb friction at q = 1, s the block's mean wheel displacement. Iteratively reweighted least
-    squares continued over q = 2, 1.5, 1.2, 1 (without that it ends in bad minima,
-    `facts/calibration.md` section 3), then Newton steps.
+    squares continued over q = 2, 1.5, 1.2, 1 (`facts/calibration.md` section 3), then Newton steps.
 
     Args:
         p: (8, 3) from `projection`.
         u: (n, 8) wheel vectors.
         load: (4,) relative normal loads; equal when None.
+        power: q to stop at; 2 is least squares.
     """
     scale = displacement_scale(u)
     share = np.ones(4) if load is None else np.asarray(load, dtype=np.float64)
     b = np.asarray(u @ np.linalg.pinv(p).T, dtype=np.float64)
-    for power, count in zip(_POWERS, _ITERATIONS, strict=True):
-        for _ in range(count):
-            b = _reweighted(p, u, b, scale, share, power)
-    return polish_dissipation(p, u, b, scale, share)
+    for step, count in zip(_POWERS, _ITERATIONS, strict=True):
+        if step >= power:
+            for _ in range(count):
+                b = _reweighted(p, u, b, scale, share, step)
+    return polish_dissipation(p, u, b, scale, share, power=power)
 
 
-def polish_dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array, steps: int = 3) -> Array:
+def polish_dissipation(
+    p: Array, u: Array, b: Array, scale: Array, share: Array, *, power: float = 1.0, steps: int = 3
+) -> Array:
     """Newton steps on the smoothed dissipation from a start b (n, 3) that is already close."""
     for _ in range(steps):
-        gradient, hessian = dissipation_derivatives(p, u, b, scale, share)
-        b = _improve(p, u, b, scale, share, solve3(hessian, gradient))
+        gradient, hessian = dissipation_derivatives(p, u, b, scale, share, power)
+        b = _improve(p, u, b, scale, share, power, solve3(hessian, gradient))
     return b
 
 
@@ -215,70 +218,79 @@ def _residuals(p: Array, u: Array, b: Array) -> tuple[Array, Array]:
     return e, np.sqrt(np.einsum("nij,nij->ni", e, e))
 
 
+def contact_weight(size: Array, scale: Array, share: Array, power: float) -> Array:
+    """Weight (n, 4) of each contact: friction force per slip, from slip sizes (n, 4)."""
+    return np.asarray(share * (size / scale[:, None] + FRICTION_EPSILON) ** (power - 2.0), dtype=np.float64)
+
+
 def _reweighted(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float) -> Array:
     _, size = _residuals(p, u, b)
-    weight = share * (size / scale[:, None] + FRICTION_EPSILON) ** (power - 2.0)
-    wide = np.repeat(weight, 2, axis=1)
+    wide = np.repeat(contact_weight(size, scale, share, power), 2, axis=1)
     products = (p[:, :, None] * p[:, None, :]).reshape(8, 9)
     return solve3((wide @ products).reshape(-1, 3, 3), (wide * u) @ p)
 
 
-def dissipation_derivatives(p: Array, u: Array, b: Array, scale: Array, share: Array) -> tuple[Array, Array]:
-    """Gradient (n, 3) and Hessian (n, 3, 3) of the smoothed dissipation at q = 1 by the motion b."""
+def dissipation_derivatives(
+    p: Array, u: Array, b: Array, scale: Array, share: Array, power: float = 1.0
+) -> tuple[Array, Array]:
+    """Gradient (n, 3) and Hessian (n, 3, 3) of the smoothed dissipation by the motion b."""
     e, size = _residuals(p, u, b)
-    curvature = contact_curvature(e, size, scale, share)
+    curvature = contact_curvature(e, size, scale, share, power)
     blocks = p.reshape(4, 2, 3)
-    weight = share / (size / scale[:, None] + FRICTION_EPSILON)
+    weight = contact_weight(size, scale, share, power)
     gradient = (np.repeat(weight, 2, axis=1) * e.reshape(-1, 8)) @ p
     products = np.einsum("iab,icd->iacbd", blocks, blocks).reshape(16, 9)
     return gradient, (curvature.reshape(-1, 16) @ products).reshape(-1, 3, 3)
 
 
-def contact_curvature(e: Array, size: Array, scale: Array, share: Array) -> Array:
+def contact_curvature(e: Array, size: Array, scale: Array, share: Array, power: float = 1.0) -> Array:
     """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2)."""
-    relative = size / scale[:, None] + FRICTION_EPSILON
-    weight = share / relative
+    weight = contact_weight(size, scale, share, power)
     direction = e / np.maximum(size, 1e-30)[..., None]
-    bend = -share * size / (relative**2 * scale[:, None])
+    relative = size / scale[:, None]
+    bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)
     curvature = bend[..., None, None] * direction[..., :, None] * direction[..., None, :]
     curvature[..., 0, 0] += weight
     curvature[..., 1, 1] += weight
     return np.asarray(curvature, dtype=np.float64)
 
 
-def _improve(p: Array, u: Array, b: Array, scale: Array, share: Array, step: Array) -> Array:
+def _improve(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float, step: Array) -> Array:
     """Newton step where it lowers the dissipation, half a step where only that does, else none."""
-    best, value = b, _dissipation(p, u, b, scale, share)
+    best, value = b, _dissipation(p, u, b, scale, share, power)
     for fraction in (0.5, 1.0):
         trial = b - fraction * step
-        trial_value = _dissipation(p, u, trial, scale, share)
+        trial_value = _dissipation(p, u, trial, scale, share, power)
         better = trial_value < value
         best = np.where(better[:, None], trial, best)
         value = np.where(better, trial_value, value)
     return best
 
 
-def _dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array) -> Array:
+def _dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float) -> Array:
+    """Integral of the friction force over slip, per block, in units of the block's displacement."""
     _, size = _residuals(p, u, b)
-    t = size / scale[:, None]
-    return np.asarray(
-        (share * (t - FRICTION_EPSILON * np.log1p(t / FRICTION_EPSILON))).sum(axis=1), dtype=np.float64
-    )
+    v = size / scale[:, None] + FRICTION_EPSILON
+    if power == 1.0:
+        each = v - FRICTION_EPSILON * np.log(v)
+    else:
+        each = v**power / power - FRICTION_EPSILON * v ** (power - 1.0) / (power - 1.0)
+    return np.asarray((share * each).sum(axis=1), dtype=np.float64)
 
 
-def solve3(a: Array, rhs: Array) -> Array:
-    """Solve n symmetric 3x3 systems by cofactors: ten times quicker than a batched LAPACK call."""
+def inverse3(a: Array) -> Array:
+    """Inverses (n, 3, 3) of symmetric 3x3 matrices by cofactors: ten times quicker than batched LAPACK."""
     a00, a01, a02 = a[:, 0, 0], a[:, 0, 1], a[:, 0, 2]
     a11, a12, a22 = a[:, 1, 1], a[:, 1, 2], a[:, 2, 2]
     c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
     c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-    r0, r1, r2 = rhs[:, 0], rhs[:, 1], rhs[:, 2]
-    det = a00 * c00 + a01 * c01 + a02 * c02
-    return np.stack(
-        [
-            (c00 * r0 + c01 * r1 + c02 * r2) / det,
-            (c01 * r0 + c11 * r1 + c12 * r2) / det,
-            (c02 * r0 + c12 * r1 + c22 * r2) / det,
-        ],
-        axis=1,
-    )
+    out = np.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22], axis=1)
+    out /= (a00 * c00 + a01 * c01 + a02 * c02)[:, None]
+    return out.reshape(-1, 3, 3)
+
+
+def solve3(a: Array, rhs: Array) -> Array:
+    """Solutions (n, 3) of symmetric 3x3 systems with right-hand sides (n, 3)."""
+    m = inverse3(a)
+    x, y, z = rhs[:, 0:1], rhs[:, 1:2], rhs[:, 2:3]
+    return np.asarray(m[:, :, 0] * x + m[:, :, 1] * y + m[:, :, 2] * z, dtype=np.float64)

@@ -14,11 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import interpolate, rest_pose, truth_window, wheel_steps
+from hil.calibration.evaluation import block_vectors, interpolate, rest_pose, truth_window
 from hil.geometry import Array
-from hil.kinematics import wheel_vectors
-
-_FINE_S = 0.016
 
 
 @dataclass(frozen=True)
@@ -83,10 +80,8 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
 
 def _reduce(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Array]:
     truth_s, _ = truth_window(recording)
-    fine = max(1, round(block_s / _FINE_S))
     count = max(1, int((truth_s[-1] - truth_s[0]) / block_s))
-    at_s = truth_s[0] + np.arange(count * fine + 1) * (block_s / fine)
-    rotation, steering = wheel_steps(recording, at_s, signal)
-    wheel = wheel_vectors(rotation, steering).reshape(count, fine, 8).sum(axis=1)
-    truth = interpolate(at_s[fine::fine], recording.truth_t_s, recording.truth_pose)
+    edges_s = truth_s[0] + np.arange(count + 1) * block_s
+    wheel = block_vectors(recording, edges_s, signal)
+    truth = interpolate(edges_s[1:], recording.truth_t_s, recording.truth_pose)
     return wheel, truth, rest_pose(recording)

@@ -24,6 +24,8 @@ from hil.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.odometry import integrate
 
 SIGNALS = ("position", "velocity")
+FRICTION_BLOCK_S = 0.3
+_LOG_PERIOD_S = 0.016
 _PAPER_DROPPED = 29
 _REST_RAD = 0.02
 _REST_MIN = 5
@@ -106,13 +108,60 @@ def track(
     if model == "paper" and correction is None:
         return _paper_track(recording, geometry, signal)
     at_s, truth = truth_window(recording)
-    rotation, steering = wheel_steps(recording, at_s, signal)
-    u = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
+    step_s = at_s if model != "dry-friction" else block_edges(at_s, FRICTION_BLOCK_S)
+    wheel_rad = block_vectors(recording, step_s, signal)
+    u = rolled(geometry.vector(), wheel_rad)
     motion = twist_of_vectors(geometry.x_m, geometry.y_m, u, model)
     if correction is not None:
         motion = motion @ correction.T
-    start = rest_pose(recording)
-    return Track(recording, at_s - at_s[0], integrate(start, motion), truth)
+    poses = integrate(rest_pose(recording), motion)
+    if model == "dry-friction":
+        poses = sample_path(at_s, step_s, poses, motion)
+    return Track(recording, at_s - at_s[0], poses, truth)
+
+
+def block_edges(at_s: Array, block_s: float) -> Array:
+    """Edges of blocks of `block_s` from the first instant to just past the last."""
+    count = int(np.ceil((at_s[-1] - at_s[0]) / block_s))
+    return np.asarray(at_s[0] + np.arange(count + 1) * block_s, dtype=np.float64)
+
+
+def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
+    """Wheel vectors dphi_i (cos d_i, sin d_i) summed between edges, shape (n, 8), rad.
+
+    Increments are formed every 16 ms, the rate of the log, so that steering may change within a block.
+    """
+    fine = max(1, round(float(np.median(np.diff(edges_s))) / _LOG_PERIOD_S))
+    parts = np.linspace(0.0, 1.0, fine + 1)[:-1]
+    inner = (edges_s[:-1, None] + np.diff(edges_s)[:, None] * parts).ravel()
+    rotation, steering = wheel_steps(recording, np.append(inner, edges_s[-1]), signal)
+    return np.asarray(
+        wheel_vectors(rotation, steering).reshape(len(edges_s) - 1, fine, 8).sum(axis=1), dtype=np.float64
+    )
+
+
+def rolled(z: Array, wheel_rad: Array) -> Array:
+    """Wheel displacement vectors (n, 8), m, of raw wheel vectors (n, 8), rad, under parameters z."""
+    radius = z[8:12]
+    zero = z[12:16] if len(z) == 16 else np.zeros(4)
+    c, s = radius * np.cos(zero), radius * np.sin(zero)
+    out = np.empty_like(wheel_rad)
+    out[:, 0::2] = c * wheel_rad[:, 0::2] + s * wheel_rad[:, 1::2]
+    out[:, 1::2] = c * wheel_rad[:, 1::2] - s * wheel_rad[:, 0::2]
+    return out
+
+
+def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
+    """Poses (n, 3) at any instants on a path of constant body twist between its edges."""
+    k = np.clip(np.searchsorted(edges_s, at_s, side="right") - 1, 0, len(motion) - 1)
+    share = ((at_s - edges_s[k]) / (edges_s[k + 1] - edges_s[k]))[:, None]
+    part = motion[k] * share
+    half = 0.5 * part[:, 2]
+    chord, heading = np.sinc(half / np.pi), poses[k, 2] + half
+    c, s = np.cos(heading) * chord, np.sin(heading) * chord
+    x = poses[k, 0] + c * part[:, 0] - s * part[:, 1]
+    y = poses[k, 1] + s * part[:, 0] + c * part[:, 1]
+    return np.column_stack([x, y, poses[k, 2] + part[:, 2]])
 
 
 def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> Track:

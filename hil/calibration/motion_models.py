@@ -13,18 +13,19 @@ from typing import Protocol
 
 import numpy as np
 
+from hil.calibration.evaluation import rolled
 from hil.geometry import Array
 from hil.kinematics import (
-    FRICTION_EPSILON,
     contact_curvature,
+    contact_weight,
     displacement_scale,
     dissipation_derivatives,
     forward_matrix,
     forward_matrix_derivative,
+    inverse3,
     least_dissipation,
     polish_dissipation,
     projection,
-    solve3,
 )
 
 
@@ -38,17 +39,6 @@ class MotionModel(Protocol):
     @abstractmethod
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
         """Motion (n, 3) and its derivative (n, 3, len(z))."""
-
-
-def rolled(z: Array, wheel_rad: Array) -> Array:
-    """Wheel displacement vectors u (n, 8), m, of raw wheel vectors q (n, 8), rad."""
-    radius = z[8:12]
-    zero = z[12:16] if len(z) == 16 else np.zeros(4)
-    c, s = radius * np.cos(zero), radius * np.sin(zero)
-    out = np.empty_like(wheel_rad)
-    out[:, 0::2] = c * wheel_rad[:, 0::2] + s * wheel_rad[:, 1::2]
-    out[:, 1::2] = c * wheel_rad[:, 1::2] - s * wheel_rad[:, 0::2]
-    return out
 
 
 class LinearModel(MotionModel):
@@ -84,8 +74,8 @@ def linear_matrix(z: Array, model: str = "exact") -> Array:
 class DryFrictionModel(MotionModel):
     """Least dissipation; warm-started, since a fit asks for neighbouring z one after the other."""
 
-    def __init__(self, wheel_rad: Array) -> None:
-        self._q = wheel_rad
+    def __init__(self, wheel_rad: Array, power: float = 1.0) -> None:
+        self._q, self._power = wheel_rad, power
         self._moving = np.any(wheel_rad != 0.0, axis=1)
         self._last: tuple[Array, Array] | None = None
 
@@ -99,9 +89,9 @@ class DryFrictionModel(MotionModel):
         u = rolled(z, self._q[self._moving])
         p, scale, share = projection(z[0:4], z[4:8]), displacement_scale(u), np.ones(4)
         if self._last is not None and np.max(np.abs(self._last[0] - z)) < 2e-3:
-            b = polish_dissipation(p, u, self._last[1], scale, share, steps=4)
+            b = polish_dissipation(p, u, self._last[1], scale, share, power=self._power, steps=4)
         else:
-            b = least_dissipation(p, u)
+            b = least_dissipation(p, u, power=self._power)
             self._last = (z.copy(), b)
         return b, u, p, scale
 
@@ -112,26 +102,22 @@ class DryFrictionModel(MotionModel):
         share = np.ones(4)
         e = (b @ p.T - u).reshape(-1, 4, 2)
         size = np.sqrt(np.einsum("nij,nij->ni", e, e))
-        _, hessian = dissipation_derivatives(p, u, b, scale, share)
-        pull = _pull(z, b, u.reshape(-1, 4, 2), e, size, scale)
-        n, m = len(b), len(z)
-        solved = solve3(np.repeat(hessian, m, axis=0), -pull.transpose(0, 2, 1).reshape(n * m, 3)).reshape(
-            n, m, 3
-        )
-        motion, jacobian = np.zeros((len(self._q), 3)), np.zeros((len(self._q), 3, m))
+        _, hessian = dissipation_derivatives(p, u, b, scale, share, self._power)
+        pull = _pull(z, b, u.reshape(-1, 4, 2), e, size, scale, self._power)
+        motion, jacobian = np.zeros((len(self._q), 3)), np.zeros((len(self._q), 3, len(z)))
         motion[self._moving] = b
-        jacobian[self._moving] = solved.transpose(0, 2, 1)
+        jacobian[self._moving] = -np.matmul(inverse3(hessian), pull)
         return motion, jacobian
 
 
-def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array) -> Array:
+def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array, power: float) -> Array:
     """Derivative (n, 3, len(z)) of the dissipation's gradient by z at fixed motion b.
 
     The smoothing scale is treated as fixed: its influence on the minimiser is of second order.
     """
     share = np.ones(4)
-    curvature = contact_curvature(e, size, scale, share)
-    force = e / (size / scale[:, None] + FRICTION_EPSILON)[..., None]
+    curvature = contact_curvature(e, size, scale, share, power)
+    force = e * contact_weight(size, scale, share, power)[..., None]
     omega, zero = np.broadcast_to(b[:, 2:3], size.shape), np.zeros_like(size)
     slips = [
         np.stack([zero, omega], axis=-1),
@@ -151,6 +137,8 @@ def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array) -> 
     return out
 
 
-def make_model(name: str, wheel_rad: Array) -> MotionModel:
-    """Motion model by name for blocks (n, 8)."""
-    return DryFrictionModel(wheel_rad) if name == "dry-friction" else LinearModel(name, wheel_rad)
+def make_model(name: str, wheel_rad: Array, power: float = 1.0) -> MotionModel:
+    """Motion model by name for blocks (n, 8); `power` is the friction law's exponent."""
+    if name == "dry-friction":
+        return DryFrictionModel(wheel_rad, power)
+    return LinearModel(name, wheel_rad)

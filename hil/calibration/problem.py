@@ -1,0 +1,210 @@
+"""The least-squares problem of a calibration: residuals, weights, prior or bounds, derivatives.
+
+Two named settings. `paper`: squared errors in m^2 + rad^2, twelve parameters in a hard box of +-5 %
+around nominal. `recommended`: sixteen parameters with a Gaussian prior instead of bounds, residuals
+in units of their spread, each recording counted as a few effective observations, because twenty
+seconds of odometry error are one random walk (`facts/calibration.md` section 5), and a Cauchy weight
+per recording, so that a bad one cannot pull the fit.
+"""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.calibration.blocks import Blocks
+from hil.calibration.motion_models import MotionModel, make_model
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+from hil.odometry import integrate_with_jacobian
+
+PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
+
+_EFFECTIVE_OBSERVATIONS = 3.0
+_CAUCHY = 2.0 * 1.2
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is fitted and how it is weighed.
+
+    Attributes:
+        name: `paper`, `recommended` or `custom`.
+        model, signal: forward model and wheel signal.
+        offsets: whether the four steering zeros are free.
+        sigma: residual scale (m, m, rad); None for the paper's plain sum.
+        prior_length, prior_radius: relative standard deviations; prior_offset_rad absolute.
+        bounds: relative half width of a hard box, None for none.
+        block_s: length of a block.
+        robust: Cauchy weight per recording.
+    """
+
+    name: str
+    model: str
+    signal: str
+    offsets: bool
+    sigma: tuple[float, float, float] | None
+    prior_length: float
+    prior_radius: float
+    prior_offset_rad: float
+    bounds: float | None
+    block_s: float
+    robust: bool
+
+
+PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
+RECOMMENDED = Setting(
+    "recommended", "dry-friction", "position", True, (0.004, 0.004, 0.006), 0.01, 0.01,
+    float(np.radians(0.75)), None, 0.3, True,
+)  # fmt: skip
+SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
+
+
+class Problem:
+    """Weighted residuals of z over blocks of recordings, with prior rows appended.
+
+    Attributes:
+        nominal: (m,) start and prior mean; `prior_std` (m,).
+        lower, upper: (m,) box, infinite where there is none.
+        weights: (R,) per recording, 1 until `reweigh`.
+    """
+
+    def __init__(self, blocks: Blocks, setting: Setting, nominal: WheelGeometry) -> None:
+        self.blocks, self.setting = blocks, setting
+        self.nominal = nominal.vector()[: 16 if setting.offsets else 12].copy()
+        self.prior_std = prior_std(self.nominal, setting)
+        reach = np.inf if setting.bounds is None else setting.bounds
+        half = (
+            np.abs(self.nominal) * reach if setting.bounds is not None else np.full_like(self.nominal, reach)
+        )
+        half[12:] = np.inf
+        self.lower, self.upper = self.nominal - half, self.nominal + half
+        self.weights = np.ones(len(blocks.names))
+        self.evaluations = 0
+        self._model: MotionModel = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8))
+        self._scale = self._row_scale()
+
+    def _row_scale(self) -> Array:
+        """(R, N, 3) factor of each residual without the recording's weight; 0 for padding."""
+        mask = self.blocks.mask[..., None] * np.ones(3)
+        if self.setting.sigma is None:
+            return np.asarray(mask * np.sqrt(self.blocks.block_s / 0.01), dtype=np.float64)
+        share = np.sqrt(_EFFECTIVE_OBSERVATIONS / self.blocks.counts)
+        return np.asarray(mask * share[:, None, None] / np.array(self.setting.sigma), dtype=np.float64)
+
+    def with_weights(self, weights: Array) -> Problem:
+        """The same problem with other weights per recording (shares the warm start)."""
+        other = copy.copy(self)
+        other.weights = weights
+        return other
+
+    def with_power(self, power: float) -> Problem:
+        """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
+        other = copy.copy(self)
+        other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), power)
+        return other
+
+    def errors(self, z: Array) -> Array:
+        """Pose errors (R, N, 3): odometry minus truth, m, m, rad."""
+        self.evaluations += 1
+        r, n, _ = self.blocks.wheel_rad.shape
+        motion = self._model.motion(z).reshape(r, n, 3)
+        poses = _integrate_all(self.blocks.start, motion)
+        return np.asarray(poses - self.blocks.truth, dtype=np.float64)
+
+    def errors_and_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Pose errors (R, N, 3) and their derivatives (R, N, 3, m)."""
+        self.evaluations += 1
+        r, n, _ = self.blocks.wheel_rad.shape
+        motion, jacobian = self._model.motion_jacobian(z)
+        motion, jacobian = motion.reshape(r, n, 3), jacobian.reshape(r, n, 3, -1)
+        errors, slopes = np.zeros((r, n, 3)), np.zeros((r, n, 3, len(z)))
+        for k, count in enumerate(self.blocks.counts):
+            poses, slope = integrate_with_jacobian(
+                self.blocks.start[k], motion[k, :count], jacobian[k, :count]
+            )
+            errors[k, :count] = poses[1:] - self.blocks.truth[k, :count]
+            slopes[k, :count] = slope[1:]
+        return errors, slopes
+
+    def normal_terms(self, z: Array) -> tuple[Array, Array, Array]:
+        """Per recording and unweighted: cost (R,), J'e (R, m) and J'J (R, m, m), without the prior."""
+        errors, slopes = self.errors_and_jacobian(z)
+        e = (errors * self._scale).reshape(len(errors), -1)
+        j = (slopes * self._scale[..., None]).reshape(*e.shape, len(z))
+        jt = j.transpose(0, 2, 1)
+        return (e**2).sum(axis=1), (jt @ e[..., None])[..., 0], jt @ j
+
+    def recording_costs(self, z: Array) -> Array:
+        """Unweighted squared residuals (R,) of each recording."""
+        return np.asarray(((self.errors(z) * self._scale) ** 2).sum(axis=(1, 2)), dtype=np.float64)
+
+    def prior_cost(self, z: Array) -> float:
+        """Squared prior residual; 0 under a hard box."""
+        if self.setting.bounds is not None:
+            return 0.0
+        return float(np.sum(((z - self.nominal) / self.prior_std) ** 2))
+
+    def prior_precision(self) -> Array:
+        """(m,) diagonal of the prior's information; 0 under a hard box."""
+        if self.setting.bounds is not None:
+            return np.zeros_like(self.nominal)
+        return np.asarray(1.0 / self.prior_std**2, dtype=np.float64)
+
+    def objective(self, z: Array) -> float:
+        """What the solvers minimise."""
+        return float(self.weights @ self.recording_costs(z)) + self.prior_cost(z)
+
+    def gradient_terms(self, z: Array) -> tuple[float, Array, Array]:
+        """Objective, half its gradient (m,) and the Gauss-Newton matrix (m, m)."""
+        costs, je, jj = self.normal_terms(z)
+        precision = self.prior_precision()
+        value = float(self.weights @ costs) + self.prior_cost(z)
+        gradient = self.weights @ je + precision * (z - self.nominal)
+        return value, gradient, np.einsum("r,rab->ab", self.weights, jj) + np.diag(precision)
+
+    def cauchy_weights(self, z: Array) -> Array:
+        """Weights (R,) from each recording's residual against the median recording."""
+        rms = np.sqrt(self.recording_costs(z))
+        scale = _CAUCHY * float(np.median(rms))
+        return np.asarray(1.0 / (1.0 + (rms / max(scale, 1e-12)) ** 2), dtype=np.float64)
+
+    def clip(self, z: Array) -> Array:
+        """Parameters moved into the box."""
+        return np.asarray(np.clip(z, self.lower, self.upper), dtype=np.float64)
+
+
+def prior_std(nominal: Array, setting: Setting) -> Array:
+    """Prior standard deviation (m,) of each parameter."""
+    out = np.empty_like(nominal)
+    out[:8] = setting.prior_length * np.abs(nominal[:8])
+    out[8:12] = setting.prior_radius * np.abs(nominal[8:12])
+    out[12:] = setting.prior_offset_rad
+    return out
+
+
+def _integrate_all(start: Array, motion: Array) -> Array:
+    """Poses (R, N, 3) after each block of body motions (R, N, 3); the batch form of `integrate`."""
+    theta = start[:, None, 2] + np.cumsum(motion[..., 2], axis=1)
+    half = 0.5 * motion[..., 2]
+    heading, chord = theta - half, np.sinc(half / np.pi)
+    c, s = np.cos(heading) * chord, np.sin(heading) * chord
+    x = start[:, None, 0] + np.cumsum(c * motion[..., 0] - s * motion[..., 1], axis=1)
+    y = start[:, None, 1] + np.cumsum(s * motion[..., 0] + c * motion[..., 1], axis=1)
+    return np.stack([x, y, theta], axis=-1)
+
+
+def make_setting(
+    name: str, *, model: str | None = None, signal: str | None = None, bounds: float | None = None
+) -> Setting:
+    """A named setting, with the parts that a user overrides."""
+    base = SETTINGS[name]
+    if model is not None and model != base.model:
+        base = replace(base, model=model, block_s=0.3 if model == "dry-friction" else 0.1)
+    if signal is not None:
+        base = replace(base, signal=signal)
+    if bounds is not None:
+        base = replace(base, bounds=bounds)
+    return base if base == SETTINGS[name] else replace(base, name="custom")

@@ -1,0 +1,280 @@
+"""The four methods of the paper behind one call: Levenberg-Marquardt, interior point, GA, PSO.
+
+All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix; the
+stochastic ones search the directions that the data determine (in the raw box they stop 4 to 135 %
+above the optimum, `facts/calibration.md` section 7) and are polished by Levenberg-Marquardt; the
+result says both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.calibration.problem import Problem
+from hil.errors import UsageError
+from hil.geometry import Array
+
+METHODS = ("lm", "interior-point", "ga", "pso")
+BoolArray: TypeAlias = npt.NDArray[np.bool_]
+Progress = Callable[[int, int], None]
+
+_LM_LIMIT = 200
+_RELATIVE_STEP = 1e-12
+_SEARCH_STD = 3.0
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where a method ended.
+
+    Attributes:
+        z: (m,) parameters.
+        objective: value at z.
+        iterations: of the method itself; `converged` whether its own criterion was met.
+        searched: dimension of the searched subspace (stochastic methods), else len(z).
+        objective_before_polish: of a stochastic method's best candidate, None otherwise.
+    """
+
+    z: Array
+    objective: float
+    iterations: int
+    converged: bool
+    searched: int
+    objective_before_polish: float | None = None
+    history: tuple[float, ...] = field(default=(), repr=False)
+
+
+def solve(
+    problem: Problem,
+    method: str = "lm",
+    *,
+    seed: int = 0,
+    start: Array | None = None,
+    progress: Progress | None = None,
+) -> Solution:
+    """Minimise a problem.
+
+    Args:
+        problem: what to minimise.
+        method: `lm`, `interior-point`, `ga` or `pso`.
+        seed: of the stochastic methods.
+        start: (m,), nominal by default.
+        progress: called with (done, total) generations by the stochastic methods.
+    """
+    z0 = problem.nominal if start is None else start
+    if method == "lm":
+        return levenberg_marquardt(problem, z0)
+    if method == "interior-point":
+        return interior_point(problem, z0)
+    if method in ("ga", "pso"):
+        search = genetic if method == "ga" else particle_swarm
+        return _stochastic(problem, search, np.random.default_rng(seed), progress)
+    raise UsageError(f"method {method!r}", expected="one of " + ", ".join(METHODS))
+
+
+def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> Solution:
+    """Levenberg-Marquardt with an active set on the box (More 1978; Kanzow et al. 2004)."""
+    z, damping = problem.clip(z0), 1e-3
+    value, gradient, hessian = problem.gradient_terms(z)
+    history, iterations, converged = [value], 0, False
+    while iterations < limit and not converged:
+        iterations += 1
+        free = ~(((z <= problem.lower) & (gradient > 0)) | ((z >= problem.upper) & (gradient < 0)))
+        if not free.any():
+            converged = True
+            break
+        trial, expected = _box_step(problem, z, gradient, hessian, free, damping)
+        if expected <= _RELATIVE_STEP * max(value, 1e-12):
+            converged = True
+            break
+        trial_value = problem.objective(trial)
+        if trial_value < value:
+            gain = (value - trial_value) / max(expected, 1e-300)
+            damping = max(damping * (0.2 if gain > 0.5 else 1.0), 1e-12)
+            relative = (value - trial_value) / max(value, 1e-300)
+            z = trial
+            value, gradient, hessian = problem.gradient_terms(z)
+            history.append(value)
+            converged = relative < 1e-9
+        else:
+            damping *= 6.0
+            converged = damping > 1e12
+    return Solution(z, value, iterations, converged, len(z), history=tuple(history))
+
+
+def _box_step(
+    problem: Problem, z: Array, gradient: Array, hessian: Array, free: BoolArray, damping: float
+) -> tuple[Array, float]:
+    """Damped step that stays in the box: parameters that hit it are fixed and the rest solved again."""
+    free = np.array(free, dtype=bool)
+    step = np.zeros_like(z)
+    scale = np.maximum(np.diag(hessian), 1e-12)
+    for _ in range(len(z) + 1):
+        fixed = np.flatnonzero(~free)
+        rhs = -(gradient + hessian[:, fixed] @ step[fixed])[free]
+        block = hessian[np.ix_(free, free)] + damping * np.diag(scale[free])
+        step[free] = np.linalg.solve(block, rhs)
+        out: BoolArray = free & ((z + step < problem.lower) | (z + step > problem.upper))
+        if not out.any():
+            break
+        step[out] = problem.clip(z + step)[out] - z[out]
+        free &= ~out
+        if not free.any():
+            break
+    trial = problem.clip(z + step)
+    moved = trial - z
+    return trial, float(-(2 * gradient @ moved + moved @ hessian @ moved))
+
+
+def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
+    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19).
+
+    A problem without a box gets one of ten prior standard deviations, which never binds.
+    """
+    reach = 10.0 * problem.prior_std
+    lower = np.where(np.isfinite(problem.lower), problem.lower, problem.nominal - reach)
+    upper = np.where(np.isfinite(problem.upper), problem.upper, problem.nominal + reach)
+    span = upper - lower
+    z = np.clip(z0, lower + 1e-3 * span, upper - 1e-3 * span)
+    value, gradient, hessian = problem.gradient_terms(z)
+    barrier = 0.1 * max(value, 1e-9) / len(z)
+    dual_low, dual_up = barrier / (z - lower), barrier / (upper - z)
+    history, iterations, damping = [value], 0, 1e-9
+    while iterations < limit:
+        iterations += 1
+        low, up = z - lower, upper - z
+        matrix = 2 * hessian + np.diag(dual_low / low + dual_up / up)
+        matrix += damping * np.diag(np.diag(hessian))
+        rhs = -(2 * gradient - barrier / low + barrier / up)
+        step = np.linalg.solve(matrix, rhs)
+        step_low = barrier / low - dual_low - dual_low / low * step
+        step_up = barrier / up - dual_up + dual_up / up * step
+        primal = _largest_step(np.r_[low, up], np.r_[step, -step])
+        dual = _largest_step(np.r_[dual_low, dual_up], np.r_[step_low, step_up])
+        merit = _merit(value, low, up, barrier)
+        for _ in range(12):
+            trial = z + primal * step
+            trial_value = problem.objective(trial)
+            if _merit(trial_value, trial - lower, upper - trial, barrier) <= merit + 1e-12 * abs(merit):
+                break
+            primal *= 0.4
+        else:
+            damping = max(damping * 100.0, 1e-6)
+            if damping > 1e6:
+                break
+            continue
+        damping = max(damping * 0.1, 1e-9)
+        z = trial
+        dual_low, dual_up = dual_low + dual * step_low, dual_up + dual * step_up
+        value, gradient, hessian = problem.gradient_terms(z)
+        history.append(value)
+        gap = float(dual_low @ (z - lower) + dual_up @ (upper - z))
+        if gap <= 1e-7 * max(value, 1e-12) and float(np.max(np.abs(step) / span)) < 1e-4:
+            break
+        barrier = min(barrier, 0.1 * gap / (2 * len(z)))
+    return Solution(z, value, iterations, iterations < limit, len(z), history=tuple(history))
+
+
+def _largest_step(values: Array, steps: Array) -> float:
+    """Fraction to the boundary, at most 1."""
+    shrinking = steps < 0
+    if not shrinking.any():
+        return 1.0
+    return float(min(1.0, 0.995 * np.min(-values[shrinking] / steps[shrinking])))
+
+
+def _merit(value: float, low: Array, up: Array, barrier: float) -> float:
+    if np.any(low <= 0) or np.any(up <= 0):
+        return np.inf
+    return value - barrier * float(np.log(low).sum() + np.log(up).sum())
+
+
+Search = Callable[[Callable[[Array], float], int, np.random.Generator, Progress | None], tuple[Array, int]]
+
+
+def _stochastic(
+    problem: Problem, search: Search, rng: np.random.Generator, progress: Progress | None
+) -> Solution:
+    """Search in whitened coordinates of the determined directions, then polish."""
+    directions = determined_directions(problem)
+
+    def candidate(s: Array) -> Array:
+        return problem.clip(problem.nominal + directions @ s)
+
+    best, generations = search(lambda s: problem.objective(candidate(s)), directions.shape[1], rng, progress)
+    z = candidate(best)
+    found = problem.objective(z)
+    polished = levenberg_marquardt(problem, z)
+    return Solution(
+        polished.z, polished.objective, generations, polished.converged, directions.shape[1], found
+    )
+
+
+def determined_directions(problem: Problem) -> Array:
+    """(m, d) columns: directions that the data determine better than the prior, one prior std long.
+
+    Data information J'J is whitened by the prior spread; directions with more than the prior's own
+    information are kept ("report directions with information > 1", `facts/calibration.md`).
+    """
+    _, _, hessian = problem.gradient_terms(problem.nominal)
+    information = hessian - np.diag(problem.prior_precision())
+    if problem.setting.bounds is not None:
+        information = information / (0.006**2)
+    spread = problem.prior_std
+    values, vectors = np.linalg.eigh(spread[:, None] * information * spread[None, :])
+    keep = values > 1.0
+    return np.asarray((spread[:, None] * vectors)[:, keep][:, ::-1], dtype=np.float64)
+
+
+def genetic(
+    objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
+    progress: Progress | None = None, population: int = 40, generations: int = 36,
+) -> tuple[Array, int]:  # fmt: skip
+    """Real-coded genetic algorithm: tournament, blend crossover, shrinking Gaussian mutation, elite."""
+    people = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (population, dimension))
+    people[0] = 0.0
+    cost = np.array([objective(p) for p in people])
+    for generation in range(generations):
+        rivals = rng.integers(population, size=(2, 2, population))
+        winners = np.where(cost[rivals[0]] < cost[rivals[1]], rivals[0], rivals[1])
+        mix = rng.uniform(-0.25, 1.25, (population, dimension))
+        children = mix * people[winners[0]] + (1 - mix) * people[winners[1]]
+        spread = 0.5 * 0.88**generation
+        mutate = rng.random((population, dimension)) < 0.3
+        children += mutate * rng.normal(0.0, spread, (population, dimension))
+        elite = people[np.argsort(cost, kind="stable")[:2]]
+        elite_cost = np.sort(cost)[:2]
+        child_cost = np.array([objective(c) for c in children])
+        worst = np.argsort(child_cost, kind="stable")[-2:]
+        children[worst], child_cost[worst] = elite, elite_cost
+        people, cost = children, child_cost
+        if progress is not None:
+            progress(generation + 1, generations)
+    return people[int(np.argmin(cost))], generations
+
+
+def particle_swarm(
+    objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
+    progress: Progress | None = None, particles: int = 30, generations: int = 48,
+) -> tuple[Array, int]:  # fmt: skip
+    """Particle swarm with constriction (Clerc and Kennedy 2002): inertia 0.7298, pulls 1.49618."""
+    place = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (particles, dimension))
+    place[0] = 0.0
+    speed = rng.uniform(-1.0, 1.0, (particles, dimension))
+    best, cost = place.copy(), np.array([objective(p) for p in place])
+    for generation in range(generations):
+        leader = best[int(np.argmin(cost))]
+        own, social = rng.random((2, particles, dimension))
+        speed = 0.7298 * speed + 1.49618 * (own * (best - place) + social * (leader - place))
+        place = place + speed
+        now = np.array([objective(p) for p in place])
+        better = now < cost
+        best[better], cost[better] = place[better], now[better]
+        if progress is not None:
+            progress(generation + 1, generations)
+    return best[int(np.argmin(cost))], generations
