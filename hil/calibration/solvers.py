@@ -2,8 +2,8 @@
 
 All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix; the
 stochastic ones search the directions that the data determine (in the raw box they stop 4 to 135 %
-above the optimum, `facts/calibration.md` section 7) and are polished by Levenberg-Marquardt; the
-result says both.
+above the optimum, `facts/calibration.md` section 7) and are polished by a gradient method (interior
+point where there is a box); the result says both.
 """
 
 from __future__ import annotations
@@ -209,7 +209,8 @@ def _stochastic(
     best, generations = search(lambda s: problem.objective(candidate(s)), directions.shape[1], rng, progress)
     z = candidate(best)
     found = problem.objective(z)
-    polished = levenberg_marquardt(problem, z)
+    boxed = problem.setting.bounds is not None
+    polished = interior_point(problem, z) if boxed else levenberg_marquardt(problem, z)
     return Solution(
         polished.z, polished.objective, generations, polished.converged, directions.shape[1], found
     )

@@ -1,0 +1,220 @@
+"""`hil calibrate` as a function: fit, validate, say what the data determine, put it in one result."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.calibration.blocks import Blocks, reduce_recordings
+from hil.calibration.datasets import Recording
+from hil.calibration.evaluation import cost, track
+from hil.calibration.fitting import Fit, fit, twist_correction
+from hil.calibration.identifiability import Identifiability, Jackknife, identifiability, jackknife
+from hil.calibration.problem import PAPER, Setting
+from hil.calibration.validation import (
+    Table,
+    cross_validate,
+    repeatability,
+    repetition_numbers,
+    score,
+)
+from hil.clock import NS_PER_S, Clock
+from hil.errors import DataError
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+
+Report = Callable[[str, int, int], None]
+"""Progress: (what, done, total)."""
+
+_VALIDATION_BLOCK_S = 0.3
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Everything that a calibration found; `to_json` gives the documented keys."""
+
+    method: str
+    seed: int
+    setting: Setting
+    nominal: WheelGeometry
+    fit: Fit
+    spectrum: Identifiability
+    intervals: Jackknife
+    cost_before: float
+    cost_after: float
+    validation: dict[str, Table]
+    floor: dict[str, float]
+    recordings: tuple[Recording, ...]
+    warnings: tuple[str, ...]
+    evaluations: int
+    wall_s: float
+
+    @property
+    def geometry(self) -> WheelGeometry:
+        """The calibrated geometry."""
+        return self.fit.geometry
+
+    @property
+    def twist(self) -> Array:
+        """The same result as a 3x3 correction for nominal odometry and nominal inverse kinematics."""
+        return twist_correction(self.fit.solution.z, self.nominal)
+
+    def to_json(self) -> dict[str, object]:
+        """JSON of `hil calibrate` (`design.md`); keys may be added, never renamed."""
+        z = self.fit.solution.z
+        half = self.intervals.quantile * self.intervals.std
+        weights = zip(self.fit.problem.blocks.names, self.fit.problem.weights.tolist(), strict=True)
+        return {
+            "method": self.method,
+            "setting": self.setting.name,
+            "model": self.setting.model,
+            "signal": self.setting.signal,
+            "seed": self.seed,
+            "recordings": len(self.recordings),
+            "cost_before": self.cost_before,
+            "cost_after": self.cost_after,
+            "objective": self.fit.solution.objective,
+            "objective_before_polish": self.fit.solution.objective_before_polish,
+            "polished": self.fit.solution.objective_before_polish is not None,
+            "searched_dimensions": self.fit.solution.searched,
+            "iterations": self.fit.solution.iterations,
+            "converged": self.fit.solution.converged,
+            "parameters": _named(z),
+            "std": _named(self.intervals.std),
+            "interval_95": _named(half),
+            "at_bound": list(self.spectrum.at_bound),
+            "unobservable": list(self.spectrum.unobservable),
+            "determined_directions": self.spectrum.determined,
+            "directions": list(self.spectrum.directions),
+            "singular_values": self.spectrum.singular_values.tolist(),
+            "information": self.spectrum.information.tolist(),
+            "twist_correction": self.twist.tolist(),
+            "twist_std": _numbers(self.intervals.twist_std),
+            "weights": dict(weights),
+            "rejected": list(self.fit.rejected),
+            "validation": self.validation,
+            "repeatability_m": {k: None if math.isnan(v) else v for k, v in self.floor.items()},
+            "warnings": list(self.warnings),
+            "evaluations": self.evaluations,
+            "wall_s": self.wall_s,
+        }
+
+
+def _numbers(values: Array) -> object:
+    """Nested lists with None for what is not known."""
+    if values.ndim:
+        return [_numbers(v) for v in values]
+    return float(values) if np.isfinite(values) else None
+
+
+def _named(z: Array) -> dict[str, object]:
+    keys = ("x_w_m", "y_w_m", "r_m", "delta0_rad")
+    return {k: _numbers(z[4 * i : 4 * i + 4]) for i, k in enumerate(keys) if len(z) >= 4 * i + 4}
+
+
+def calibrate(
+    recordings: Sequence[Recording],
+    setting: Setting,
+    clock: Clock,
+    *,
+    method: str = "lm",
+    seed: int = 0,
+    nominal: WheelGeometry | None = None,
+    validate: bool = True,
+    report: Report = lambda what, done, total: None,
+) -> Calibration:
+    """Fit the odometry parameters to recordings and judge the result.
+
+    Args:
+        recordings: runs with ground truth.
+        setting: `PAPER`, `RECOMMENDED` or a variation.
+        clock: for the reported compute time.
+        method: `lm`, `interior-point`, `ga` or `pso`.
+        seed: of the stochastic methods.
+        nominal: prior mean and start; CAD geometry by default.
+        validate: whether to run the cross-validations.
+        report: progress callback (what, done, total).
+
+    Raises:
+        DataError: nothing to fit, or a signal that the recordings lack.
+    """
+    if not recordings:
+        raise DataError("", "no recordings", expected="at least one")
+    begin_ns = clock.now_ns()
+    cad = nominal if nominal is not None else WheelGeometry.nominal()
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    found = fit(
+        blocks, setting, cad, method=method, seed=seed,
+        progress=lambda done, total: report(f"{method} generations", done, total),
+    )  # fmt: skip
+    spectrum = identifiability(found)
+    before = [track(r, cad, setting.model, setting.signal) for r in recordings]
+    after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]
+    tables = _validation(recordings, blocks, setting, cad, found, report) if validate else {}
+    return Calibration(
+        method=method,
+        seed=seed,
+        setting=setting,
+        nominal=cad,
+        fit=found,
+        spectrum=spectrum,
+        intervals=jackknife(found, cad),
+        cost_before=cost(before),
+        cost_after=cost(after),
+        validation=tables,
+        floor=repeatability(recordings),
+        recordings=tuple(recordings),
+        warnings=_warnings(recordings, found, spectrum),
+        evaluations=found.problem.evaluations,
+        wall_s=(clock.now_ns() - begin_ns) / NS_PER_S,
+    )
+
+
+def _validation(
+    recordings: Sequence[Recording],
+    blocks: Blocks,
+    setting: Setting,
+    nominal: WheelGeometry,
+    found: Fit,
+    report: Report,
+) -> dict[str, Table]:
+    tables = {"nominal": score(recordings, nominal, setting)}
+    tables["in_sample"] = score(recordings, found.geometry, setting)
+    runs = [(setting, blocks, found.solution.z, "")]
+    if setting.name != PAPER.name and all(r.has_rates for r in recordings):
+        paper = replace(PAPER, block_s=_VALIDATION_BLOCK_S)
+        paper_blocks = reduce_recordings(recordings, paper.block_s, paper.signal)
+        runs.append((paper, paper_blocks, fit(paper_blocks, paper, nominal).solution.z, "paper_"))
+    repetitions = repetition_numbers(blocks.motions)
+    for kind, reduced, start, prefix in runs:
+        folds: dict[str, Sequence[object]] = {
+            "leave_one_repetition_out": repetitions,
+            "leave_one_motion_out": blocks.motions,
+        }
+        for name, groups in folds.items():
+            if len(set(groups)) > 1:
+                tables[prefix + name] = cross_validate(
+                    recordings, reduced, kind, nominal, start, groups,
+                    lambda done, total, what=prefix + name: report(what.replace("_", " "), done, total),  # type: ignore[misc]
+                )  # fmt: skip
+    return tables
+
+
+def _warnings(recordings: Sequence[Recording], found: Fit, spectrum: Identifiability) -> tuple[str, ...]:
+    out = [line for r in recordings for line in r.warnings()]
+    if len(recordings) == 1:
+        out.append("one recording only: no interval, no cross-validation; repeat the motion")
+    out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
+    if spectrum.at_bound:
+        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound))
+    if spectrum.unobservable:
+        out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
+    total = len(found.solution.z)
+    out.append(
+        f"the data determine {spectrum.determined} directions of the {total} parameters; "
+        "single parameters are effective values, only their combinations are measured"
+    )
+    return tuple(out)

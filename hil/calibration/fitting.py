@@ -1,0 +1,151 @@
+"""From recordings to a fitted parameter vector: robust weights, continuation, then the chosen method.
+
+The dry-friction model has bad minima, so it is fitted through a chain of easier problems: friction
+exponent 2 (least squares), 1.5, 1.2, 1 (Coulomb), each started at the last one's solution
+(`facts/calibration.md` section 3). Weights per recording come from a Levenberg-Marquardt pre-fit
+that all methods share; stochastic methods search the least-squares problem and are carried through
+the chain by Levenberg-Marquardt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.calibration.blocks import Blocks
+from hil.calibration.problem import Problem, Setting
+from hil.calibration.solvers import Progress, Solution, interior_point, levenberg_marquardt, solve
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+
+_CHAIN = (2.0, 1.5, 1.2, 1.0)
+_REWEIGHTINGS = 4
+_BAD_WEIGHT = 0.3
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A fitted problem; `solution.z` are the parameters, `weights` one per recording."""
+
+    problem: Problem
+    solution: Solution
+
+    @property
+    def geometry(self) -> WheelGeometry:
+        """The fitted wheel geometry."""
+        return WheelGeometry.from_vector(self.solution.z)
+
+    @property
+    def rejected(self) -> tuple[str, ...]:
+        """Names of recordings that the robust weight all but removed."""
+        pairs = zip(self.problem.blocks.names, self.problem.weights, strict=True)
+        return tuple(name for name, weight in pairs if weight < _BAD_WEIGHT)
+
+
+def chain(setting: Setting) -> Sequence[float]:
+    """Friction exponents to go through; one stage for the linear models."""
+    return _CHAIN if setting.model == "dry-friction" else (2.0,)
+
+
+def fit(
+    blocks: Blocks,
+    setting: Setting,
+    nominal: WheelGeometry,
+    *,
+    method: str = "lm",
+    seed: int = 0,
+    start: Array | None = None,
+    progress: Progress | None = None,
+) -> Fit:
+    """Fit the parameters to blocks of recordings.
+
+    Args:
+        blocks: reduced recordings.
+        setting: what is fitted and how.
+        nominal: start, prior mean and centre of the box.
+        method: `lm`, `interior-point`, `ga` or `pso`.
+        seed: of the stochastic methods.
+        start: solution of a neighbouring problem; skips the chain (cross-validation).
+        progress: generations of the stochastic methods.
+    """
+    problem = Problem(blocks, setting, nominal)
+    if start is not None:
+        return _refine(problem.with_power(chain(setting)[-1]), start)
+    prefit = _robust_prefit(problem) if setting.robust or method == "lm" else None
+    if method == "lm" and prefit is not None:
+        return prefit
+    weights = prefit.problem.weights if prefit is not None else problem.weights
+    z: Array | None = None
+    first: Solution | None = None
+    for power in chain(setting):
+        stage = problem.with_power(power).with_weights(weights)
+        if z is None and method in ("ga", "pso"):
+            solution = first = solve(_linear(stage), method, seed=seed, progress=progress)
+            if len(chain(setting)) == 1:
+                return Fit(stage, solution)
+        elif method == "interior-point":
+            solution = interior_point(stage, stage.nominal if z is None else z)
+        else:
+            assert z is not None
+            solution = levenberg_marquardt(stage, z, limit=40)
+        z = solution.z
+    if first is not None:
+        solution = replace(
+            solution, searched=first.searched, objective_before_polish=first.objective_before_polish,
+            iterations=first.iterations,
+        )  # fmt: skip
+    return Fit(stage, solution)
+
+
+def _linear(stage: Problem) -> Problem:
+    """At exponent 2 the dry-friction model is the exact one, which is a hundred times quicker."""
+    if stage.setting.model != "dry-friction":
+        return stage
+    twin = Problem(
+        stage.blocks, replace(stage.setting, model="exact"), WheelGeometry.from_vector(stage.nominal)
+    )
+    return twin.with_weights(stage.weights)
+
+
+def _robust_prefit(problem: Problem) -> Fit:
+    """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way."""
+    z, weights = problem.nominal, problem.weights
+    robust = problem.setting.robust
+    powers = chain(problem.setting)
+    for power in powers:
+        stage = problem.with_power(power) if power != 2.0 else _linear(problem)
+        last = power == powers[-1]
+        rounds = (_REWEIGHTINGS if last or power == 2.0 else 1) if robust else 1
+        for _ in range(rounds):
+            limit = 4 if robust else 200
+            solution = levenberg_marquardt(stage.with_weights(weights), z, limit=limit)
+            z = solution.z
+            if robust:
+                weights = stage.cauchy_weights(z)
+        solution = levenberg_marquardt(stage.with_weights(weights), z, limit=12) if last else solution
+        z = solution.z
+    final = problem.with_power(powers[-1]).with_weights(weights)
+    return Fit(final, solution)
+
+
+def _refine(problem: Problem, start: Array) -> Fit:
+    """Continue from a neighbouring solution."""
+    z = problem.clip(start)
+    if not problem.setting.robust:
+        return Fit(problem, levenberg_marquardt(problem, z, limit=60))
+    problem = problem.with_weights(problem.cauchy_weights(z))
+    return Fit(problem, levenberg_marquardt(problem, z, limit=5))
+
+
+def twist_correction(z: Array, nominal: WheelGeometry) -> Array:
+    """C (3, 3): actual body twist = C times the twist that nominal odometry reports.
+
+    All that rigid-body commands can show about the parameters (`facts/calibration.md`, headline 1);
+    deployed with nominal inverse kinematics it avoids the directions that the data leave free.
+    """
+    from hil.calibration.motion_models import linear_matrix
+
+    per_wheel = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
+    return np.asarray(linear_matrix(z, "exact") @ per_wheel, dtype=np.float64)

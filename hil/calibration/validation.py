@@ -1,0 +1,95 @@
+"""How well a calibration predicts motions that it has not seen: leave one repetition or one motion out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.calibration.blocks import Blocks
+from hil.calibration.datasets import Recording
+from hil.calibration.evaluation import Track, metrics, track
+from hil.calibration.fitting import fit
+from hil.calibration.problem import Setting
+from hil.calibration.solvers import Progress
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+
+Table = dict[str, dict[str, float]]
+_KEYS = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
+
+
+def repetition_numbers(motions: Sequence[str]) -> list[int]:
+    """0, 1, 2, ... within each motion, in the order given."""
+    seen: dict[str, int] = {}
+    out = []
+    for motion in motions:
+        seen[motion] = seen.get(motion, -1) + 1
+        out.append(seen[motion])
+    return out
+
+
+def cross_validate(
+    recordings: Sequence[Recording],
+    blocks: Blocks,
+    setting: Setting,
+    nominal: WheelGeometry,
+    start: Array,
+    groups: Sequence[object],
+    progress: Progress | None = None,
+) -> Table:
+    """Errors by motion on recordings left out of the fit, group by group.
+
+    Args:
+        recordings: the runs, in the order of `blocks`.
+        blocks: the same runs, reduced.
+        setting: how to fit.
+        nominal: prior mean.
+        start: solution on all recordings, where each fit starts.
+        groups: one label per recording; each label in turn is left out.
+        progress: called with (done, total) folds.
+    """
+    labels = list(dict.fromkeys(groups))
+    tracks: dict[str, list[Track]] = {}
+    for number, label in enumerate(labels, start=1):
+        inside = [k for k, g in enumerate(groups) if g != label]
+        if inside:
+            geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
+            for k in (k for k, g in enumerate(groups) if g == label):
+                run = track(recordings[k], geometry, setting.model, setting.signal)
+                tracks.setdefault(run.recording.motion, []).append(run)
+        if progress is not None:
+            progress(number, len(labels))
+    return _table(tracks)
+
+
+def score(recordings: Sequence[Recording], geometry: WheelGeometry, setting: Setting) -> Table:
+    """Errors by motion of one geometry."""
+    tracks: dict[str, list[Track]] = {}
+    for recording in recordings:
+        tracks.setdefault(recording.motion, []).append(
+            track(recording, geometry, setting.model, setting.signal)
+        )
+    return _table(tracks)
+
+
+def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
+    """Non-systematic floor by motion: spread of the repetitions' end points, m (NaN for one run)."""
+    ends: dict[str, list[Array]] = {}
+    for r in recordings:
+        c, s = np.cos(r.truth_pose[0, 2]), np.sin(r.truth_pose[0, 2])
+        moved = r.truth_pose[-1, :2] - r.truth_pose[0, :2]
+        ends.setdefault(r.motion, []).append(
+            np.array([c * moved[0] + s * moved[1], -s * moved[0] + c * moved[1]])
+        )
+    return {
+        m: float(np.sqrt(np.sum(np.var(e, axis=0, ddof=1)))) if len(e) > 1 else float("nan")
+        for m, e in ends.items()
+    }
+
+
+def _table(tracks: dict[str, list[Track]]) -> Table:
+    table = {m: {k: metrics(runs)[k] for k in _KEYS} for m, runs in tracks.items()}
+    if table:
+        table["mean"] = {k: float(np.mean([row[k] for row in table.values()])) for k in _KEYS}
+    return table
