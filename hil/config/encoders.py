@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 
 Names = tuple[str, str, str, str]
 
@@ -14,6 +17,7 @@ class EncodersConfig(BaseModel):
 
     Attributes:
         interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         dbc: path of a DBC file; the shipped `as5045.dbc` when None.
         signals: DBC signal with the raw word of each steering axis, wheel order FL BL BR FR.
         node_id: added to the frame identifiers of the DBC: the node's address switch.
@@ -32,6 +36,7 @@ class EncodersConfig(BaseModel):
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
     bitrate: int = Field(500_000, gt=0)
+    options: dict[str, bool | int | float | str] = {}
     dbc: str | None = None
     signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
     node_id: int = Field(0, ge=0, le=0x3F)
@@ -44,6 +49,11 @@ class EncodersConfig(BaseModel):
     startup_discard: int = Field(1, ge=0, le=1000)
     open_timeout_s: float = Field(1.0, gt=0, le=30)
     fail_after_s: float = Field(1.0, gt=0)
+
+    @property
+    def dbc_path(self) -> Path:
+        """The DBC file in use."""
+        return SHIPPED_DBC if self.dbc is None else Path(self.dbc)
 
     @model_validator(mode="after")
     def _check(self) -> EncodersConfig:

@@ -18,7 +18,9 @@ from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, prod
 from hil.fakes.wire import Reply
 from hil.fakes.world import NEVER_NS, World
 
-__all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
+__all__ = ["LINE_FAULTS", "SUPPORTED_FAULTS", "Bno055Chip"]
+
+LINE_FAULTS = ("drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug")
 
 RESET_NS = 650_000_000
 TO_RUNNING_NS, TO_CONFIG_NS = 7_000_000, 19_000_000
@@ -40,6 +42,7 @@ class Bno055Chip:
         bench_remap: (axis map, axis sign) of that bench.
         overrun_probability: chance that a read is answered with bus overrun; five times less without
             the magnetometer, whose 20 Hz processing causes it (`facts/devices.md`).
+        line_faults: faults that the serial line in front of the chip can produce, declared with its own.
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
@@ -53,6 +56,7 @@ class Bno055Chip:
         bench_remap: tuple[int, int] = (0x24, 0x00),
         overrun_probability: float = 0.01,
         acknowledge_reset: bool = True,
+        line_faults: tuple[str, ...] = LINE_FAULTS,
     ) -> None:
         self.name = name
         self._world = world
@@ -67,6 +71,7 @@ class Bno055Chip:
         self._serial = int(rng.integers(1, 1 << 60))
         self._parser = uart.RequestParser()
         self._faults = ImuFaults(world.faults, name, rng)
+        world.faults.declare(name, SUPPORTED_FAULTS + line_faults)
         self._history: deque[tuple[int, bytes]] = deque(maxlen=_HISTORY)
         self._boot(0)
         self._boot_end_ns = self._switched_ns = 0

@@ -1,0 +1,40 @@
+"""The 18-bit word of an AS5045: angle and what its status bits mean.
+
+Most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity over all 18
+(`facts/devices.md` section 4).
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.signals import Status
+
+COUNTS = 4096
+_RAD_PER_COUNT = 2.0 * math.pi / COUNTS
+_OCF, _COF, _LIN, _MAGNET_RANGE = 0x20, 0x10, 0x08, 0x06
+
+
+def _meaning(flags: int, yellow_mode: bool) -> Status:
+    if not flags & _OCF:
+        return Status.STARTING
+    if flags & _COF:
+        return Status.HARDWARE_ERROR
+    if flags & _LIN or (flags & _MAGNET_RANGE == _MAGNET_RANGE and not yellow_mode):
+        return Status.MAGNET
+    return Status.OK
+
+
+_STATUS = {yellow: tuple(_meaning(flags, yellow) for flags in range(64)) for yellow in (False, True)}
+
+
+def angle_rad(word: int) -> float:
+    """Angle of a word, rad in [-pi, pi)."""
+    counts = word >> 6
+    return (counts - COUNTS if counts >= COUNTS // 2 else counts) * _RAD_PER_COUNT
+
+
+def decode_word(word: int, *, yellow_mode: bool = False) -> tuple[float, Status]:
+    """Angle (rad in [-pi, pi), NaN unless OK) and status of a raw word."""
+    status = Status.PARITY if word.bit_count() & 1 else _STATUS[yellow_mode][word & 0x3F]
+    return (angle_rad(word) if status is Status.OK else math.nan), status

@@ -1,0 +1,269 @@
+"""The four steering encoders as a sensor: frames drained from python-can, put together, judged."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import can
+import numpy as np
+
+from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.config.encoders import EncodersConfig
+from hil.drivers.encoders.as5045 import decode_word
+from hil.drivers.encoders.layout import FrameLayout, load_layout
+from hil.drivers.encoders.timeline import ArrivalClock, NodeTimeline
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.interfaces import Sensor
+from hil.signals import EncoderSample, Stamp, Status
+
+_LOG = logging.getLogger(__name__)
+
+_MOST_FRAMES = 4096
+_WAIT_S = 0.02
+_OPEN_SETS = 3
+_MOST_LISTED = 8
+_REMEDY = "check the CAN wiring, the termination, the bit rate and the node's supply"
+_BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
+
+
+class As5045Encoders(Sensor[EncoderSample]):
+    """Four AS5045 behind one CAN node.
+
+    Args:
+        config: python-can interface, DBC, signals.
+        clock: the bench clock.
+        name: device name in errors and logs.
+
+    Attributes:
+        malformed: frames of the right identifier and the wrong length since `open`.
+        incomplete: sample sets that lacked a frame since `open`.
+        error_frames: error frames seen on the bus since `open`.
+    """
+
+    def __init__(self, config: EncodersConfig, clock: Clock, name: str = "encoders") -> None:
+        self.name = name
+        self._config, self._clock = config, clock
+        self._bus: can.BusABC | None = None
+        self._identity: dict[str, str] = {}
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self.malformed = self.incomplete = self.error_frames = 0
+
+    def open(self) -> None:
+        """Load the DBC, open the bus and wait for complete sample sets.
+
+        Raises:
+            DataError: the DBC cannot be used.
+            DeviceTimeoutError: the bus is silent.
+            DeviceError: the bus cannot be opened, or what it carries does not match the DBC.
+        """
+        self.close()
+        self._layout = load_layout(self._config)
+        first = next(iter(self._layout.values()))
+        self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
+        self._arrivals = ArrivalClock()
+        self.malformed = self.incomplete = self.error_frames = 0
+        self._sequence: int | None = None
+        self._finished = -1
+        self._words = [-1] * 4
+        self._missing = 0
+        self._time_raw = 0
+        self._discard = self._config.startup_discard
+        self._bus = self._open_bus()
+        try:
+            self._await_first_set()
+        except BaseException:
+            self.close()
+            raise
+        self._good_ns = self._clock.now_ns()
+        self._bus_error = ""
+        self._identity = {
+            "model": "AS5045",
+            "port": self._port,
+            "dbc": str(self._config.dbc_path),
+            "frames": ", ".join(f"0x{i:X} {f.name}" for i, f in self._layout.items()),
+        }
+
+    def close(self) -> None:
+        """Let go of the bus. Idempotent; never raises."""
+        self._identity = {}
+        if self._bus is not None:
+            bus, self._bus = self._bus, None
+            try:
+                bus.shutdown()
+            except _BUS_ERRORS:
+                _LOG.debug("%s: the bus did not shut down cleanly", self.name)
+
+    def identity(self) -> Mapping[str, str]:
+        """Bus, DBC and frames in use; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[EncoderSample, ...]:
+        """All sample sets received since the last call, oldest first.
+
+        Raises:
+            DeviceTimeoutError: no sample set for `fail_after_s`.
+        """
+        if self._bus is None:
+            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+        now_ns = self._clock.now_ns()
+        samples: list[EncoderSample] = []
+        for _ in range(_MOST_FRAMES):
+            try:
+                message = self._bus.recv(0)
+            except _BUS_ERRORS as error:
+                self._bus_error = str(error)
+                break
+            if message is None:
+                break
+            sample = self._take(message, now_ns)
+            if sample is not None:
+                samples.append(sample)
+        if samples:
+            self._good_ns = now_ns
+            self._bus_error = ""
+        elif now_ns - self._good_ns > self._fail_ns:
+            raise self._silent((now_ns - self._good_ns) / NS_PER_S)
+        return tuple(samples)
+
+    @property
+    def _port(self) -> str:
+        return f"{self._config.interface}:{self._config.channel}"
+
+    def _silent(self, duration_s: float) -> DeviceTimeoutError:
+        seen = f", {self.error_frames} error frames" * bool(self.error_frames)
+        seen += f", {self._bus_error}" * bool(self._bus_error)
+        return DeviceTimeoutError(
+            self.name,
+            f"no sample set for {duration_s:.1f} s{seen}",
+            port=self._port,
+            expected=f"{self._config.rate_hz:g} sets per second",
+            remedy=_REMEDY,
+        )
+
+    def _open_bus(self) -> can.BusABC:
+        config = self._config
+        options: dict[str, Any] = dict(config.options)
+        try:
+            return can.Bus(
+                interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options
+            )
+        except (*_BUS_ERRORS, ImportError) as error:
+            raise DeviceError(
+                self.name,
+                f"the CAN bus cannot be opened ({error})",
+                port=self._port,
+                expected="a python-can interface and channel that exist",
+                remedy="check encoders.interface and encoders.channel; bring the interface up",
+            ) from None
+
+    def _await_first_set(self) -> None:
+        """Return once complete sets have been seen; explain what was seen instead."""
+        assert self._bus is not None
+        deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
+        silences = math.ceil(self._config.open_timeout_s / _WAIT_S) + 1
+        sets_left = _OPEN_SETS
+        others: dict[int, int] = {}
+        wrong: dict[int, int] = {}
+        self._bus_error = ""
+        while silences > 0 and self._clock.now_ns() < deadline_ns:
+            try:
+                message = self._bus.recv(_WAIT_S)
+            except _BUS_ERRORS as error:
+                self._bus_error = str(error)
+                silences -= 1
+                self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(_WAIT_S))
+                continue
+            if message is None:
+                silences -= 1
+                continue
+            layout = self._layout.get(message.arbitration_id)
+            if layout is None or message.is_extended_id or message.is_error_frame:
+                others[message.arbitration_id] = message.dlc
+            elif len(message.data) != layout.length:
+                wrong[message.arbitration_id] = len(message.data)
+            self._take(message, self._clock.now_ns())
+            if layout is not None and self._finished >= 0 and not self._missing:
+                sets_left -= 1
+            if not sets_left:
+                return
+        raise self._not_seen(others, wrong)
+
+    def _not_seen(self, others: Mapping[int, int], wrong: Mapping[int, int]) -> DeviceError:
+        expected = ", ".join(f"0x{i:X} ({f.length} bytes)" for i, f in self._layout.items())
+        if wrong or others:
+            seen = list((wrong or others).items())[:_MOST_LISTED]
+            return DeviceError(
+                self.name,
+                "the frames do not match the DBC: seen " + ", ".join(f"0x{i:X} ({n} bytes)" for i, n in seen),
+                port=self._port,
+                expected=expected,
+                remedy="check encoders.dbc and encoders.node_id",
+            )
+        return self._silent(self._config.open_timeout_s)
+
+    def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
+        """Use one frame; returns a sample set when that completes or cuts short one."""
+        if message.is_error_frame:
+            self.error_frames += 1
+            return None
+        layout = self._layout.get(message.arbitration_id)
+        if layout is None or message.is_extended_id or message.is_remote_frame:
+            return None
+        data = message.data
+        if len(data) != layout.length:
+            self.malformed += 1
+            return None
+        sequence = layout.sequence.take(data)
+        if sequence == self._finished:
+            return None
+        sample = None
+        arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
+        if sequence != self._sequence:
+            if self._sequence is not None and self._missing:
+                self.incomplete += 1
+                sample = self._finish(host_ns)
+            self._begin(sequence, arrival_ns)
+        self._fill(layout, data)
+        if not self._missing:
+            sample = self._finish(host_ns)
+        return sample
+
+    def _begin(self, sequence: int, arrival_ns: int) -> None:
+        self._sequence, self._arrival_ns = sequence, arrival_ns
+        self._words = [-1] * 4
+        self._missing = 4
+
+    def _fill(self, layout: FrameLayout, data: bytes | bytearray) -> None:
+        words = self._words
+        for wheel, field in layout.words:
+            if words[wheel] < 0:
+                self._missing -= 1
+            words[wheel] = field.take(data)
+        self._time_raw = layout.time.take(data)
+
+    def _finish(self, host_ns: int) -> EncoderSample | None:
+        """The sample of the present set; None while start-up garbage is dropped."""
+        assert self._sequence is not None
+        self._finished, words = self._sequence, self._words
+        self._sequence = None
+        t_ns, node_ns, restarted = self._timeline.update(self._finished, self._time_raw, self._arrival_ns)
+        if restarted:
+            self._discard = self._config.startup_discard
+            _LOG.warning("%s at %s has restarted", self.name, self._port)
+        if self._discard > 0:
+            self._discard -= 1
+            return None
+        yellow = self._config.yellow_mode
+        pairs = [
+            decode_word(word, yellow_mode=yellow) if word >= 0 else (math.nan, Status.TIMEOUT)
+            for word in words
+        ]
+        return EncoderSample(
+            stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._timeline.sequence, device_ns=node_ns),
+            angle_rad=np.array([angle for angle, _ in pairs]),
+            status=tuple(status for _, status in pairs),
+            raw_word=tuple(words),
+        )

@@ -1,0 +1,81 @@
+"""Puts frame arrivals and a node's wrapping clock and counter on the bench's time axis.
+
+The transport only ever delays, so the smallest difference of host time and node time seen so far is
+the best estimate of their offset; it is let go by 200 ppm so that a slow node clock is followed.
+"""
+
+from __future__ import annotations
+
+from hil.clock import NS_PER_S
+
+_LEAK = 200e-6
+_RESTART_NS = 250_000_000
+_OLDEST_NS = 1_000_000_000
+
+
+class ArrivalClock:
+    """Bench time of a frame's arrival from the interface's own time stamp.
+
+    Interfaces stamp on a clock of their own (mostly the system's real time). Its offset to the bench
+    clock is learnt from frames that were waited for, whose stamp is fresh; without a usable stamp the
+    time of draining stands in.
+    """
+
+    def __init__(self) -> None:
+        self._offset_ns: int | None = None
+
+    def arrival_ns(self, timestamp_s: float, now_ns: int) -> int:
+        """Arrival of a frame drained at `now_ns`; never later than that."""
+        if timestamp_s <= 0.0:
+            return now_ns
+        stamp_ns = round(timestamp_s * NS_PER_S)
+        offset_ns = now_ns - stamp_ns
+        if self._offset_ns is None or not 0 <= offset_ns - self._offset_ns < _OLDEST_NS:
+            self._offset_ns = offset_ns
+        return stamp_ns + self._offset_ns
+
+
+class NodeTimeline:
+    """Unwraps sequence and node time of one node and maps them to the bench clock."""
+
+    def __init__(self, sequence_mask: int, time_mask: int, time_lsb_s: float) -> None:
+        self._sequence_mask = sequence_mask
+        self._lsb_ns = time_lsb_s * NS_PER_S
+        self._wrap = time_mask + 1
+        self._started = False
+        self._sequence_raw = self._time_raw = self._host_ns = self._node_ns = 0
+        self._offset_ns = 0.0
+        self.sequence = 0
+
+    def update(self, sequence: int, time_raw: int, host_ns: int) -> tuple[int, int, bool]:
+        """One sample set arrived at `host_ns`.
+
+        Returns:
+            (bench time of measurement ns, node time unwrapped ns, whether the node has restarted).
+        """
+        if not self._started:
+            self._start(sequence, time_raw, host_ns)
+            return host_ns, self._node_ns, False
+        elapsed_ns = host_ns - self._host_ns
+        node_step_ns = round((time_raw - self._time_raw) % self._wrap * self._lsb_ns)
+        wrap_ns = round(self._wrap * self._lsb_ns)
+        node_step_ns += round((elapsed_ns - node_step_ns) / wrap_ns) * wrap_ns
+        step = (sequence - self._sequence_raw) & self._sequence_mask
+        if abs(node_step_ns - elapsed_ns) > _RESTART_NS or node_step_ns < 0:
+            before = self.sequence
+            self._start(sequence, time_raw, host_ns)
+            self.sequence = before + 1
+            return host_ns, self._node_ns, True
+        self.sequence += step
+        self._sequence_raw, self._time_raw, self._host_ns = sequence, time_raw, host_ns
+        self._node_ns += node_step_ns
+        leaked_ns = self._offset_ns + _LEAK * elapsed_ns
+        self._offset_ns = min(host_ns - self._node_ns, leaked_ns)
+        return min(host_ns, round(self._node_ns + self._offset_ns)), self._node_ns, False
+
+    def _start(self, sequence: int, time_raw: int, host_ns: int) -> None:
+        self._started = True
+        self.sequence = self._sequence_raw = sequence
+        self._time_raw, self._host_ns = time_raw, host_ns
+        self._node_ns = round(time_raw * self._lsb_ns)
+        self._offset_ns = host_ns - self._node_ns

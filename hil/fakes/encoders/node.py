@@ -1,0 +1,222 @@
+"""The microcontroller that reads four AS5045 chips and sends their words in two CAN frames.
+
+Its firmware has the frame layout built in, as a real one has; a test holds it against the shipped
+DBC. It samples on its own clock, with jitter, and restarts its counters when it is reset.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Protocol
+
+from hil.clock import nanoseconds
+from hil.fakes.can_wire import WIRE_FAULTS
+from hil.fakes.encoders.as5045 import (
+    COUNTS,
+    START_UP_NS,
+    As5045Chip,
+    EncoderTruthOptions,
+    with_parity,
+)
+from hil.fakes.faults import Fault
+from hil.fakes.world import World
+from hil.signals import WHEELS
+
+NODE_FAULTS = (
+    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "corrupt", "brownout", "reset",
+    "jump",
+)  # fmt: skip
+AXIS_FAULTS = ("off", "stuck", "garbage", "wrong", "corrupt", "jump")
+FRAME_IDS = (0x1A0, 0x1A1)
+
+_TIME_LSB_NS = 10_000
+_TIME_MASK = 0xFFFFF
+_BOOT_NS = 50_000_000
+_BLOCK = 512
+_SLIP_RAD, _SLOWNESS, _DELAY_S, _PERIOD_S, _DUTY, _PROBABILITY = 0.2, 5.0, 0.05, 0.5, 0.5, 0.1
+
+
+class Wire(Protocol):
+    """Where the node's frames go."""
+
+    def transmit(self, frame_id: int, data: bytes, t_ns: int) -> None:
+        """Put one frame on the bus, not before `t_ns`."""
+
+
+class EncoderNode:
+    """A scheduled part of the world that sends one sample set of two frames per period.
+
+    Args:
+        world: truth, seed and faults; the node registers itself.
+        wire: the CAN channel.
+        name: device name, also of its faults; each axis goes by `encoder.FL` and so on.
+        rate_hz: sample sets per second.
+        node_id: added to both frame identifiers.
+        sign, zero_rad: how the magnets are mounted, wheel order.
+        jitter_s: standard deviation of the sampling instant.
+        clock_ppm: error of the node's clock.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        wire: Wire,
+        *,
+        name: str = "encoders",
+        rate_hz: float = 200.0,
+        node_id: int = 0,
+        options: EncoderTruthOptions | None = None,
+        sign: tuple[int, ...] = (1, 1, 1, 1),
+        zero_rad: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
+        jitter_s: float = 100e-6,
+        clock_ppm: float = 30.0,
+    ) -> None:
+        self.name = name
+        self._world, self._wire, self._plan = world, wire, world.faults
+        self._ids = tuple(frame_id + node_id for frame_id in FRAME_IDS)
+        self._rng = world.rng(name)
+        options = options if options is not None else EncoderTruthOptions()
+        self.chips = tuple(self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True))
+        self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
+        self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))
+        self._rate_error = 1.0 - 1e-6 * clock_ppm
+        self._jitter_ns = 1e9 * jitter_s
+        self._noise: Iterator[list[float]] = iter(())
+        self._done: set[tuple[str, int]] = set()
+        self._frozen: dict[str, int] = {}
+        self._dead = self._first_set = False
+        self._boot(0)
+        world.faults.declare(name, NODE_FAULTS + WIRE_FAULTS)
+        for axis in self._axes:
+            world.faults.declare(axis, AXIS_FAULTS)
+        self._grid_ns = self._due_ns = int(self._rng.integers(0, self._period_ns))
+        world.add(self)
+
+    def next_due_ns(self) -> int:
+        """Time of the next sample set."""
+        return self._due_ns
+
+    def on_due(self, t_ns: int) -> None:
+        """Sample the four chips and send two frames."""
+        noise = self._draw()
+        faulty = not self._plan.empty
+        slow = self._plan.find(self.name, "slow", t_ns) if faulty else None
+        period_ns = self._period_ns
+        if slow is not None:
+            period_ns = round(period_ns * max(1.0, slow.option("factor", _SLOWNESS)))
+        self._grid_ns = max(self._grid_ns + period_ns, t_ns)
+        self._due_ns = max(t_ns + 1, self._grid_ns + round(min(3.0, abs(noise[4])) * self._jitter_ns))
+        if faulty and self._power(t_ns):
+            return
+        steering = self._world.plant.truth().steering_true_rad.tolist()
+        started = t_ns - self._boot_ns >= START_UP_NS
+        words = [
+            chip.word(a, n, started=started)
+            for chip, a, n in zip(self.chips, steering, noise[:4], strict=True)
+        ]
+        if self._first_set:
+            self._first_set = False
+            words = [int(w) for w in self._rng.integers(0, 1 << 18, 4)]
+        send_ns = t_ns
+        if faulty:
+            words = [self._spoil(axis, word, t_ns) for axis, word in enumerate(words)]
+            delayed = self._plan.find(self.name, "delayed", t_ns)
+            send_ns += nanoseconds(delayed.option("delay_s", _DELAY_S)) if delayed is not None else 0
+        self._send(words, t_ns, send_ns)
+
+    def reset(self, t_ns: int) -> None:
+        """Power was cycled: counters restart, the first words are garbage."""
+        self._boot(t_ns + _BOOT_NS)
+
+    def _boot(self, t_ns: int) -> None:
+        self._boot_ns = t_ns
+        self._sequence = 0
+        self._first_set = True
+
+    def _chip(self, options: EncoderTruthOptions, sign: int, zero_rad: float) -> As5045Chip:
+        a1, a2 = (float(a) for a in self._rng.normal(0.0, (options.once_rad, options.twice_rad)))
+        p1, p2 = (float(p) for p in self._rng.uniform(-math.pi, math.pi, 2))
+        return As5045Chip(
+            once=(a1, p1), twice=(a2, p2), noise_rad=options.noise_rad, sign=sign, zero_rad=zero_rad
+        )
+
+    def _draw(self) -> list[float]:
+        row = next(self._noise, None)
+        if row is None:
+            self._noise = iter(self._rng.standard_normal((_BLOCK, 5)).tolist())
+            row = next(self._noise)
+        return row
+
+    def _send(self, words: list[int], t_ns: int, send_ns: int) -> None:
+        node_ns = round((t_ns - self._boot_ns) * self._rate_error)
+        tail = (self._sequence & 0xFF) << 36 | (node_ns // _TIME_LSB_NS & _TIME_MASK) << 44
+        self._sequence += 1
+        left, right = self._ids
+        self._wire.transmit(left, (words[0] | words[1] << 18 | tail).to_bytes(8, "little"), send_ns)
+        self._wire.transmit(right, (words[2] | words[3] << 18 | tail).to_bytes(8, "little"), send_ns)
+
+    def _power(self, t_ns: int) -> bool:
+        """Follow faults of the whole node; True while it sends nothing."""
+        find = self._plan.find
+        was_dead, self._dead = self._dead, any(find(self.name, k, t_ns) for k in ("off", "brownout"))
+        if was_dead and not self._dead:
+            self.reset(t_ns)
+        reset = find(self.name, "reset", t_ns)
+        if reset is not None and self._news(reset):
+            self.reset(reset.start_ns)
+        if self._dead or t_ns < self._boot_ns:
+            return True
+        fault = find(self.name, "intermittent", t_ns)
+        if fault is None:
+            return False
+        period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
+        on_ns = (1.0 - fault.option("duty", _DUTY)) * period_ns
+        return (t_ns - fault.start_ns) % period_ns >= on_ns
+
+    def _news(self, fault: Fault) -> bool:
+        key = (f"{fault.device}:{fault.kind}", fault.start_ns)
+        if key in self._done:
+            return False
+        self._done.add(key)
+        return True
+
+    def _spoil(self, axis: int, word: int, t_ns: int) -> int:
+        """One axis' word under the faults of that axis and of the whole device.
+
+        Options: `wrong,offset_rad=` while active; `jump,angle_rad=` from its start on; `corrupt,
+        probability=` flips one bit; `off` is a chip without power; `garbage,flags=` sets status bits
+        (magnet faults) instead of random words.
+        """
+        frozen = self._frozen
+        self._frozen = {k: v for k, v in frozen.items() if self._stuck(k, t_ns)}
+        for device in (self.name, self._axes[axis]):
+            for fault in self._plan.active(device, t_ns):
+                word = self._apply(fault, axis, word)
+        return word
+
+    def _stuck(self, key: str, t_ns: int) -> bool:
+        return any(self._plan.find(device, "stuck", t_ns) is not None for device in (self.name, key))
+
+    def _apply(self, fault: Fault, axis: int, word: int) -> int:
+        kind, name = fault.kind, self._axes[axis]
+        if kind == "off":
+            return 0
+        if kind == "stuck":
+            return self._frozen.setdefault(name, word)
+        if kind == "garbage":
+            flags = int(fault.option("flags", 0))
+            return with_parity(word | flags & 0x1E) if flags else int(self._rng.integers(0, 1 << 18))
+        if kind == "wrong":
+            return _turned(word, fault.option("offset_rad", _SLIP_RAD))
+        if kind == "corrupt" and self._rng.random() < fault.option("probability", _PROBABILITY):
+            return word ^ 1 << int(self._rng.integers(0, 18))
+        if kind == "jump" and self._news(Fault(name, kind, fault.start_ns)):
+            self.chips[axis].offset_rad += fault.option("angle_rad", _SLIP_RAD)
+        return word
+
+
+def _turned(word: int, offset_rad: float) -> int:
+    """The word of an axis that reads `offset_rad` more."""
+    counts = (word >> 6) + round(offset_rad * COUNTS / (2.0 * math.pi))
+    return with_parity(counts % COUNTS << 6 | word & 0x3F)

@@ -1,0 +1,95 @@
+"""A plant whose steering axes do what a test says, a CAN channel, a node and a driver on it."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.config.encoders import EncodersConfig
+from hil.drivers.encoders import As5045Encoders
+from hil.fakes.can_wire import CanChannel
+from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.plant_api import PlantState
+from hil.fakes.world import VirtualClock, World
+
+
+class SteeringPlant:
+    """Only its steering angles matter: constant plus rate times time."""
+
+    def __init__(self, steering_rad=(0.0, 0.0, 0.0, 0.0), rate_rad_s=0.0):
+        self.t_ns, self.start_rad, self.rate_rad_s = 0, np.array(steering_rad, float), rate_rad_s
+
+    def command(self, joint, command):
+        raise AssertionError("an encoder commands nothing")
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+    def joints(self):
+        return np.zeros(8), np.zeros(8), np.zeros(8)
+
+    def steering(self):
+        return self.start_rad + self.rate_rad_s * self.t_ns * 1e-9
+
+    def truth(self):
+        return PlantState(
+            self.t_ns,
+            np.zeros(3),
+            np.zeros(3),
+            np.zeros(2),
+            *(np.zeros(8) for _ in range(3)),
+            self.steering(),
+            np.full(4, 8.0),
+            np.zeros((4, 2)),
+            0.0,
+            False,
+        )
+
+
+@pytest.fixture
+def steering_plant():
+    return SteeringPlant
+
+
+@pytest.fixture
+def encoder_bench():
+    """Factory; channels are closed afterwards."""
+    channels, drivers = [], []
+
+    def build(*faults, plant=None, config=None, options=None, seed=1, **node_options):
+        world = World(
+            plant if plant is not None else SteeringPlant(),
+            seed=seed,
+            faults=FaultPlan([parse_fault(spec) for spec in faults]),
+        )
+        channel = CanChannel(world, f"test{len(channels)}").open()
+        channels.append(channel)
+        node = EncoderNode(world, channel, options=options or EncoderTruthOptions(), **node_options)
+        world.faults.check()
+        clock = VirtualClock(world)
+        settings = {"interface": "hil", "channel": channel.name, "backend": "emulated", **(config or {})}
+        driver = As5045Encoders(EncodersConfig(**settings), clock)
+        drivers.append(driver)
+        return SimpleNamespace(
+            plant=world.plant, world=world, channel=channel, node=node, clock=clock, driver=driver
+        )
+
+    yield build
+    for driver in drivers:
+        driver.close()
+    for channel in channels:
+        channel.close()
+
+
+@pytest.fixture
+def drain():
+    def collect(bench, cycles, period_ns=10_000_000):
+        samples, t_ns = [], bench.clock.now_ns()
+        for _ in range(cycles):
+            samples += bench.driver.read()
+            t_ns += period_ns
+            bench.clock.sleep_until_ns(t_ns)
+        return samples
+
+    return collect

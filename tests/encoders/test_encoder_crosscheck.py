@@ -1,0 +1,66 @@
+"""Injected horn slip and backlash are found again, and nothing is found where nothing is."""
+
+import numpy as np
+import pytest
+
+from hil.config.encoders import EncodersConfig
+from hil.drivers.encoders import CrossCheck
+
+
+def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):
+    """Steps back and forth, resting at each end; slip comes in half-way."""
+    rng = np.random.default_rng(0)
+    config = config or EncodersConfig()
+    result = None
+    for turn in range(12):
+        target = 0.4 if turn % 2 == 0 else -0.4
+        start = -target if turn else 0.0
+        for k in range(60):
+            servo = start + (target - start) * min(1.0, k / 20)
+            behind = servo + (0.5 * play if target < start else -0.5 * play)
+            behind += slip if turn >= 6 else 0.0
+            encoder = np.array([behind, servo, servo, servo]) + rng.normal(0, noise, 4)
+            encoder = np.array(config.sign) * encoder + np.array(config.zero_rad)
+            result = check.update(encoder, np.full(4, servo))
+    return result
+
+
+def test_two_equal_angles_raise_no_alarm():
+    result = steer(CrossCheck(EncodersConfig()), noise=0.001)
+    assert result.horn_slip == (False,) * 4
+    assert result.backlash_excessive == (False,) * 4
+    np.testing.assert_allclose(result.difference_rad, 0.0, atol=0.002)
+
+
+@pytest.mark.parametrize("slip", [0.1, -0.25])
+def test_horn_slip_is_measured_on_its_axis(slip):
+    result = steer(CrossCheck(EncodersConfig()), slip=slip, noise=0.001)
+    assert result.horn_slip == (True, False, False, False)
+    assert result.difference_rad[0] == pytest.approx(slip, abs=0.003)
+
+
+def test_backlash_is_measured_on_its_axis():
+    result = steer(CrossCheck(EncodersConfig()), play=0.02, noise=0.0005)
+    assert result.backlash_rad[0] == pytest.approx(-0.02, abs=0.003)
+    assert result.backlash_excessive == (True, False, False, False)
+    assert result.horn_slip == (False,) * 4
+
+
+def test_mounting_sign_and_zero_are_taken_out():
+    config = EncodersConfig(sign=(-1, 1, -1, 1), zero_rad=(3.0, -3.0, 0.2, 0.0))
+    result = steer(CrossCheck(config), config=config)
+    np.testing.assert_allclose(result.difference_rad, 0.0, atol=1e-6)
+
+
+def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
+    check = CrossCheck(EncodersConfig())
+    nan = np.full(4, np.nan)
+    for _ in range(50):
+        result = check.update(nan, np.zeros(4))
+    assert np.all(np.isnan(result.difference_rad))
+    assert result.horn_slip == (False,) * 4
+    for _ in range(50):
+        result = check.update(np.array([0.5, np.nan, 0.5, 0.5]), np.array([0.0, 0.0, np.nan, 0.0]))
+    assert np.isnan(result.difference_rad[1])
+    assert np.isnan(result.difference_rad[2])
+    assert result.difference_rad[0] == pytest.approx(0.0)

@@ -1,0 +1,73 @@
+"""AS5045 words: golden vectors, parity law, and the chip against the decoder."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.drivers.encoders import decode_word
+from hil.fakes.encoders.as5045 import COF, LIN, MAG_DEC, MAG_INC, OCF, As5045Chip, with_parity
+from hil.signals import Status
+
+# (D11..D0, OCF, COF, LIN, INC, DEC, parity) written out by hand from the datasheet's word order.
+GOLDEN = [
+    ("000000000000" "10000" "1", 0.0, Status.OK),
+    ("000000000001" "10000" "0", 2 * math.pi / 4096, Status.OK),
+    ("010000000000" "10000" "0", math.pi / 2, Status.OK),
+    ("100000000000" "10000" "0", -math.pi, Status.OK),
+    ("111111111111" "10000" "1", -2 * math.pi / 4096, Status.OK),
+    ("010000000000" "10010" "1", math.pi / 2, Status.OK),
+    ("010000000000" "10001" "1", math.pi / 2, Status.OK),
+    ("010000000000" "10011" "0", None, Status.MAGNET),
+    ("010000000000" "10100" "1", None, Status.MAGNET),
+    ("010000000000" "11000" "1", None, Status.HARDWARE_ERROR),
+    ("010000000000" "00000" "1", None, Status.STARTING),
+    ("010000000000" "10000" "1", None, Status.PARITY),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("bits", "angle", "status"), GOLDEN)
+def test_golden_words(bits, angle, status):
+    found, why = decode_word(int(bits, 2))
+    assert why is status
+    assert math.isnan(found) if angle is None else found == pytest.approx(angle)
+
+
+def test_yellow_mode_allows_a_magnet_out_of_the_recommended_range():
+    word = with_parity(100 << 6 | OCF | MAG_INC | MAG_DEC)
+    assert decode_word(word)[1] is Status.MAGNET
+    assert decode_word(word, yellow_mode=True)[1] is Status.OK
+
+
+@given(st.integers(0, (1 << 18) - 1), st.integers(0, 17))
+def test_any_single_flipped_bit_breaks_parity(word, bit):
+    good = with_parity(word)
+    assert decode_word(good)[1] is not Status.PARITY
+    assert decode_word(good ^ 1 << bit)[1] is Status.PARITY
+
+
+@given(st.floats(-20, 20))
+def test_chip_and_decoder_agree_to_half_a_count(angle):
+    found, status = decode_word(As5045Chip().word(angle, 0.0))
+    assert status is Status.OK
+    assert abs(math.remainder(found - angle, 2 * math.pi)) <= math.pi / 4096 + 1e-9
+    assert -math.pi <= found < math.pi
+
+
+def test_an_eccentric_magnet_errs_once_and_twice_per_turn():
+    chip = As5045Chip(once=(0.02, 0.4), twice=(0.005, -1.0))
+    for k in range(64):
+        theta = 2 * math.pi * k / 64
+        found = decode_word(chip.word(theta, 0.0))[0]
+        expected = 0.02 * math.sin(theta + 0.4) + 0.005 * math.sin(2 * theta - 1.0)
+        assert math.remainder(found - theta, 2 * math.pi) == pytest.approx(expected, abs=0.0008)
+
+
+def test_after_a_cordic_overflow_the_last_good_angle_is_held():
+    chip = As5045Chip()
+    before = chip.word(1.0, 0.0) >> 6
+    chip.flags = COF
+    assert chip.word(2.0, 0.0) >> 6 == before
+    chip.flags = LIN
+    assert chip.word(2.0, 0.0) >> 6 != before
