@@ -11,8 +11,9 @@ import numpy as np
 from hil.calibration.blocks import Blocks, reduce_recordings
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import cost, track
-from hil.calibration.fitting import Fit, fit, twist_correction
+from hil.calibration.fitting import Fit, fit
 from hil.calibration.identifiability import Identifiability, Jackknife, identifiability, jackknife
+from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
     Table,
@@ -29,7 +30,7 @@ from hil.kinematics import WheelGeometry
 Report = Callable[[str, int, int], None]
 """Progress: (what, done, total)."""
 
-_VALIDATION_BLOCK_S = 0.3
+_VALIDATION_BLOCK_S = 0.5
 
 
 @dataclass(frozen=True)
@@ -59,8 +60,14 @@ class Calibration:
 
     @property
     def twist(self) -> Array:
-        """The same result as a 3x3 correction for nominal odometry and nominal inverse kinematics."""
-        return twist_correction(self.fit.solution.z, self.nominal)
+        """The same result as a 3x3 correction C for nominal odometry and nominal inverse kinematics.
+
+        Least squares of the fitted model's body motion on the nominal model's, over the recordings.
+        """
+        wheel_rad = self.fit.problem.blocks.wheel_rad.reshape(-1, 8)
+        fitted = make_model(self.setting.model, wheel_rad).motion(self.fit.solution.z)
+        plain = make_model("exact", wheel_rad).motion(self.nominal.vector())
+        return np.asarray(np.linalg.lstsq(plain, fitted, rcond=None)[0].T, dtype=np.float64)
 
     def to_json(self) -> dict[str, object]:
         """JSON of `hil calibrate` (`design.md`); keys may be added, never renamed."""
@@ -150,6 +157,7 @@ def calibrate(
         blocks, setting, cad, method=method, seed=seed,
         progress=lambda done, total: report(f"{method} generations", done, total),
     )  # fmt: skip
+    setting = found.problem.setting
     spectrum = identifiability(found)
     before = [track(r, cad, setting.model, setting.signal) for r in recordings]
     after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]

@@ -23,6 +23,7 @@ from hil.kinematics import WheelGeometry
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4
 _BAD_WEIGHT = 0.3
+_CLEARLY_BETTER = 0.7
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,8 @@ def fit(
     if start is not None:
         return _refine(problem.with_power(chain(setting)[-1]), start)
     prefit = _robust_prefit(problem) if setting.robust or method == "lm" else None
+    if prefit is not None and prefit.problem.setting != setting:
+        setting, problem = prefit.problem.setting, prefit.problem
     if method == "lm" and prefit is not None:
         return prefit
     weights = prefit.problem.weights if prefit is not None else problem.weights
@@ -126,8 +129,19 @@ def _robust_prefit(problem: Problem) -> Fit:
                 weights = stage.cauchy_weights(z)
         solution = levenberg_marquardt(stage.with_weights(weights), z, limit=12) if last else solution
         z = solution.z
-    final = problem.with_power(powers[-1]).with_weights(weights)
-    return Fit(final, solution)
+        if power == 2.0:
+            least_squares = Fit(stage.with_weights(weights), solution)
+    final = Fit(problem.with_power(powers[-1]).with_weights(weights), solution)
+    if problem.setting.choose_model and (
+        _typical_cost(final) > _CLEARLY_BETTER * _typical_cost(least_squares)
+    ):
+        return least_squares
+    return final
+
+
+def _typical_cost(candidate: Fit) -> float:
+    """Median over recordings of the unweighted cost: both models have the same parameters and prior."""
+    return float(np.median(candidate.problem.recording_costs(candidate.solution.z)))
 
 
 def _refine(problem: Problem, start: Array) -> Fit:

@@ -98,7 +98,7 @@ def _in_words(direction: Array, unit: Array) -> str:
 
 @dataclass(frozen=True)
 class Jackknife:
-    """Delete-one-recording standard errors and the t quantile that makes 95 % intervals of them."""
+    """Standard errors (delete-one-recording and the prior's pull) and the t quantile for 95 % intervals."""
 
     std: Array
     twist_std: Array
@@ -127,6 +127,29 @@ def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
         left_out[k, free] += np.linalg.lstsq(matrix, (weights[k] * je[k])[free], rcond=1e-7)[0]
     twists = np.array([twist_correction(v, nominal) for v in left_out])
     factor = (count - 1) / count
-    std = np.sqrt(factor * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0))
-    twist_std = np.sqrt(factor * ((twists - twists.mean(axis=0)) ** 2).sum(axis=0))
-    return Jackknife(std, twist_std, float(stats.t.ppf(0.975, min(count - 1, _DEGREES_OF_FREEDOM))))
+    variance = factor * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
+    twist_variance = factor * ((twists - twists.mean(axis=0)) ** 2).sum(axis=0)
+    pull, twist_pull = _prior_pull(problem, total, z, nominal)
+    return Jackknife(
+        np.sqrt(variance + pull),
+        np.sqrt(twist_variance + twist_pull),
+        float(stats.t.ppf(0.975, min(count - 1, _DEGREES_OF_FREEDOM))),
+    )
+
+
+def _prior_pull(problem: Problem, total: Array, z: Array, nominal: WheelGeometry) -> tuple[Array, Array]:
+    """Variance that the prior's own uncertainty leaves in z (m,) and in C (3, 3).
+
+    The estimate is drawn towards the prior mean by A^-1 L (z0 - z), with prior precision L and total
+    information A; z0 - z has covariance L^-1, which leaves A^-1 L A^-1.
+    """
+    inverse = np.linalg.pinv(total)
+    covariance = inverse @ np.diag(problem.prior_precision()) @ inverse
+    step = 1e-3 * problem.prior_std
+    slopes = np.array(
+        [
+            (twist_correction(z + h, nominal) - twist_correction(z - h, nominal)) / (2 * h[k])
+            for k, h in enumerate(np.diag(step))
+        ]
+    )
+    return np.diag(covariance), np.einsum("aij,ab,bij->ij", slopes, covariance, slopes)

@@ -39,6 +39,7 @@ class Setting:
         bounds: relative half width of a hard box, None for none.
         block_s: length of a block.
         robust: Cauchy weight per recording.
+        choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
     """
 
     name: str
@@ -52,12 +53,13 @@ class Setting:
     bounds: float | None
     block_s: float
     robust: bool
+    choose_model: bool = False
 
 
 PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
 RECOMMENDED = Setting(
     "recommended", "dry-friction", "position", True, (0.004, 0.004, 0.006), 0.01, 0.01,
-    float(np.radians(0.75)), None, 0.3, True,
+    float(np.radians(0.75)), None, 0.3, True, True,
 )  # fmt: skip
 SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 
@@ -201,8 +203,9 @@ def make_setting(
 ) -> Setting:
     """A named setting, with the parts that a user overrides."""
     base = SETTINGS[name]
-    if model is not None and model != base.model:
-        base = replace(base, model=model, block_s=0.3 if model == "dry-friction" else 0.1)
+    if model is not None:
+        block_s = base.block_s if model == base.model else (0.3 if model == "dry-friction" else 0.1)
+        base = replace(base, model=model, block_s=block_s, choose_model=False)
     if signal is not None:
         base = replace(base, signal=signal)
     if bounds is not None:

@@ -1,0 +1,172 @@
+"""`calibration.toml`: a calibration as a versioned file that is never overwritten.
+
+Writing over an existing file first keeps the old one as `NAME.vN.toml` and names it, with its
+SHA-256, as the previous version, so that every state can be restored.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tomli_w
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hil.calibration.calibrate import Calibration
+from hil.errors import ConfigError
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+Four = tuple[float, float, float, float]
+Row = tuple[float, float, float]
+
+
+class Parameters(BaseModel):
+    """Effective wheel parameters, wheel order FL, BL, BR, FR."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    x_w_m: Four
+    y_w_m: Four
+    r_m: Four
+    delta0_rad: Four = (0.0, 0.0, 0.0, 0.0)
+
+
+class CalibrationFile(BaseModel):
+    """Content of `calibration.toml`, schema 1."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    schema_version: Literal[1] = Field(alias="schema")
+    version: int = Field(ge=1)
+    created: str
+    wheel_order: str = "FL BL BR FR"
+    method: str
+    setting: str
+    model: Literal["exact", "paper", "dry-friction"]
+    signal: Literal["position", "velocity"]
+    parameters: Parameters
+    nominal: Parameters
+    std: dict[str, list[float]]
+    twist_correction: tuple[Row, Row, Row]
+    cost_before: float
+    cost_after: float
+    recordings: dict[str, dict[str, Any]]
+    validation: dict[str, dict[str, dict[str, float]]] = {}
+    warnings: list[str] = []
+    software: dict[str, str] = {}
+    previous: dict[str, str] = {}
+
+    @property
+    def geometry(self) -> WheelGeometry:
+        """The calibrated geometry."""
+        return _geometry(self.parameters)
+
+    @property
+    def nominal_geometry(self) -> WheelGeometry:
+        """The geometry that it started from; the twist correction belongs to it."""
+        return _geometry(self.nominal)
+
+    @property
+    def twist(self) -> Array:
+        """Twist correction (3, 3)."""
+        return np.array(self.twist_correction)
+
+
+def _geometry(p: Parameters) -> WheelGeometry:
+    return WheelGeometry(np.array(p.x_w_m), np.array(p.y_w_m), np.array(p.r_m), np.array(p.delta0_rad))
+
+
+def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
+    return {
+        "x_w_m": geometry.x_m.tolist(),
+        "y_w_m": geometry.y_m.tolist(),
+        "r_m": geometry.radius_m.tolist(),
+        "delta0_rad": geometry.steering_zero_rad.tolist(),
+    }
+
+
+def read_calibration(path: Path) -> CalibrationFile:
+    """Read and check a file; raises `ConfigError` with every problem at once."""
+    try:
+        tree = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})", remedy="run hil calibrate --out") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    try:
+        return CalibrationFile.model_validate(tree)
+    except ValidationError as error:
+        problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+    raise ConfigError(f"{path}: not a calibration of schema 1", problems=problems)
+
+
+def write_calibration(
+    path: Path, result: Calibration, *, created: str, software: Mapping[str, str]
+) -> CalibrationFile:
+    """Write a calibration; an older file of that name is kept under its version number.
+
+    Args:
+        path: where to write.
+        result: what to write.
+        created: date and time, ISO 8601.
+        software: versions that it was made with.
+    """
+    previous, version = _keep_previous(path)
+    described = result.to_json()
+    tree: dict[str, Any] = {
+        "schema": 1,
+        "version": version,
+        "created": created,
+        "wheel_order": "FL BL BR FR",
+        **{k: described[k] for k in ("method", "setting", "model", "signal", "cost_before", "cost_after")},
+        "parameters": _parameters(result.geometry),
+        "nominal": _parameters(result.nominal),
+        "std": {k: [_finite(x) for x in v] for k, v in described["std"].items()},  # type: ignore[attr-defined]
+        "twist_correction": result.twist.tolist(),
+        "recordings": {
+            r.name: {"motion": r.motion, "sha256": list(r.sha256), "weight": float(w)}
+            for r, w in zip(result.recordings, result.fit.problem.weights, strict=True)
+        },
+        "validation": result.validation,
+        "warnings": list(result.warnings),
+        "software": dict(software),
+        "previous": previous,
+    }
+    checked = CalibrationFile.model_validate(tree)
+    partial = path.with_suffix(path.suffix + ".part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial.write_text(tomli_w.dumps(tree), encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+    return checked
+
+
+def _finite(value: float | None) -> float:
+    return float("nan") if value is None else value
+
+
+def _keep_previous(path: Path) -> tuple[dict[str, str], int]:
+    if not path.exists():
+        return {}, 1
+    old = read_calibration(path)
+    kept = path.with_name(f"{path.stem}.v{old.version}{path.suffix}")
+    content = path.read_bytes()
+    if not kept.exists():
+        kept.write_bytes(content)
+    elif kept.read_bytes() != content:
+        raise ConfigError(
+            f"{kept}: exists and differs from version {old.version} in {path}",
+            remedy="move one of them away",
+        )
+    return {"file": kept.name, "sha256": hashlib.sha256(content).hexdigest()}, old.version + 1

@@ -1,0 +1,113 @@
+"""`hil calibrate`: fit the odometry parameters to recordings and validate the result."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.progress import reporting
+from hil.kinematics import MODELS
+
+if TYPE_CHECKING:
+    from hil.calibration.calibrate import Calibration
+
+_METHODS = ("lm", "interior-point", "ga", "pso")
+
+
+@click.command()
+@click.argument("data", nargs=-1, required=True)
+@click.option("--method", type=click.Choice(_METHODS), default="lm", show_default=True)
+@click.option(
+    "--setting", type=click.Choice(["recommended", "paper"]), default="recommended", show_default=True
+)
+@click.option("--model", type=click.Choice(MODELS), help="Forward model [default: the setting's].")
+@click.option(
+    "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: the setting's]."
+)
+@click.option(
+    "--bounds", type=click.FloatRange(0.0, 0.5, min_open=True), help="Hard relative bounds, e.g. 0.05."
+)
+@click.option("--seed", default=0, show_default=True, help="Seed of the stochastic methods.")
+@click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write calibration.toml here.")
+@click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
+    bounds: float | None, seed: int, no_validation: bool, out: Path | None, plots: Path | None,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Calibrate the odometry on recordings with ground truth."""
+    from hil.calibration.calibrate import calibrate
+    from hil.calibration.problem import make_setting
+    from hil.clock import MonotonicClock
+    from hil.recording.sources import read_recordings
+
+    chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
+    with reporting() as report:
+        recordings = read_recordings(data, lambda done, total: report("reading", done, total))
+        result = calibrate(
+            recordings, chosen, MonotonicClock(), method=method, seed=seed,
+            validate=not no_validation, report=report,
+        )  # fmt: skip
+    for line in result.warnings:
+        click.echo(f"warning: {line}", err=True)
+    if out is not None:
+        _write(out, result)
+    if plots is not None:
+        from hil.report.calibration_page import write_calibration_page
+
+        click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
+    click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
+    return 0
+
+
+def _write(out: Path, result: Calibration) -> None:
+    import numpy as np
+
+    from hil import __version__
+    from hil.calibration.artefact import write_calibration
+
+    created = datetime.now(timezone.utc).isoformat(timespec="seconds")
+    file = write_calibration(
+        out, result, created=created, software={"hil": __version__, "numpy": np.__version__}
+    )
+    click.echo(f"wrote {out} (version {file.version})", err=True)
+
+
+def _text(result: Calibration) -> str:
+    z, std = result.geometry, result.intervals.std
+    spectrum = result.spectrum
+    lines = [
+        f"{result.method}, setting {result.setting.name} ({result.setting.model}, {result.setting.signal}), "
+        f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
+        f"in {result.wall_s:.2f} s",
+        f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
+    ]
+    for i, wheel in enumerate(("FL", "BL", "BR", "FR")):
+        lines.append(
+            f"{wheel:8}{z.x_m[i] * 1e3:10.2f}{z.y_m[i] * 1e3:10.2f}{z.radius_m[i] * 1e3:10.3f}"
+            f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
+        )
+    spread = ", ".join(f"{1e3 * s:.2f}" for s in std[:12])
+    lines.append(f"jackknife standard errors of x, y, r (mm): {spread}")
+    lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
+    lines.append(
+        f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters:"
+    )
+    lines += [f"  {words}" for words in spectrum.directions]
+    if result.validation:
+        lines.append(f"{'position RMSE mm / heading RMSE deg':36}" + "".join(
+            f"{m[:13]:>15}" for m in result.validation["nominal"]
+        ))  # fmt: skip
+    for name, table in result.validation.items():
+        cells = "".join(
+            f"{1e3 * row['rmse_position_m']:>8.1f} /{57.29578 * row['rmse_theta_rad']:5.2f}"
+            for row in table.values()
+        )
+        lines.append(f"{name.replace('_', ' '):36}{cells}")
+    return "\n".join(lines)

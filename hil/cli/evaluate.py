@@ -1,0 +1,94 @@
+"""`hil evaluate`: odometry error table of recordings."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.progress import reporting
+from hil.kinematics import MODELS
+
+if TYPE_CHECKING:
+    from hil.calibration.artefact import CalibrationFile
+    from hil.calibration.datasets import Recording
+    from hil.calibration.evaluation import Track
+
+_COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
+
+
+@click.command()
+@click.argument("data", nargs=-1, required=True)
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
+@click.option("--model", type=click.Choice(MODELS), help="Forward model [default: exact, or the file's].")
+@click.option(
+    "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: position]."
+)
+@click.option(
+    "--deploy", type=click.Choice(["parameters", "twist"]), default="parameters", show_default=True,
+    help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
+)  # fmt: skip
+@click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
+    deploy: str, plots: Path | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files."""
+    from hil.calibration.artefact import read_calibration
+    from hil.calibration.evaluation import evaluate
+    from hil.errors import UsageError
+    from hil.recording.sources import read_recordings
+
+    if deploy == "twist" and calibration is None:
+        raise UsageError("--deploy twist needs --calibration FILE")
+    file = read_calibration(calibration) if calibration is not None else None
+    with reporting() as report:
+        recordings = read_recordings(data, lambda done, total: report("reading", done, total))
+    used_model = model or (file.model if file else "exact")
+    used_signal = signal or (file.signal if file else "position")
+    tracks = _tracks(recordings, file, used_model, used_signal, deploy)
+    table = evaluate(tracks)
+    table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
+    warnings = [line for r in recordings for line in r.warnings()]
+    table["warnings"] = warnings
+    for line in warnings:
+        click.echo(f"warning: {line}", err=True)
+    if plots is not None:
+        from hil.report.calibration_page import write_evaluation_page
+
+        nominal = _tracks(recordings, None, used_model, used_signal, "parameters") if file else None
+        click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table)}", err=True)
+    click.echo(json.dumps(table) if as_json else _text(table))
+    return 0
+
+
+def _tracks(
+    recordings: list[Recording], file: CalibrationFile | None, model: str, signal: str, deploy: str
+) -> list[Track]:
+    from hil.calibration.evaluation import track
+    from hil.kinematics import WheelGeometry
+
+    if file is not None and deploy == "twist":
+        return [track(r, file.nominal_geometry, "exact", signal, file.twist) for r in recordings]
+    geometry = file.geometry if file is not None else WheelGeometry.nominal()
+    return [track(r, geometry, model, signal) for r in recordings]
+
+
+def _text(table: dict[str, object]) -> str:
+    lines = [
+        f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
+        f"cost J = {table['cost']:.1f}",
+        f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
+    ]
+    motions: dict[str, dict[str, float]] = table["motions"]  # type: ignore[assignment]
+    for name, row in motions.items():
+        lines.append(
+            f"{name:14}" + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
+            + f"{row['rmse_position_m'] * 1e3:10.2f}{row['rmse_theta_rad'] * 57.29578:10.2f}"
+        )  # fmt: skip
+    mean: dict[str, float] = table["mean"]  # type: ignore[assignment]
+    lines.append(f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{mean['rmse_theta_rad'] * 57.29578:10.2f}")
+    return "\n".join(lines)
