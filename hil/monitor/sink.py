@@ -27,7 +27,7 @@ FRAME = struct.Struct("<cIQ")
 RECORD, END = b"R", b"E"
 
 _CAPACITY = 500
-_CLOSE_S = 5.0
+_CLOSE_S = 4.0
 
 
 def split_targets(target: str) -> tuple[str, ...]:

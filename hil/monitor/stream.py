@@ -25,6 +25,7 @@ DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 
 _BATCH_NS = NS_PER_S // 15
 _TRAIL_NS = NS_PER_S
+_FLUSH_S = 3.0
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
 _OTHER_COLOUR = (120, 120, 60)
 
@@ -131,8 +132,11 @@ class RerunStream:
         self.flush()
         if self._latest is not None:
             self._send_trails()
-        self._stream.flush()
-        self._stream.disconnect()
+        try:
+            self._stream.flush(timeout_sec=_FLUSH_S)
+            self._stream.disconnect()
+        except (RuntimeError, ValueError, OSError) as error:
+            print(f"hil monitor: a viewer did not take everything ({error})", file=sys.stderr)
 
     def _at(self, record: CycleRecord) -> None:
         self._stream.set_time("time", duration=self._collector.seconds(record))

@@ -1,0 +1,151 @@
+"""The Rerun sink: what it sends, what a dead or stalled viewer costs, and what it says without Rerun."""
+
+from __future__ import annotations
+
+import importlib.util
+import socket
+
+import numpy as np
+import pytest
+
+from hil.errors import UsageError
+from hil.monitor import RerunMonitor
+from hil.monitor.series import SeriesCollector, observer_poses
+from hil.monitor.sink import split_targets
+from hil.signals import (
+    SERVOS,
+    CycleRecord,
+    Event,
+    Inputs,
+    Measurements,
+    MocapSample,
+    PoseMeasurement,
+    Reference,
+    RobotState,
+    ServoHealth,
+    ServoSample,
+    ServoSetpoint,
+    Stamp,
+    Status,
+    WheelMeasurement,
+    WheelSetpoint,
+)
+
+needs_rerun = pytest.mark.skipif(
+    importlib.util.find_spec("rerun") is None, reason="the extra `rerun` is not installed"
+)
+
+
+def shown(k: int) -> CycleRecord:
+    t_ns = k * 10_000_000
+    stamp = Stamp(t_ns, t_ns, k)
+    pose = np.array([0.0005 * k, 0.0, 0.01])
+    ok = (Status.OK,) * 8
+    return CycleRecord(
+        k, t_ns, t_ns,
+        Inputs(
+            k, t_ns,
+            servos=(ServoSample(stamp, np.arange(8.0), np.ones(8), np.zeros(8), ok),),
+            health=(ServoHealth(stamp, np.full(8, 12.0), np.full(8, 41.0), ok),) if k % 50 == 0 else (),
+            mocap=(MocapSample(stamp, pose, np.array([1.0, 0, 0, 0]), True, 0.004, 1e-4),) if k % 2 else (),
+        ),
+        Measurements(
+            k, t_ns,
+            (WheelMeasurement(stamp, np.zeros(4), np.ones(4), np.zeros(4), (True,) * 4),),
+            mocap=(PoseMeasurement(stamp, "mocap", pose, 3, True),),
+        ),
+        RobotState(
+            t_ns, pose, np.zeros(3), np.eye(6) * 1e-4,
+            {"nis_wheels": 2.0, "odometry_x_m": 0.1, "odometry_y_m": 0.2, "odometry_theta_rad": 0.0},
+        ),
+        Reference(t_ns / 1e9, pose + np.array([0.01, 0.0, 0.0]), np.zeros(3), np.zeros(3)),
+        WheelSetpoint(np.zeros(4), np.zeros(4)),
+        ServoSetpoint(np.zeros(4), np.zeros(4)),
+        (Event(t_ns, "error", "imu", "stale"),) if k == 7 else (),
+        {"read": 500_000, "decide": 250_000},
+    )  # fmt: skip
+
+
+def test_series_carry_every_cycle_once_with_its_time():
+    collector = SeriesCollector()
+    for k in range(10, 20):
+        collector.add(shown(k))
+    taken = dict(collector.take())
+    positions = taken["servos/position_rad"]
+    assert positions.names == SERVOS
+    np.testing.assert_allclose(positions.t_s, np.arange(10) * 0.01)
+    assert positions.cycles == list(range(10, 20))
+    assert taken["loop/decide_ms"].rows[0].tolist() == [0.25]
+    assert taken["innovations/nis_wheels"].rows[3].tolist() == [2.0]
+    assert [float(r[0]) for r in taken["ages/mocap_ms"].rows] == [0.0, 10.0] * 4 + [0.0]
+    np.testing.assert_allclose(taken["state/tracking_error_m"].rows[0], [0.01, 0.0])
+    assert "estimator/odometry_x_m" not in taken
+    assert collector.take() == []
+
+
+def test_observers_become_paths():
+    assert observer_poses(shown(0)) == {"odometry": (0.1, 0.2)}
+
+
+@pytest.mark.parametrize("target", ["", " , "])
+def test_empty_targets_are_refused(target):
+    with pytest.raises(UsageError, match="spawn, connect, serve"):
+        split_targets(target)
+
+
+def test_without_rerun_the_extra_is_named(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(UsageError, match=r"hil-4wis4wid\[rerun\]"):
+        RerunMonitor("spawn", lossless=True)
+
+
+@needs_rerun
+def test_virtual_time_writes_every_cycle_to_a_file(tmp_path):
+    path = tmp_path / "run.rrd"
+    monitor = RerunMonitor(str(path), lossless=True)
+    for k in range(100):
+        monitor.write(shown(k))
+    monitor.close()
+    monitor.close()
+    assert monitor.dropped == 0
+    data = path.read_bytes()
+    assert data[:3] == b"RRF"
+    for entity in (b"servos/position_rad", b"robot/covariance_95", b"path/truth", b"innovations/nis_wheels"):
+        assert entity in data
+
+
+@needs_rerun
+def test_real_time_shows_the_same_through_its_own_process(tmp_path):
+    first, second = tmp_path / "a.rrd", tmp_path / "b.rrd"
+    monitor = RerunMonitor(f"{first},{second}", lossless=False)
+    for k in range(100):
+        monitor.write(shown(k))
+    monitor.close()
+    assert (monitor.dropped, monitor.failure) == (0, "")
+    for path in (first, second):
+        assert b"robot/speeds" in path.read_bytes()
+
+
+@needs_rerun
+@pytest.mark.parametrize("viewer", ["stalled", "absent"])
+def test_a_viewer_that_does_not_answer_costs_drops_and_nothing_else(viewer):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1] if viewer == "stalled" else 1
+        monitor = RerunMonitor(f"rerun+http://127.0.0.1:{port}/proxy", lossless=False, capacity=20)
+        for k in range(2000):
+            monitor.write(shown(k))
+        assert monitor.dropped > 0
+        assert len(monitor._waiting) <= 20
+        monitor.close()
+
+
+@needs_rerun
+def test_a_killed_monitor_is_named_and_the_rest_counted():
+    monitor = RerunMonitor("rerun+http://127.0.0.1:1/proxy", lossless=False, capacity=10)
+    monitor._process.kill()
+    monitor._process.wait()
+    for k in range(500):
+        monitor.write(shown(k))
+    monitor.close()
+    assert "has ended" in monitor.failure
+    assert monitor.dropped > 400
