@@ -13,7 +13,7 @@ import serial
 from hil.config.imu import ImuConfig
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.faults import FaultPlan, parse_fault
-from hil.fakes.imu import SUPPORTED_FAULTS, Bno055Chip, ImuTruthOptions
+from hil.fakes.imu import Bno055Chip, ImuTruthOptions
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import VirtualClock, World
 
@@ -60,24 +60,29 @@ class DirectPort:
 
     def open(self):
         name = self.port.split("//")[1]
+        if name == "denied":
+            raise serial.SerialException(13, "Permission denied")
         if name not in _LINES:
             raise serial.SerialException(2, "No such file or directory")
-        self.world, self.chip, self.written = _LINES[name]
+        self.name, (self.world, _, self.written) = name, _LINES[name]
         self._coming = deque()
         self._free_ns = 0
 
     def close(self):
-        self._coming = deque()
+        if self.name not in _LINES:
+            raise serial.SerialException(5, "Input/output error")
 
     def reset_input_buffer(self):
         while self._coming and self._coming[0][0] <= self.world.now_ns:
             self._coming.popleft()
 
     def write(self, data):
+        if self.name not in _LINES:
+            raise serial.SerialException(5, "Input/output error")
         self.written.append(bytes(data))
         self.world.advance_to(self.world.now_ns + self._wire_ns(len(data)))
         self.world.sync_plant()
-        for reply in self.chip.receive(bytes(data), self.world.now_ns, self.baudrate):
+        for reply in _LINES[self.name][1].receive(bytes(data), self.world.now_ns, self.baudrate):
             self.push(reply.ready_ns, reply.data)
         return len(data)
 
@@ -113,14 +118,11 @@ serial.protocol_handler_packages.append("imu_wire")
 def imu_bench():
     """Factory of a chip, its world and a driver on it."""
 
-    def build(*faults, plant=None, config=None, options=None, seed=1, declare=True, **chip_options):
+    def build(*faults, plant=None, config=None, options=None, seed=1, **chip_options):
         plan = FaultPlan([parse_fault(spec) for spec in faults])
-        if declare:
-            plan.declare("imu", SUPPORTED_FAULTS)
-        plan.check()
         plant = plant if plant is not None else TurningPlant()
         world = World(plant, seed=seed, faults=plan)
-        config = ImuConfig(port="chip://imu", backend="emulated", **(config or {}))
+        config = ImuConfig(**{"port": "chip://imu", "backend": "emulated", **(config or {})})
         chip = Bno055Chip(
             world,
             options=options or ImuTruthOptions(),
@@ -128,12 +130,32 @@ def imu_bench():
             bench_remap=(config.axis_map, config.axis_sign),
             **chip_options,
         )
+        plan.check()
         written = []
         _LINES["imu"] = (world, chip, written)
         clock = VirtualClock(world)
         driver = Bno055Imu(config, clock)
+
+        def interpose(chip):
+            _LINES["imu"] = (world, chip, written)
+
+        def unplug():
+            _LINES.pop("imu")
+
+        def plug():
+            _LINES["imu"] = (world, chip, written)
+
         return SimpleNamespace(
-            plant=plant, world=world, chip=chip, clock=clock, driver=driver, config=config, written=written
+            unplug=unplug,
+            plug=plug,
+            interpose=interpose,
+            plant=plant,
+            world=world,
+            chip=chip,
+            clock=clock,
+            driver=driver,
+            config=config,
+            written=written,
         )
 
     yield build

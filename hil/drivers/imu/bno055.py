@@ -8,14 +8,11 @@ in CONFIG mode; the driver notices, restores mode and offsets, and reports `Stat
 from __future__ import annotations
 
 import logging
-import math
-import struct
 from collections.abc import Mapping
-
-import numpy as np
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.imu import ImuConfig
+from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import SIZE as CALIBRATION_SIZE
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.link import ExchangeError, Link
@@ -25,7 +22,7 @@ from hil.signals import ImuSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 
-_PAGE, _GYRO, _BURST = 0x07, 0x14, 34
+_PAGE = 0x07
 _SYS_STATUS, _UNIT_SEL, _OPR_MODE, _TRIGGER = 0x39, 0x3B, 0x3D, 0x3F
 _POWER, _AXIS_MAP, _CALIBRATION = 0x3E, 0x41, 0x55
 _IDENTITY = bytes((0xA0, 0xFB, 0x32, 0x0F))
@@ -36,16 +33,9 @@ _SETUP_BUDGET_S = 0.25
 _CRYSTAL = 0x80
 _SYSTEM_ERROR = 0x01
 
-_LAYOUT = struct.Struct("<3h3h4h3h3hbB")
-_RAD_S_PER_LSB = math.pi / 180.0 / 16.0
-_M_S2_PER_LSB = 0.01
-_QUATERNION_PER_LSB = 1.0 / 16384.0
-_SCALE = np.array([_RAD_S_PER_LSB] * 3 + [0.0] * 3 + [_QUATERNION_PER_LSB] * 4 + [_M_S2_PER_LSB] * 6)
-_NORM_LOW, _NORM_HIGH = (0.95 * 16384) ** 2, (1.05 * 16384) ** 2
-_GRAVITY_LOW, _GRAVITY_HIGH = 930**2, 1030**2
-_WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 _OUTAGE_AFTER = 3
-_OUTAGE_CHECK_S = 0.05
+_RECHECK_NS = 50_000_000
+_WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 _IDENTIFY_PERIOD_S = 0.05
 _REMEDY = "check power, wiring, baud rate and that the PS1 pin selects UART"
 _NAN3, _NAN4 = np.full(3, np.nan), np.full(4, np.nan)
@@ -69,7 +59,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._mode = _MODES[config.fusion_mode]
         self._calibration: ImuCalibration | None = None
         self._retry_ns = nanoseconds(config.retry_budget_s)
-        wire_s = 10.0 * (2 + _BURST) / config.baud
+        wire_s = 10.0 * (2 + burst.LENGTH) / config.baud
         self._age_ns = nanoseconds(config.sample_age_s + wire_s)
         self._check_ns = nanoseconds(config.check_period_s)
         self._stuck_ns = nanoseconds(config.stuck_after_s)
@@ -132,7 +122,7 @@ class Bno055Imu(Sensor[ImuSample]):
                 self._check(link, now_ns)
                 now_ns = self._clock.now_ns()
             budget_ns = 0 if self._failures else self._retry_ns
-            data = link.read(_GYRO, _BURST, now_ns + budget_ns)
+            data = link.read(burst.START, burst.LENGTH, now_ns + budget_ns)
         except ExchangeError as error:
             return (self._failed(error),)
         self._failures = 0
@@ -287,44 +277,29 @@ class Bno055Imu(Sensor[ImuSample]):
         return Stamp(t_ns=host_ns - age_ns, host_ns=host_ns, seq=self._sequence)
 
     def _empty(self, status: Status, now_ns: int) -> ImuSample:
-        return ImuSample(self._stamp(now_ns, 0), _NAN4, _NAN3, _NAN3, _NAN3, _NO_LEVELS, status)
+        return burst.empty(self._stamp(now_ns, 0), status)
 
     def _sample(self, data: bytes) -> ImuSample:
         now_ns = self._clock.now_ns()
-        counts = _LAYOUT.unpack(data)
-        status = self._status(counts, data[:-2], now_ns)
+        counts = burst.unpack(data)
+        status = self._status(counts, data, now_ns)
         self._judge(status, now_ns)
         if status in _WITHOUT_VALUES:
             return self._empty(status, now_ns)
-        values = _SCALE * counts[:16]
-        levels = counts[17]
-        return ImuSample(
-            stamp=self._stamp(now_ns, self._age_ns),
-            quaternion_wxyz=values[6:10],
-            gyro_rad_s=values[0:3],
-            linear_acceleration_m_s2=values[10:13],
-            gravity_m_s2=values[13:16],
-            calibration=(levels >> 6, levels >> 4 & 3, levels >> 2 & 3, levels & 3),
-            status=status,
-        )
+        return burst.sample(counts, self._stamp(now_ns, self._age_ns), status)
 
-    def _status(self, counts: tuple[int, ...], measured: bytes, now_ns: int) -> Status:
+    def _status(self, counts: burst.Counts, data: bytes, now_ns: int) -> Status:
+        measured = data[: burst.MEASURED]
         if measured != self._last_data:
             self._last_data, self._changed_ns = measured, now_ns
         if self._was_reset:
             self._was_reset = False
             return Status.RESET
-        w, x, y, z = counts[6:10]
-        if not (w or x or y or z):
-            self._suspicious = now_ns - self._checked_ns > nanoseconds(_OUTAGE_CHECK_S)
-            return Status.STARTING
         if self._system_error:
             return Status.HARDWARE_ERROR
-        if now_ns - self._changed_ns > self._stuck_ns:
+        status = burst.judge(counts)
+        if status is not Status.OK:
+            self._suspicious = now_ns - self._checked_ns > _RECHECK_NS
+        elif now_ns - self._changed_ns > self._stuck_ns:
             return Status.STALE
-        gx, gy, gz = counts[13:16]
-        norm, up = w * w + x * x + y * y + z * z, gx * gx + gy * gy + gz * gz
-        if not (_NORM_LOW < norm < _NORM_HIGH and _GRAVITY_LOW < up < _GRAVITY_HIGH):
-            self._suspicious = now_ns - self._checked_ns > nanoseconds(_OUTAGE_CHECK_S)
-            return Status.IMPLAUSIBLE
-        return Status.OK
+        return status

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+from typing import Any
 
 import serial
 
@@ -47,9 +48,11 @@ class Link:
         self._clock, self._name, self.port_name = clock, name, config.port
         self._gap_ns = nanoseconds(config.retry_gap_s)
         self._dirty = True
+        local: dict[str, Any] = {} if "://" in config.port else {"exclusive": True}
         try:
             self._port = serial.serial_for_url(
                 config.port,
+                **local,
                 baudrate=config.baud,
                 timeout=config.reply_timeout_s,
                 write_timeout=max(config.reply_timeout_s, 0.1),
@@ -62,7 +65,7 @@ class Link:
         remedy = "check the cable and the port name; `hil discover` lists ports"
         if number == errno.EACCES:
             remedy = "give the user access to the port (group dialout, or a udev rule)"
-        elif number == errno.EBUSY:
+        elif number in (errno.EBUSY, errno.EAGAIN):
             remedy = "close the other program that uses the port"
         detail = os.strerror(number) if number else str(error)
         return DeviceError(

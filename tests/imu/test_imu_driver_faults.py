@@ -1,0 +1,342 @@
+"""Every failure of the emulated BNO055 ends as data with a status, a repair, or a named device error."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from hil.drivers.imu import ImuCalibration
+from hil.errors import DataError, DeviceError, DeviceTimeoutError, HilError
+from hil.fakes.faults import parse_fault
+from hil.fakes.wire import Reply
+from hil.signals import Status
+
+MODE_WRITE = bytes.fromhex("AA003D0108")
+
+
+def run(bench, duration_s, period_ns=10_000_000):
+    samples, t_ns = [], bench.clock.now_ns()
+    end_ns = t_ns + round(duration_s * 1e9)
+    while bench.clock.now_ns() < end_ns:
+        samples += bench.driver.read()
+        t_ns = max(t_ns + period_ns, bench.clock.now_ns())
+        bench.clock.sleep_until_ns(t_ns)
+    return samples
+
+
+def statuses(samples):
+    return {s.status for s in samples}
+
+
+def test_bus_overruns_are_repeated_within_the_cycle(imu_bench):
+    bench = imu_bench(overrun_probability=0.25, config={"fusion_mode": "ndof"})
+    bench.driver.open()
+    samples = run(bench, 5)
+    good = sum(s.status is Status.OK for s in samples)
+    assert good > 0.98 * len(samples)
+    assert len(samples) > 400
+
+
+@pytest.mark.parametrize("fault", ["imu:reset@1", "imu:brownout@1+0.2", "imu:off@1+0.2"])
+def test_a_silent_chip_reset_is_noticed_and_repaired(imu_bench, fault):
+    bench = imu_bench(fault, config={"axis_map": 0x21, "axis_sign": 0x04})
+    bench.driver.open()
+    samples = run(bench, 3)
+    kinds = [s.status for s in samples]
+    assert {Status.OK, Status.TIMEOUT, Status.RESET} <= set(kinds)
+    back = kinds.index(Status.RESET)
+    assert samples[back].stamp.t_ns < 2_000_000_000
+    assert set(kinds[back + 5 :]) == {Status.OK}
+    assert samples[-1].gravity_m_s2[0] == pytest.approx(9.8, abs=0.1)
+    assert bench.written.count(MODE_WRITE) == 2
+    assert bench.chip.opr_mode == 8
+
+
+def test_a_reset_that_nobody_hears_is_found_in_the_data(imu_bench):
+    """The chip reboots between two reads: it answers at once, with zeros."""
+    bench = imu_bench(config={"check_period_s": 100})
+    bench.driver.open()
+    run(bench, 0.5)
+    bench.chip.reset(bench.clock.now_ns())
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 700_000_000)
+    kinds = [s.status for s in run(bench, 0.5)]
+    assert kinds[0] is Status.STARTING
+    assert kinds[1] is Status.RESET
+    assert kinds[-1] is Status.OK
+
+
+def test_calibration_goes_back_into_the_chip_after_a_reset(imu_bench):
+    bench = imu_bench("imu:reset@1")
+    bench.driver.open()
+    known = ImuCalibration((1, -2, 3), (4, 5, -6), (7, 8, 9), 1000, 480)
+    bench.driver.write_calibration(known)
+    run(bench, 3)
+    assert bench.driver.read_calibration().accelerometer_offset == (1, -2, 3)
+    assert run(bench, 0.2)[-1].status is Status.OK
+
+
+def test_a_calibration_file_is_used_from_the_start(imu_bench, tmp_path):
+    known = ImuCalibration((10, -20, 30), (4, 5, -6), (7, 8, 9), 1000, 480)
+    path = tmp_path / "imu.toml"
+    known.save(path)
+    assert ImuCalibration.load(path) == known
+    bench = imu_bench(config={"calibration_file": str(path)})
+    bench.driver.open()
+    assert bench.driver.read_calibration() == known
+    hexfile = tmp_path / "imu.hex"
+    hexfile.write_text(known.to_bytes().hex(" ", 2))
+    assert ImuCalibration.load(hexfile) == known
+
+
+@pytest.mark.parametrize("text", ["", "zz", "00" * 21, "a = 1", "accelerometer_offset = [1, 2", "x\0y"])
+def test_a_bad_calibration_file_is_a_data_error_naming_it(imu_bench, tmp_path, text):
+    path = tmp_path / "bad.cal"
+    path.write_text(text)
+    with pytest.raises(DataError, match="22 bytes") as caught:
+        imu_bench(config={"calibration_file": str(path)}).driver.open()
+    assert str(path) in str(caught.value)
+
+
+def test_a_missing_calibration_file_is_a_data_error(imu_bench):
+    with pytest.raises(DataError, match="cannot be read"):
+        imu_bench(config={"calibration_file": "/no/such/file"}).driver.open()
+
+
+def test_frozen_data_become_stale(imu_bench):
+    bench = imu_bench("imu:stuck@1+2")
+    bench.driver.open()
+    kinds = [s.status for s in run(bench, 4)]
+    assert kinds.count(Status.STALE) == pytest.approx(150, abs=10)
+    assert kinds[-1] is Status.OK
+
+
+@pytest.mark.parametrize("fault", ["off", "garbage", "intermittent", "stuck"])
+def test_lasting_failure_raises_with_port_and_remedy(imu_bench, fault):
+    options = ",duty=1" if fault == "intermittent" else ""
+    bench = imu_bench(f"imu:{fault}@1{options}", config={"fail_after_s": 1.5})
+    bench.driver.open()
+    run(bench, 1.2)
+    with pytest.raises(DeviceTimeoutError, match="nothing usable") as caught:
+        run(bench, 5)
+    assert caught.value.port == "chip://imu"
+    assert "PS1" in str(caught.value)
+    assert bench.clock.now_ns() < 4_000_000_000
+
+
+def test_silence_costs_little_time_per_cycle(imu_bench):
+    bench = imu_bench("imu:off@1")
+    bench.driver.open()
+    run(bench, 1)
+    t_ns, spent_ns = bench.clock.now_ns(), 0
+    for _ in range(100):
+        before_ns = bench.clock.now_ns()
+        bench.driver.read()
+        spent_ns += bench.clock.now_ns() - before_ns
+        t_ns += 10_000_000
+        bench.clock.sleep_until_ns(t_ns)
+    assert spent_ns < 100 * 3_000_000
+
+
+@pytest.mark.parametrize("code", [2, 3, 4, 5, 6, 7, 8, 9, 10, 99])
+def test_error_replies_are_protocol_samples(imu_bench, code):
+    bench = imu_bench(f"imu:intermittent@0.5,code={code}")
+    bench.driver.open()
+    samples = run(bench, 2)
+    assert Status.PROTOCOL in statuses(samples)
+    assert samples[-1].status is Status.OK or samples[-1].status is Status.PROTOCOL
+    assert all(np.isnan(s.gyro_rad_s).all() for s in samples if s.status is Status.PROTOCOL)
+
+
+def test_wrong_slow_delayed_and_jump(imu_bench, turning_plant):
+    bench = imu_bench(
+        "imu:wrong@1+1,rate_rad_s=0.5", "imu:slow@3+1,factor=10", "imu:delayed@5+1,delay_s=0.2",
+        "imu:jump@7+0.1,angle_rad=0.4", plant=turning_plant(tilt_rad=0.0),
+    )  # fmt: skip
+    bench.driver.open()
+    run(bench, 0.9)
+    before = run(bench, 0.5)[-1]
+    assert before.gyro_rad_s[2] == pytest.approx(0.5, abs=0.02)
+    run(bench, 1.7)
+    slow = run(bench, 0.9)
+    distinct = {s.gyro_rad_s.tobytes() + s.linear_acceleration_m_s2.tobytes() for s in slow}
+    assert 6 <= len(distinct) <= 12
+    run(bench, 1.2)
+    bench.plant.rate_rad_s = 1.0
+    assert run(bench, 0.1)[-1].gyro_rad_s[2] < 0.1
+    assert run(bench, 0.4)[-1].gyro_rad_s[2] == pytest.approx(1.0, abs=0.02)
+    bench.plant.rate_rad_s = 0.0
+    run(bench, 1.0)
+    yaw = bench.chip.sensors.yaw_error_rad
+    run(bench, 1.0)
+    assert bench.chip.sensors.yaw_error_rad - yaw == pytest.approx(0.4, abs=0.001)
+    assert run(bench, 0.1)[-1].status is Status.OK
+
+
+def test_delayed_data_that_do_not_exist_yet_read_zero(imu_bench):
+    bench = imu_bench("imu:delayed,delay_s=1")
+    bench.driver.open()
+    assert statuses(run(bench, 0.3)) <= {Status.STARTING}
+    assert run(bench, 2)[-1].status is Status.OK
+
+
+def test_slow_answers_are_lost_when_slower_than_the_time_out(imu_bench):
+    bench = imu_bench("imu:slow@1,answer_s=0.02")
+    bench.driver.open()
+    run(bench, 1)
+    assert statuses(run(bench, 1)) == {Status.TIMEOUT}
+
+
+@pytest.mark.parametrize(
+    ("url", "remedy"),
+    [
+        ("chip://denied", "dialout"),
+        ("chip://nobody", "discover"),
+        ("/dev/no_such_tty", "discover"),
+        ("what://is", "discover"),
+        ("/", "discover"),
+    ],
+)
+def test_a_port_that_cannot_be_opened(imu_bench, url, remedy):
+    with pytest.raises(DeviceError, match=remedy) as caught:
+        imu_bench(config={"port": url}).driver.open()
+    assert caught.value.port == url
+    assert caught.value.exit_code == 3
+
+
+def test_no_answer_at_the_wrong_baud_rate(imu_bench):
+    bench = imu_bench(config={"baud": 9600})
+    with pytest.raises(DeviceTimeoutError, match="9600 baud"):
+        bench.driver.open()
+    assert bench.clock.now_ns() < 3_000_000_000
+    assert bench.driver.identity() == {}
+
+
+def test_open_waits_for_a_booting_chip(imu_bench):
+    bench = imu_bench()
+    bench.chip.reset(0)
+    bench.driver.open()
+    assert 0.65e9 < bench.clock.now_ns() < 0.8e9
+
+
+def test_use_while_closed_is_a_device_error(imu_bench):
+    driver = imu_bench().driver
+    for call in (driver.read, driver.read_calibration):
+        with pytest.raises(DeviceError, match="open"):
+            call()
+    driver.close()
+
+
+def test_calibration_access_reports_a_dead_chip(imu_bench):
+    bench = imu_bench("imu:off@1")
+    bench.driver.open()
+    bench.clock.sleep_until_ns(1_100_000_000)
+    with pytest.raises(DeviceTimeoutError, match="cannot be read"):
+        bench.driver.read_calibration()
+    with pytest.raises(DeviceTimeoutError, match="cannot be written"):
+        bench.driver.write_calibration(ImuCalibration((0,) * 3, (0,) * 3, (0,) * 3, 0, 0))
+
+
+class Impostor:
+    """Answers requests with the next of a list of byte strings; None is the real chip's answer."""
+
+    def __init__(self, chip, answers, only=b""):
+        self.chip, self.answers, self.only = chip, list(answers), only
+
+    def receive(self, data, t_ns, baud):
+        replies = self.chip.receive(data, t_ns, baud)
+        if not data.startswith(self.only):
+            return replies
+        answer = self.answers.pop(0) if self.answers else None
+        return replies if answer is None else [Reply(t_ns, answer)]
+
+
+def test_another_device_is_named_with_expected_and_found(imu_bench):
+    bench = imu_bench()
+    answers = [bytes.fromhex("EE01"), bytes.fromhex("BB07A0FB330F000000")] * 200
+    bench.interpose(Impostor(bench.chip, answers))
+    with pytest.raises(DeviceError, match="magnetometer 0x32 found 0x33"):
+        bench.driver.open()
+
+
+def test_a_system_error_is_reported(imu_bench):
+    bench = imu_bench()
+    bench.driver.open()
+    bench.interpose(Impostor(bench.chip, [bytes.fromhex("BB050103000008")], only=bytes.fromhex("AA0139")))
+    kinds = [s.status for s in run(bench, 3)]
+    assert kinds.count(Status.HARDWARE_ERROR) == pytest.approx(100, abs=3)
+    assert kinds[-1] is Status.OK
+
+
+@pytest.mark.parametrize("counts", [(5000, 0, 0, 0, 980), (16384, 0, 0, 0, 500)])
+def test_an_impossible_attitude_is_implausible(imu_bench, counts):
+    w, x, y, z, up = counts
+    data = b"".join(
+        v.to_bytes(2, "little", signed=True) for v in (0, 0, 0, 0, 0, 0, w, x, y, z, 0, 0, 0, 0, 0, up)
+    )
+    bench = imu_bench()
+    bench.driver.open()
+    bench.interpose(Impostor(bench.chip, [bytes((0xBB, 34)) + data + b"\x1b\xff"]))
+    assert bench.driver.read()[0].status is Status.IMPLAUSIBLE
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.none() | st.binary(max_size=200), max_size=40), st.integers(0, 12))
+def test_garbage_of_any_length_never_hangs_and_never_escapes(imu_bench, answers, skip):
+    bench = imu_bench(config={"open_timeout_s": 0.5, "fail_after_s": 0.4})
+    bench.interpose(Impostor(bench.chip, [None] * skip + answers))
+    with contextlib.suppress(DeviceError):
+        bench.driver.open()
+        for _ in range(60):
+            for sample in bench.driver.read():
+                assert isinstance(sample.status, Status)
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 5_000_000)
+    bench.driver.close()
+    assert bench.clock.now_ns() < 20_000_000_000
+
+
+def test_faults_can_be_added_while_running_and_unknown_ones_are_refused(imu_bench):
+    bench = imu_bench()
+    bench.driver.open()
+    run(bench, 0.2)
+    bench.world.faults.add(parse_fault("imu:off"))
+    assert statuses(run(bench, 0.3)) == {Status.TIMEOUT}
+    bench.world.faults.clear()
+    assert run(bench, 1.5)[-1].status is Status.OK
+    with pytest.raises(HilError, match="cannot produce"):
+        bench.world.faults.add(parse_fault("imu:adhesion_loss"))
+
+
+def test_a_port_pulled_out_is_data_then_an_error_and_can_come_back(imu_bench):
+    bench = imu_bench()
+    bench.driver.open()
+    run(bench, 0.2)
+    bench.unplug()
+    assert statuses(run(bench, 0.5)) == {Status.TIMEOUT}
+    bench.plug()
+    assert run(bench, 0.3)[-1].status is Status.OK
+    bench.unplug()
+    with pytest.raises(DeviceTimeoutError, match="the port failed"):
+        run(bench, 10)
+    bench.driver.close()
+    bench.driver.close()
+
+
+def test_a_chip_that_refuses_its_set_up_does_not_open(imu_bench):
+    bench = imu_bench()
+    refuse = [bytes.fromhex("EE03")] * 500
+    bench.interpose(Impostor(bench.chip, refuse, only=bytes.fromhex("AA003D")))
+    with pytest.raises(DeviceError, match=r"cannot be set up.*0x03"):
+        bench.driver.open()
+    assert bench.driver.identity() == {}
+
+
+def test_a_reply_cut_short_is_a_time_out(imu_bench):
+    bench = imu_bench()
+    bench.driver.open()
+    run(bench, 0.1)
+    bench.interpose(Impostor(bench.chip, [bytes.fromhex("BB220102")] * 5, only=bytes.fromhex("AA0114")))
+    kinds = [s.status for s in run(bench, 0.5)]
+    assert Status.TIMEOUT in kinds
+    assert kinds[-1] is Status.OK
