@@ -38,8 +38,6 @@ _RECHECK_NS = 50_000_000
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
 _IDENTIFY_PERIOD_S = 0.05
 _REMEDY = "check power, wiring, baud rate and that the PS1 pin selects UART"
-_NAN3, _NAN4 = np.full(3, np.nan), np.full(4, np.nan)
-_NO_LEVELS = (0, 0, 0, 0)
 
 
 class Bno055Imu(Sensor[ImuSample]):
