@@ -20,6 +20,8 @@ class ImuConfig(BaseModel):
         mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
             (`facts/robot.md`).
         calibration_file: 22 offset bytes as hex text or as TOML, written at open and after a reset.
+        prefetch: ask for the next burst at the end of each read, so that a read need not wait for the
+            wire (3.5 ms); the sample is then one cycle old, and stamped so.
         reply_timeout_s: longest silence before a request counts as lost.
         retry_budget_s: time one `read` may spend on repeating requests.
         retry_gap_s: pause before a request is repeated after an error reply.
@@ -42,7 +44,8 @@ class ImuConfig(BaseModel):
     mount_position_m: tuple[float, float, float] = (0.0655, 0.0, 0.098)
     mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     calibration_file: str | None = None
-    reply_timeout_s: float = Field(0.008, gt=0, le=1)
+    prefetch: bool = False
+    reply_timeout_s: float = Field(0.010, gt=0, le=1)
     retry_budget_s: float = Field(0.02, ge=0, le=1)
     retry_gap_s: float = Field(0.002, ge=0, le=0.1)
     open_timeout_s: float = Field(2.0, gt=0, le=30)

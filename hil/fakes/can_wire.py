@@ -17,6 +17,7 @@ import can
 
 from hil.clock import NS_PER_S, nanoseconds
 from hil.errors import DeviceError, UsageError
+from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS, World
 
 WIRE_FAULTS = ("drop", "truncate", "duplicate", "bus_off", "unplug", "baud_mismatch")
@@ -174,7 +175,7 @@ class WorldBus(can.BusABC):
         return [{"interface": "hil", "channel": name} for name in _CHANNELS]
 
 
-class CanFace:
+class CanFace(Face):
     """A channel's frames in real time on another python-can interface, for any client.
 
     Args:

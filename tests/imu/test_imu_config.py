@@ -1,4 +1,4 @@
-"""What `[imu]` and `[encoders]` accept, and that a chip of either bench reproduces the datasheet's presets."""
+"""What `[imu]` and `[encoders]` accept, and the datasheet's eight placements of the chip."""
 
 import pytest
 from pydantic import ValidationError

@@ -182,9 +182,9 @@ def test_delayed_data_that_do_not_exist_yet_read_zero(imu_bench):
 
 
 def test_slow_answers_are_lost_when_slower_than_the_time_out(imu_bench):
-    bench = imu_bench("imu:slow@1,answer_s=0.02")
+    bench = imu_bench("imu:slow@1,answer_s=0.04")
     bench.driver.open()
-    run(bench, 1)
+    run(bench, 1.2)
     assert statuses(run(bench, 1)) == {Status.TIMEOUT}
 
 

@@ -93,3 +93,54 @@ def test_the_same_seed_gives_the_same_samples(imu_bench, turning_plant):
 
     assert run(3) == run(3)
     assert run(3) != run(4)
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_the_stamp_is_when_the_data_were_true(imu_bench, turning_plant, prefetch):
+    """The heading from gravity against the true heading at the time of the stamp, while turning."""
+    bench = imu_bench(
+        plant=turning_plant(rate_rad_s=1.0),
+        options=IDEAL,
+        config={"prefetch": prefetch},
+        overrun_probability=0.05,
+    )
+    bench.driver.open()
+    late_s = []
+    for sample in settle(bench, 400):
+        if sample.status is Status.OK:
+            seen = math.atan2(-sample.gravity_m_s2[1], sample.gravity_m_s2[0])
+            late_s.append(math.remainder(sample.stamp.t_ns * 1e-9 - seen, 2 * math.pi))
+    assert len(late_s) > 350
+    assert abs(np.mean(late_s)) < 0.006
+    assert np.ptp(late_s) < 0.02
+
+
+def test_prefetching_takes_the_wire_out_of_the_read(imu_bench):
+    spent = {}
+    for prefetch in (False, True):
+        bench = imu_bench(config={"prefetch": prefetch, "check_period_s": 100}, overrun_probability=0.0)
+        bench.driver.open()
+        settle(bench, 5)
+        before_ns = bench.clock.now_ns()
+        assert bench.driver.read()[0].status is Status.OK
+        spent[prefetch] = bench.clock.now_ns() - before_ns
+    assert spent[False] > 3_400_000
+    assert spent[True] < 400_000
+
+
+def test_prefetching_survives_everything_that_interrupts_it(imu_bench):
+    bench = imu_bench(
+        "imu:reset@1",
+        "imu:off@3+0.3",
+        "imu:garbage@5+0.2",
+        config={"prefetch": True},
+        overrun_probability=0.05,
+    )
+    bench.driver.open()
+    samples = settle(bench, 700)
+    kinds = [s.status for s in samples]
+    assert kinds.count(Status.RESET) == 2
+    assert kinds.count(Status.OK) > 400
+    assert kinds[-20:].count(Status.OK) >= 18
+    bench.driver.read_calibration()
+    assert Status.OK in [s.status for s in settle(bench, 5)]

@@ -23,6 +23,7 @@ from hil.signals import ImuSample, Stamp, Status
 _LOG = logging.getLogger(__name__)
 
 _PAGE = 0x07
+_REQUEST_BITS = 40.0
 _SYS_STATUS, _UNIT_SEL, _OPR_MODE, _TRIGGER = 0x39, 0x3B, 0x3D, 0x3F
 _POWER, _AXIS_MAP, _CALIBRATION = 0x3E, 0x41, 0x55
 _IDENTITY = bytes((0xA0, 0xFB, 0x32, 0x0F))
@@ -57,8 +58,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._mode = _MODES[config.fusion_mode]
         self._calibration: ImuCalibration | None = None
         self._retry_ns = nanoseconds(config.retry_budget_s)
-        wire_s = 10.0 * (2 + burst.LENGTH) / config.baud
-        self._age_ns = nanoseconds(config.sample_age_s + wire_s)
+        self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
         self._check_ns = nanoseconds(config.check_period_s)
         self._stuck_ns = nanoseconds(config.stuck_after_s)
         self._sequence = 0
@@ -124,7 +124,10 @@ class Bno055Imu(Sensor[ImuSample]):
         except ExchangeError as error:
             return (self._failed(error),)
         self._failures = 0
-        return (self._sample(data),)
+        sample = self._sample(link, data)
+        if self._config.prefetch:
+            link.ask_ahead(burst.START, burst.LENGTH)
+        return (sample,)
 
     def read_calibration(self) -> ImuCalibration:
         """Offsets that the chip has learnt (it leaves the fusion for about 60 ms).
@@ -277,14 +280,14 @@ class Bno055Imu(Sensor[ImuSample]):
     def _empty(self, status: Status, now_ns: int) -> ImuSample:
         return burst.empty(self._stamp(now_ns, 0), status)
 
-    def _sample(self, data: bytes) -> ImuSample:
+    def _sample(self, link: Link, data: bytes) -> ImuSample:
         now_ns = self._clock.now_ns()
         counts = burst.unpack(data)
         status = self._status(counts, data, now_ns)
         self._judge(status, now_ns)
         if status in _WITHOUT_VALUES:
             return self._empty(status, now_ns)
-        return burst.sample(counts, self._stamp(now_ns, self._age_ns), status)
+        return burst.sample(counts, self._stamp(now_ns, now_ns - link.asked_ns + self._age_ns), status)
 
     def _status(self, counts: burst.Counts, data: bytes, now_ns: int) -> Status:
         measured = data[: burst.MEASURED]

@@ -42,12 +42,18 @@ class ExchangeError(Exception):
 
 
 class Link:
-    """An open port to one chip."""
+    """An open port to one chip.
+
+    Attributes:
+        asked_ns: when the latest request was handed to the port.
+    """
 
     def __init__(self, config: ImuConfig, clock: Clock, name: str) -> None:
         self._clock, self._name, self.port_name = clock, name, config.port
         self._gap_ns = nanoseconds(config.retry_gap_s)
         self._dirty = True
+        self._ahead = b""
+        self.asked_ns = 0
         local: dict[str, Any] = {} if "://" in config.port else {"exclusive": True}
         try:
             self._port = serial.serial_for_url(
@@ -91,6 +97,22 @@ class Link:
         """Write registers, repeating until `deadline_ns`; raises `ExchangeError`."""
         self._repeat(bytes((0xAA, WRITE, register, len(data))) + data, 0, deadline_ns)
 
+    def ask_ahead(self, register: int, length: int) -> None:
+        """Send a read request now whose reply a later `read` of the same registers will find waiting."""
+        request = bytes((0xAA, READ, register, length))
+        try:
+            self._send(request)
+        except (serial.SerialException, OSError):
+            return
+        self._ahead = request
+
+    def _send(self, request: bytes) -> None:
+        if self._dirty:
+            self._port.reset_input_buffer()
+        self._dirty = True
+        self.asked_ns = self._clock.now_ns()
+        self._port.write(request)
+
     def _repeat(self, request: bytes, length: int, deadline_ns: int) -> bytes:
         for _ in range(_MAX_ATTEMPTS):
             try:
@@ -105,10 +127,9 @@ class Link:
 
     def _exchange(self, request: bytes, length: int) -> bytes:
         try:
-            if self._dirty:
-                self._port.reset_input_buffer()
-            self._dirty = True
-            self._port.write(request)
+            waiting, self._ahead = self._ahead == request, b""
+            if not waiting:
+                self._send(request)
             head = self._port.read(2)
             if len(head) < 2:
                 raise ExchangeError(Status.TIMEOUT, f"{len(head)} of 2 header bytes before the time-out")

@@ -20,7 +20,7 @@ from hil.fakes.encoders.as5045 import (
     with_parity,
 )
 from hil.fakes.faults import Fault
-from hil.fakes.world import World
+from hil.fakes.world import Scheduled, World
 from hil.signals import WHEELS
 
 NODE_FAULTS = (
@@ -44,7 +44,7 @@ class Wire(Protocol):
         """Put one frame on the bus, not before `t_ns`."""
 
 
-class EncoderNode:
+class EncoderNode(Scheduled):
     """A scheduled part of the world that sends one sample set of two frames per period.
 
     Args:

@@ -15,8 +15,8 @@ from hil.fakes.imu.faulty import SUPPORTED_FAULTS, ImuFaults
 from hil.fakes.imu.offsets import load_offsets, store_offsets
 from hil.fakes.imu.output import EMPTY, LENGTH, encode
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, product, remap
-from hil.fakes.wire import Reply
-from hil.fakes.world import NEVER_NS, World
+from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.world import NEVER_NS, Scheduled, World
 
 __all__ = ["LINE_FAULTS", "SUPPORTED_FAULTS", "Bno055Chip"]
 
@@ -30,7 +30,7 @@ _HISTORY = 256
 _BAUD_TOLERANCE = 0.03
 
 
-class Bno055Chip:
+class Bno055Chip(SerialChip, Scheduled):
     """A `SerialChip` and a scheduled part of the world.
 
     Args:
