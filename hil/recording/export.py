@@ -1,0 +1,162 @@
+"""A recording as a table (CSV, Parquet) and as the `Recording` that calibration works on.
+
+The table starts with the columns of our plain CSV, so that an exported file can be evaluated and
+calibrated like any other; ground truth is interpolated to the wheels' instants where motion capture
+saw the robot at both ends of a gap of at most 0.1 s, and is NaN elsewhere.
+"""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.clock import NS_PER_S
+from hil.errors import DataError, UsageError
+from hil.geometry import Array
+from hil.recording.mcap_reader import read_cycles
+from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
+from hil.signals import CycleRecord, WheelMeasurement
+
+_GAP_S = 0.1
+_POSE = ("x_m", "y_m", "theta_rad")
+COLUMNS = (
+    "t", *WHEEL_COLUMNS, *TRUTH_COLUMNS, *RATE_COLUMNS, "cycle",
+    *(f"estimate_{c}" for c in _POSE),
+    *(f"estimate_{c}" for c in ("v_x_m_s", "v_y_m_s", "omega_rad_s")),
+    *(f"sigma_{c}" for c in _POSE),
+    *(f"reference_{c}" for c in _POSE),
+    *(f"setpoint_w{i}_rad_s" for i in range(1, 5)),
+    *(f"setpoint_delta{i}_rad" for i in range(1, 5)),
+)  # fmt: skip
+
+
+def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
+    """Stamps (m,) in ns as float64 since the first cycle, and poses (m, 3), in order of time."""
+    origin_ns = records[0].inputs.t_ns if records else 0
+    found = [m for r in records for m in r.measurements.mocap if m.valid and np.all(np.isfinite(m.pose))]
+    t_s = np.array([(m.stamp.t_ns - origin_ns) / NS_PER_S for m in found])
+    poses = np.array([m.pose for m in found], dtype=np.float64).reshape(-1, 3)
+    order = np.argsort(t_s, kind="stable")
+    return t_s[order], poses[order]
+
+
+def _interpolate(at_s: Array, t_s: Array, poses: Array) -> Array:
+    """Poses (n, 3) at `at_s`; NaN outside the data and inside gaps."""
+    out = np.full((len(at_s), 3), np.nan)
+    if len(t_s) < 2:
+        return out
+    after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
+    close = (t_s[after] - t_s[after - 1] <= _GAP_S) | (at_s == t_s[after]) | (at_s == t_s[after - 1])
+    inside = (at_s >= t_s[0]) & (at_s <= t_s[-1]) & close
+    for k in range(3):
+        out[inside, k] = np.interp(at_s[inside], t_s, poses[:, k])
+    return out
+
+
+def tabulate(records: Sequence[CycleRecord]) -> Array:
+    """One row per wheel sample, columns `COLUMNS`; shape (n, len(COLUMNS))."""
+    if not records:
+        return np.empty((0, len(COLUMNS)))
+    origin_ns = records[0].inputs.t_ns
+    rows, stamps = [], []
+    for record in records:
+        tail = _cycle_columns(record)
+        for wheels in record.measurements.wheels:
+            stamps.append((wheels.stamp.t_ns - origin_ns) / NS_PER_S)
+            rows.append([*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail])
+    t_s = np.array(stamps)
+    body = np.array(rows, dtype=np.float64).reshape(len(t_s), -1)
+    truth = _interpolate(t_s, *_truth(records))
+    return (
+        np.column_stack([t_s, body[:, :8], truth, body[:, 8:]]) if len(t_s) else np.empty((0, len(COLUMNS)))
+    )
+
+
+def _cycle_columns(record: CycleRecord) -> list[float]:
+    state, reference, setpoint = record.state, record.reference, record.setpoint
+    wanted = reference.pose_in_wall if reference is not None else [math.nan] * 3
+    sigma = np.sqrt(np.maximum(np.diag(state.covariance)[:3], 0.0))
+    return [
+        float(record.cycle), *state.pose_body_in_wall, *state.twist_body, *sigma, *wanted,
+        *setpoint.wheel_rate_rad_s, *setpoint.steering_rad,
+    ]  # fmt: skip
+
+
+def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> int:
+    """Write the table and return its number of rows; floats survive exactly in both formats.
+
+    Args:
+        records: cycles in order.
+        path: file to write.
+        kind: `csv` or `parquet`.
+
+    Raises:
+        DataError: the file cannot be written.
+        UsageError: unknown kind, or Parquet without its extra.
+    """
+    table = tabulate(records)
+    try:
+        if kind == "csv":
+            with path.open("w", encoding="utf-8", newline="") as file:
+                writer = csv.writer(file)
+                writer.writerow(COLUMNS)
+                writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in table.tolist())
+        elif kind == "parquet":
+            _write_parquet(table, path)
+        else:
+            raise UsageError(f"format {kind!r}", expected="csv or parquet")
+    except OSError as error:
+        raise DataError(str(path), f"cannot be written ({error})") from None
+    return len(table)
+
+
+def _write_parquet(table: Array, path: Path) -> None:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise UsageError(
+            "Parquet needs pyarrow, which is not installed",
+            remedy="install the extra: pip install 'hil-4wis4wid[parquet]'",
+        ) from None
+    columns = {name: table[:, i] for i, name in enumerate(COLUMNS)}
+    pyarrow.parquet.write_table(pyarrow.table(columns), str(path))
+
+
+def _wheel_log(samples: Iterable[WheelMeasurement], origin_ns: int) -> Log:
+    usable = [w for w in samples if all(w.valid)]
+    values = [[*w.wheel_angle_rad, *w.steering_rad, *w.wheel_rate_rad_s] for w in usable]
+    return Log(
+        np.array([(w.stamp.t_ns - origin_ns) / NS_PER_S for w in usable]),
+        np.array(values, dtype=np.float64).reshape(-1, 12),
+    )
+
+
+def to_recording(path: str | Path, problems: list[str] | None = None) -> Recording:
+    """One of our recordings as input of evaluation and calibration.
+
+    Args:
+        path: the MCAP file; the motion is its name before the last `_`.
+        problems: receives what could not be read; without it damage raises.
+
+    Raises:
+        DataError: unreadable, or without wheels or ground truth.
+    """
+    file = Path(path)
+    records = list(read_cycles(file, problems))
+    origin_ns = records[0].inputs.t_ns if records else 0
+    truth_t_s, poses = _truth(records)
+    return build_recording(
+        file.stem,
+        _wheel_log((w for r in records for w in r.measurements.wheels), origin_ns),
+        Log(truth_t_s, poses),
+        motion=file.stem.rpartition("_")[0] or file.stem,
+        sources=(str(file),),
+        sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),),
+    )

@@ -1,0 +1,198 @@
+"""Reads rosbag2 MCAP recordings of a real robot through a topic mapping in TOML.
+
+The mapping says which joints are which wheel and where ground truth comes from::
+
+    schema = 1
+    [wheels]
+    topic = "/joint_states"                    # sensor_msgs/JointState, rad
+    drive = ["fl_drive", "bl_drive", "br_drive", "fr_drive"]
+    steer = ["fl_steer", "bl_steer", "br_steer", "fr_steer"]
+    drive_sign = [1, 1, 1, 1]                  # optional, as are the next two
+    steer_sign = [1, 1, 1, 1]
+    steer_zero_rad = [0.0, 0.0, 0.0, 0.0]
+    [truth]
+    topic = "/mocap/pose"                      # PoseStamped, PoseWithCovarianceStamped or Odometry
+
+Stamps are those of the message headers; a header without a stamp falls back to the log time.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.clock import NS_PER_S
+from hil.errors import ConfigError, DataError
+from hil.geometry import yaw_of_quat
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+_JOINTS = "sensor_msgs/msg/JointState"
+_POSES = (
+    "geometry_msgs/msg/PoseStamped",
+    "geometry_msgs/msg/PoseWithCovarianceStamped",
+    "nav_msgs/msg/Odometry",
+)
+_Names = tuple[str, str, str, str]
+_Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class WheelTopic(_Strict):
+    """Joints of the wheels, order FL, BL, BR, FR."""
+
+    topic: str
+    drive: _Names
+    steer: _Names
+    drive_sign: _Signs = (1, 1, 1, 1)
+    steer_sign: _Signs = (1, 1, 1, 1)
+    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+
+class TruthTopic(_Strict):
+    """Planar ground truth: x, y and the rotation about z of the pose."""
+
+    topic: str
+
+
+class TopicMap(_Strict):
+    """Which topic of a bag is what."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    wheels: WheelTopic
+    truth: TruthTopic
+
+
+def read_topic_map(path: str | Path) -> TopicMap:
+    """Topic mapping of a TOML file.
+
+    Raises:
+        ConfigError: unreadable or wrong, with every problem.
+    """
+    try:
+        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return TopicMap.model_validate(tree)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+    except ValidationError as error:
+        problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
+        raise ConfigError(f"{path}: {len(problems)} problem(s)", problems=problems) from None
+    except ValueError as error:
+        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+
+
+def read_bag(path: str | Path, topics: TopicMap) -> Recording:
+    """Wheels and ground truth of a bag: a `.mcap` file or a rosbag2 folder.
+
+    Raises:
+        DataError: unreadable, a topic or joint is missing, or the data cannot be used.
+    """
+    file = Path(path)
+    wheel_rows: list[tuple[float, list[float]]] = []
+    truth_rows: list[tuple[float, list[float]]] = []
+    for topic, t_s, message in _messages(file, (topics.wheels.topic, topics.truth.topic)):
+        if topic == topics.truth.topic:
+            truth_rows.append((t_s, _planar(message)))
+        else:
+            index = _joints(file, topics.wheels, message)
+            wheel_rows.append((t_s, _wheel_row(file, topics.wheels, index, message)))
+    return build_recording(
+        file.stem,
+        _log(wheel_rows, 12),
+        _log(truth_rows, 3),
+        motion=file.stem.rpartition("_")[0] or file.stem,
+        sources=(str(file),),
+        sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
+    )
+
+
+def _log(rows: list[tuple[float, list[float]]], width: int) -> Log:
+    return Log(
+        np.array([t for t, _ in rows]), np.array([v for _, v in rows], dtype=np.float64).reshape(-1, width)
+    )
+
+
+def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float, Any]]:
+    """Topic, time since the first message (s) and message, of the wanted topics."""
+    from rosbags.highlevel import AnyReader, AnyReaderError
+    from rosbags.rosbag2 import ReaderError
+    from rosbags.typesys import Stores, get_typestore
+
+    origin_ns: int | None = None
+    try:
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            there = {c.topic for c in bag.connections}
+            missing = [t for t in wanted if t not in there]
+            if missing:
+                raise DataError(
+                    str(path),
+                    f"has no topic {', '.join(missing)}",
+                    expected=f"one of {', '.join(sorted(there))}",
+                )
+            chosen = [c for c in bag.connections if c.topic in wanted]
+            for connection in chosen:
+                _check_type(path, connection.topic, connection.msgtype, joints=connection.topic == wanted[0])
+            for connection, log_ns, raw in bag.messages(connections=chosen):
+                message: Any = bag.deserialize(raw, connection.msgtype)
+                stamp = message.header.stamp
+                t_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
+                origin_ns = t_ns if origin_ns is None else origin_ns
+                yield connection.topic, (t_ns - origin_ns) / NS_PER_S, message
+    except (AnyReaderError, ReaderError, OSError) as error:
+        raise DataError(
+            str(path),
+            f"is not a readable rosbag2 recording ({error})",
+            remedy="repair it with `mcap recover`",
+        ) from None
+
+
+def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:
+    """Raises `DataError` for a topic of a type that cannot be wheels or ground truth."""
+    expected = (_JOINTS,) if joints else _POSES
+    if kind not in expected:
+        raise DataError(str(path), f"{topic} is of another type ({kind})", expected=" or ".join(expected))
+
+
+def _joints(path: Path, wheels: WheelTopic, message: Any) -> dict[str, int]:
+    index = {name: i for i, name in enumerate(message.name)}
+    missing = [name for name in (*wheels.drive, *wheels.steer) if name not in index]
+    if missing:
+        raise DataError(
+            str(path),
+            f"{wheels.topic} has no joint {', '.join(missing)}",
+            expected=f"some of {', '.join(index)}",
+        )
+    return index
+
+
+def _wheel_row(path: Path, wheels: WheelTopic, index: dict[str, int], message: Any) -> list[float]:
+    names = (*wheels.drive, *wheels.steer)
+    if len(message.position) < len(index):
+        raise DataError(
+            str(path), f"{wheels.topic} carries {len(message.position)} positions", expected="one per joint"
+        )
+    position = np.array([message.position[index[n]] for n in names])
+    has_rates = len(message.velocity) == len(message.position)
+    rate = np.array([message.velocity[index[n]] for n in wheels.drive]) if has_rates else np.full(4, np.nan)
+    drive_sign = np.array(wheels.drive_sign)
+    steering = np.array(wheels.steer_sign) * (position[4:] - np.array(wheels.steer_zero_rad))
+    return [*(drive_sign * position[:4]), *steering, *(drive_sign * rate)]
+
+
+def _planar(message: Any) -> list[float]:
+    pose = getattr(message.pose, "pose", message.pose)
+    q = pose.orientation
+    return [pose.position.x, pose.position.y, yaw_of_quat([q.w, q.x, q.y, q.z])]

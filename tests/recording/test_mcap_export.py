@@ -1,0 +1,177 @@
+"""Export of recordings, and recordings as input of calibration, from our files and from rosbag2."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+from click.testing import CliRunner
+from mcap_cases import driving_record
+
+from hil.cli.export import command
+from hil.errors import ConfigError, DataError, UsageError
+from hil.recording.export import COLUMNS, tabulate, to_recording, write_table
+from hil.recording.mcap_writer import McapRecorder
+from hil.recording.plain_csv import read_plain
+from hil.recording.rosbag import read_bag, read_topic_map
+from hil.signals import SERVOS
+
+CYCLES = 300
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory):
+    path = tmp_path_factory.mktemp("export") / "line_x_1.mcap"
+    recorder = McapRecorder(path, {}, lossless=True)
+    for k in range(CYCLES):
+        recorder.write(driving_record(k))
+    recorder.close()
+    return path
+
+
+def column(table, name):
+    return table[:, COLUMNS.index(name)]
+
+
+def test_table_holds_the_measured_values():
+    records = [driving_record(k) for k in range(60)]
+    table = tabulate(records)
+    assert table.shape == (60, len(COLUMNS))
+    np.testing.assert_array_equal(
+        column(table, "phi2"), [r.inputs.servos[0].position_rad[1] for r in records]
+    )
+    np.testing.assert_array_equal(
+        column(table, "estimate_x_m"), [r.state.pose_body_in_wall[0] for r in records]
+    )
+    np.testing.assert_allclose(column(table, "t"), 0.01 * np.arange(60))
+    np.testing.assert_allclose(column(table, "sigma_x_m"), 0.01)
+    # Truth was seen at the wheels' own instants here, so interpolation must return it.
+    np.testing.assert_allclose(column(table, "x"), [r.measurements.mocap[0].pose[0] for r in records])
+
+
+def test_truth_is_not_invented_inside_gaps():
+    records = []
+    for k in range(60):
+        record = driving_record(k)
+        if 20 <= k < 40:
+            record = dataclasses.replace(
+                record, measurements=dataclasses.replace(record.measurements, mocap=())
+            )
+        records.append(record)
+    known = np.isfinite(column(tabulate(records), "x"))
+    assert known[:20].all()
+    assert not known[20:40].any()
+    assert known[40:].all()
+
+
+def test_no_records_give_an_empty_table():
+    assert tabulate([]).shape == (0, len(COLUMNS))
+
+
+def test_csv_and_parquet_hold_the_same_bits(tmp_path):
+    records = [driving_record(k) for k in range(40)]
+    assert write_table(records, tmp_path / "t.csv", "csv") == 40
+    assert write_table(records, tmp_path / "t.parquet", "parquet") == 40
+    from_csv = np.genfromtxt(tmp_path / "t.csv", delimiter=",", names=True)
+    from_parquet = pyarrow.parquet.read_table(tmp_path / "t.parquet")
+    assert tuple(from_parquet.column_names) == COLUMNS
+    for name in COLUMNS:
+        np.testing.assert_array_equal(from_csv[name], from_parquet[name].to_numpy())
+    with pytest.raises(UsageError, match="csv or parquet"):
+        write_table(records, tmp_path / "x", "xlsx")
+    with pytest.raises(DataError, match="cannot be written"):
+        write_table(records, tmp_path / "no" / "x.csv", "csv")
+
+
+def test_an_exported_csv_is_a_plain_recording(recording, tmp_path):
+    out = tmp_path / "line_x_1.csv"
+    result = CliRunner().invoke(command, [str(recording), "--out", str(out), "--json"], standalone_mode=False)
+    assert result.return_value == 0
+    told = json.loads(result.stdout)
+    assert (told["rows"], told["cycles"], told["problems"]) == (CYCLES, CYCLES, [])
+    plain, direct = read_plain(out), to_recording(recording)
+    assert plain.motion == direct.motion == "line_x"
+    np.testing.assert_allclose(plain.wheel_angle_rad, direct.wheel_angle_rad)
+    np.testing.assert_allclose(plain.truth_pose, direct.truth_pose, atol=1e-12)
+
+
+def test_a_damaged_recording_is_exported_as_far_as_it_goes(recording, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    data = recording.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    result = CliRunner().invoke(command, [str(cut), "--json"], standalone_mode=False)
+    assert result.return_value == 2
+    told = json.loads(result.stdout)
+    assert 0 < told["rows"] < CYCLES
+    assert "ends early" in told["problems"][0]
+    assert "ends early" in result.stderr
+    assert (tmp_path / "cut.csv").exists()
+
+
+MAPPING = f"""
+schema = 1
+[wheels]
+topic = "/joint_states"
+drive = {json.dumps(SERVOS[:4])}
+steer = {json.dumps(SERVOS[4:])}
+[truth]
+topic = "/mocap/pose"
+"""
+
+
+def mapped(tmp_path, text):
+    path = tmp_path / "topics.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_topic_map(path)
+
+
+def test_a_bag_read_by_topics_gives_the_recorded_wheels(recording, tmp_path):
+    # Our own file is a rosbag2 recording too: its ROS topics must tell the same as its cycle records.
+    bag, ours = read_bag(recording, mapped(tmp_path, MAPPING)), to_recording(recording)
+    np.testing.assert_array_equal(bag.wheel_angle_rad, ours.wheel_angle_rad)
+    np.testing.assert_array_equal(bag.steering_rad, ours.steering_rad)
+    np.testing.assert_array_equal(bag.wheel_rate_rad_s[:, 0], 1.0)
+    sampled = [driving_record(k).inputs.mocap[0].position_m[:2] for k in range(CYCLES)]
+    np.testing.assert_array_equal(bag.truth_pose[:, :2], sampled)
+
+
+def test_signs_and_zeros_of_the_mapping_are_applied(recording, tmp_path):
+    extra = "drive_sign = [1, 1, -1, -1]\nsteer_zero_rad = [0.1, 0.0, 0.0, 0.0]\n[truth]"
+    plain = read_bag(recording, mapped(tmp_path, MAPPING))
+    other = read_bag(recording, mapped(tmp_path, MAPPING.replace("[truth]", extra)))
+    np.testing.assert_array_equal(other.wheel_angle_rad, plain.wheel_angle_rad * [1, 1, -1, -1])
+    np.testing.assert_allclose(other.steering_rad, plain.steering_rad - [0.1, 0, 0, 0])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("/joint_states", "/wheels", "has no topic /wheels"),
+        ("drive_BL", "left", "has no joint left"),
+        ("/mocap/pose", "/imu/data", "another type"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_names_what_is_there(recording, tmp_path, old, new, reason):
+    topics = mapped(tmp_path, MAPPING.replace(old, new))
+    with pytest.raises(DataError, match=reason) as caught:
+        read_bag(recording, topics)
+    assert caught.value.path == str(recording)
+
+
+def test_a_truncated_bag_is_a_data_error(recording, tmp_path):
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(recording.read_bytes()[:20_000])
+    with pytest.raises(DataError, match="not a readable rosbag2"):
+        read_bag(cut, mapped(tmp_path, MAPPING))
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [("schema = 1", "2 problem"), (MAPPING + "speed = 1", "speed"), ("= nothing", "not valid TOML")],
+)
+def test_wrong_mappings_list_their_problems(tmp_path, text, reason):
+    with pytest.raises(ConfigError, match=reason):
+        mapped(tmp_path, text)
