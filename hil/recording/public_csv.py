@@ -106,7 +106,7 @@ def _log(rows: Array, values: Array) -> Log:
     days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
     receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
     header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9
-    return Log(header + float(np.median(receive - header)), values, receive)
+    return Log(header + float(np.nanmedian(receive - header)), values, receive)
 
 
 def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[list[str], bytes]:

@@ -1,0 +1,183 @@
+"""Calibration: derivatives, solvers that agree, truth that comes back, what the data cannot tell."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.calibration.blocks import reduce_recordings
+from hil.calibration.calibrate import calibrate
+from hil.calibration.evaluation import evaluate, track
+from hil.calibration.fitting import fit, twist_correction
+from hil.calibration.identifiability import identifiability
+from hil.calibration.motion_models import make_model
+from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
+from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
+from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
+from hil.clock import MonotonicClock
+from hil.errors import DataError, UsageError
+from hil.kinematics import WheelGeometry
+
+CAD = WheelGeometry.nominal()
+CLOCK = MonotonicClock()
+
+
+@pytest.fixture(scope="module")
+def recordings():
+    return make_set(hidden_robot(1), 1, repetitions=2)
+
+
+def some_z(seed=0):
+    rng = np.random.default_rng(seed)
+    z = CAD.vector() * (1 + 0.01 * rng.standard_normal(16))
+    z[12:] = 0.01 * rng.standard_normal(4)
+    return z
+
+
+@pytest.mark.parametrize("name", ["exact", "paper", "dry-friction"])
+def test_motion_jacobian_matches_differences(recordings, name):
+    q = reduce_recordings(recordings[:3], 0.3).wheel_rad.reshape(-1, 8)
+    z = some_z()
+    _, jacobian = make_model(name, q).motion_jacobian(z)
+    for k in range(16):
+        h = 1e-6 * np.eye(16)[k]
+        slope = (make_model(name, q).motion(z + h) - make_model(name, q).motion(z - h)) / 2e-6
+        tolerance = 2e-3 if name == "dry-friction" else 1e-8
+        assert np.median(np.abs(jacobian[:, :, k] - slope)) <= tolerance * max(np.abs(slope).max(), 1.0)
+
+
+def test_gauss_newton_gradient_is_the_gradient_of_the_objective(recordings):
+    for setting in (PAPER, replace(RECOMMENDED, model="exact")):
+        problem = Problem(reduce_recordings(recordings, 0.3, setting.signal), setting, CAD)
+        z = some_z()[: len(problem.nominal)]
+        value, half_gradient, _ = problem.gradient_terms(z)
+        assert value == pytest.approx(problem.objective(z))
+        for k in range(len(z)):
+            h = 1e-7 * np.eye(len(z))[k]
+            slope = (problem.objective(z + h) - problem.objective(z - h)) / 2e-7
+            assert 2 * half_gradient[k] == pytest.approx(slope, rel=1e-4, abs=1e-3 * value)
+
+
+@pytest.mark.parametrize("setting", [PAPER, RECOMMENDED], ids=lambda s: s.name)
+def test_all_four_methods_meet(recordings, setting):
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    found = {m: fit(blocks, setting, CAD, method=m, seed=3) for m in METHODS}
+    best = min(f.solution.objective for f in found.values())
+    for method, result in found.items():
+        assert result.solution.objective <= 1.01 * best, method
+        z = result.solution.z
+        assert np.all(z >= result.problem.lower - 1e-12)
+        assert np.all(z <= result.problem.upper + 1e-12)
+        polished = result.solution.objective_before_polish is not None
+        assert polished == (method in ("ga", "pso"))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("setting", [PAPER, RECOMMENDED], ids=lambda s: s.name)
+@pytest.mark.parametrize("method", ["ga", "pso"])
+def test_stochastic_methods_meet_on_ten_seeds(recordings, setting, method):
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    best = fit(blocks, setting, CAD, method="interior-point").solution.objective
+    for seed in range(10):
+        assert fit(blocks, setting, CAD, method=method, seed=seed).solution.objective <= 1.01 * best
+
+
+def test_interior_point_and_lm_find_scipys_optimum_in_the_box(recordings):
+    from scipy.optimize import least_squares
+
+    problem = Problem(reduce_recordings(recordings, 0.3, "velocity"), PAPER, CAD)
+
+    def residuals(z):
+        return (problem.errors(z) * problem._scale).ravel()
+
+    reference = least_squares(
+        residuals,
+        problem.nominal,
+        bounds=(problem.lower, problem.upper),
+        x_scale=0.01 * np.abs(problem.nominal),
+    )
+    best = 2 * reference.cost
+    for method in (interior_point, levenberg_marquardt):
+        assert method(problem, problem.nominal).objective <= 1.005 * best
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_injected_truth_comes_back_through_bad_data(seed):
+    """Slip bursts and a corrupted file in the fit; motions outside it predicted within 1.8 mm."""
+    robot = hidden_robot(seed)
+    result = calibrate(make_set(robot, seed, corrupted="circle_cw_2"), RECOMMENDED, CLOCK, validate=False)
+    assert "circle_cw_2" in result.fit.rejected
+    assert any("circle_cw_2" in line for line in result.warnings)
+    test = make_set(robot, seed + 100, OTHER_MOTIONS, 2, slip_share=0, run_to_run=0)
+    after = evaluate([track(r, result.geometry, result.setting.model, "position") for r in test])
+    before = evaluate([track(r, CAD, "exact", "position") for r in test])
+    assert after["mean"]["rmse_position_m"] <= 1.8e-3
+    assert before["mean"]["rmse_position_m"] > 4 * after["mean"]["rmse_position_m"]
+
+
+@pytest.mark.long
+def test_injected_truth_on_ten_seeds_and_interval_coverage():
+    errors, hits = [], []
+    for seed in range(20):
+        robot = hidden_robot(seed)
+        result = calibrate(make_set(robot, seed, corrupted="circle_cw_2"), RECOMMENDED, CLOCK, validate=False)
+        assert "circle_cw_2" in result.fit.rejected
+        test = make_set(robot, seed + 100, OTHER_MOTIONS, 2, slip_share=0, run_to_run=0)
+        table = evaluate([track(r, result.geometry, result.setting.model, "position") for r in test])
+        errors.append(table["mean"]["rmse_position_m"])
+        wrong = twist_correction(result.fit.solution.z, CAD) - robot.twist_correction(CAD)
+        hits.append(np.abs(wrong) <= result.intervals.quantile * result.intervals.twist_std)
+    assert max(errors) <= 1.8e-3
+    assert 0.88 <= np.mean(hits) <= 0.99
+
+
+def test_rigid_commands_determine_six_of_the_papers_twelve_parameters(recordings):
+    spectrum = identifiability(fit(reduce_recordings(recordings, 0.1, "velocity"), PAPER, CAD))
+    assert spectrum.determined == 6
+    assert spectrum.singular_values[5] > 5 * spectrum.singular_values[6]
+    exact = make_setting("recommended", model="exact")
+    wide = identifiability(fit(reduce_recordings(recordings, 0.1), exact, CAD))
+    assert wide.determined == 7
+    assert set(wide.unobservable) <= {f"{k}_w_{i}" for k in "xy" for i in range(1, 5)}
+
+
+def test_the_friction_law_is_chosen_by_what_explains_the_data():
+    for contact, expected in (("viscous", "exact"), ("coulomb", "dry-friction")):
+        robot = hidden_robot(2, contact=contact)
+        data = make_set(robot, 2, repetitions=2, slip_share=0, run_to_run=0)
+        assert calibrate(data, RECOMMENDED, CLOCK, validate=False).setting.model == expected
+
+
+def test_a_motion_that_cannot_excite_a_parameter_leaves_it_unobservable():
+    data = make_set(hidden_robot(3), 3, ["line_x"], 3)
+    result = calibrate(data, RECOMMENDED, CLOCK)
+    assert len(result.spectrum.unobservable) >= 4
+    assert any("unobservable" in line for line in result.warnings)
+    assert "leave_one_motion_out" not in result.validation
+
+
+def test_one_recording_gives_no_interval_and_says_so():
+    result = calibrate(make_set(hidden_robot(3), 3, ["line_x"], 1), RECOMMENDED, CLOCK)
+    assert any("one recording only" in line for line in result.warnings)
+    assert np.all(np.isnan(result.intervals.std))
+    assert result.to_json()["std"]["r_m"] == [None] * 4
+
+
+def test_twist_deployment_predicts_like_the_parameters():
+    robot = hidden_robot(4)
+    result = calibrate(make_set(robot, 4), RECOMMENDED, CLOCK, validate=False)
+    for run in make_set(robot, 200, OTHER_MOTIONS, 1, slip_share=0, run_to_run=0):
+        by_twist = track(run, CAD, "exact", "position", result.twist)
+        by_parameters = track(run, result.geometry, result.setting.model, "position")
+        gap = np.hypot(*(by_twist.odometry - by_parameters.odometry)[:, :2].T)
+        assert gap.max() < 1.5e-3
+
+
+def test_nonsense_is_refused(recordings):
+    with pytest.raises(UsageError, match="expected one of lm"):
+        solve(Problem(reduce_recordings(recordings, 0.3), RECOMMENDED, CAD), "guess")
+    with pytest.raises(DataError, match="no recordings"):
+        calibrate([], RECOMMENDED, CLOCK)
+    silent = [replace(recordings[0], wheel_rate_rad_s=np.full((len(recordings[0].t_s), 4), np.nan))]
+    with pytest.raises(DataError, match="no wheel rates"):
+        calibrate(silent, PAPER, CLOCK)

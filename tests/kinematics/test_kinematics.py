@@ -1,0 +1,198 @@
+"""Kinematics against its laws and against robotpy-wpimath."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil import kinematics as k
+from hil import odometry as o
+from hil.errors import UsageError
+from hil.geometry import compose, se2_exp
+
+CAD = k.WheelGeometry.nominal()
+
+
+def random_geometry(rng):
+    return k.WheelGeometry(
+        CAD.x_m * (1 + 0.1 * rng.standard_normal(4)),
+        CAD.y_m * (1 + 0.1 * rng.standard_normal(4)),
+        CAD.radius_m * (1 + 0.05 * rng.standard_normal(4)),
+        0.05 * rng.standard_normal(4),
+    )
+
+
+def test_both_directions_agree_with_wpimath_on_two_thousand_states():
+    from wpimath.geometry import Rotation2d, Translation2d
+    from wpimath.kinematics import SwerveDrive4Kinematics, SwerveModuleState
+
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        geometry = random_geometry(rng)
+        theirs = SwerveDrive4Kinematics(
+            *(Translation2d(x, y) for x, y in zip(geometry.x_m, geometry.y_m, strict=True))
+        )
+        for _ in range(100):
+            speed, heading = rng.uniform(-1, 1, 4), rng.uniform(-np.pi, np.pi, 4)
+            states = [SwerveModuleState(v, Rotation2d(d)) for v, d in zip(speed, heading, strict=True)]
+            chassis = theirs.toChassisSpeeds(states)
+            ours = k.forward(geometry, speed, heading + geometry.steering_zero_rad)
+            np.testing.assert_allclose(ours, [chassis.vx, chassis.vy, chassis.omega], atol=1e-12, rtol=0)
+            back = theirs.toSwerveModuleStates(chassis)
+            v, d = k.inverse(geometry, ours)
+            vectors = k.wheel_vectors(v, d - geometry.steering_zero_rad)
+            expected = k.wheel_vectors(
+                np.array([b.speed for b in back]), np.array([b.angle.radians() for b in back])
+            )
+            np.testing.assert_allclose(vectors, expected, atol=1e-12, rtol=0)
+
+
+@pytest.mark.parametrize("model", k.MODELS)
+def test_forward_undoes_inverse_on_slip_free_motion(model):
+    rng = np.random.default_rng(1)
+    geometry = random_geometry(rng) if model != "paper" else CAD
+    twists = rng.uniform(-0.3, 0.3, (50, 3))
+    speed, steering = k.inverse(geometry, twists)
+    np.testing.assert_allclose(k.forward(geometry, speed, steering, model), twists, atol=1e-9)
+
+
+def test_the_papers_model_errs_on_an_asymmetric_robot_as_measured():
+    """Published FM geometry at |v| <= 0.2 m/s, |w| <= 1 rad/s (`facts/robot.md`)."""
+    fm = k.WheelGeometry(
+        np.array([0.1181, -0.1181, -0.1164, 0.1124]),
+        np.array([0.1069, 0.1181, -0.1071, -0.1069]),
+        np.array([0.02555, 0.02667, 0.02591, 0.02511]),
+    )
+    corners = np.array([(a, b, w) for a in (-0.2, 0, 0.2) for b in (-0.2, 0, 0.2) for w in (-1.0, 0, 1.0)])
+    speed, steering = k.inverse(fm, corners)
+    error = np.abs(k.forward(fm, speed, steering, "paper") - corners).max(axis=0)
+    assert 0.005 < error[2] < 0.06
+    assert 0.0005 < error[:2].max() < 0.006
+    np.testing.assert_allclose(k.forward(fm, speed, steering), corners, atol=1e-12)
+
+
+@pytest.mark.parametrize("model", ["exact", "paper"])
+def test_forward_matrix_derivative_matches_differences(model):
+    geometry = random_geometry(np.random.default_rng(2))
+    analytic = k.forward_matrix_derivative(geometry.x_m, geometry.y_m, model)
+    for i in range(8):
+        h = np.zeros(8)
+        h[i] = 1e-6
+        up = k.forward_matrix(geometry.x_m + h[:4], geometry.y_m + h[4:], model)
+        down = k.forward_matrix(geometry.x_m - h[:4], geometry.y_m - h[4:], model)
+        np.testing.assert_allclose(analytic[i], (up - down) / 2e-6, atol=1e-6)
+
+
+def test_least_dissipation_is_a_minimum_and_ignores_one_contradicting_wheel():
+    rng = np.random.default_rng(3)
+    geometry = random_geometry(rng)
+    p = geometry.projection()
+    twist = np.array([0.05, 0.02, 0.1])
+    u = np.tile(p @ twist, (3, 1))
+    u[1, 2] += 0.02
+    u[2] += 0.004 * rng.standard_normal(8)
+    b = k.least_dissipation(p, u)
+    np.testing.assert_allclose(b[0], twist, atol=1e-9)
+    np.testing.assert_allclose(b[1], twist, atol=1e-3)
+    assert np.linalg.norm(k.twist_of_vectors(geometry.x_m, geometry.y_m, u[1:2])[0] - twist) > 5e-3
+    share, scale = np.ones(4), k.displacement_scale(u)
+    best = k._dissipation(p, u, b, scale, share, 1.0)
+    for _ in range(40):
+        other = b + 1e-4 * rng.standard_normal(b.shape)
+        assert np.all(k._dissipation(p, u, other, scale, share, 1.0) >= best - 1e-12)
+
+
+@given(st.floats(0.1, 10.0), st.integers(0, 100))
+@settings(max_examples=30, deadline=None)
+def test_dry_friction_is_homogeneous(factor, seed):
+    """Twice the wheel motion moves the body twice as far: Coulomb friction knows no speed."""
+    u = 0.01 * np.random.default_rng(seed).standard_normal((4, 8))
+    p = CAD.projection()
+    np.testing.assert_allclose(
+        k.least_dissipation(p, factor * u), factor * k.least_dissipation(p, u), atol=2e-6 * factor
+    )
+
+
+def test_dissipation_derivatives_match_differences():
+    rng = np.random.default_rng(4)
+    p, u = CAD.projection(), 0.01 * rng.standard_normal((5, 8))
+    b, share, scale = 0.005 * rng.standard_normal((5, 3)), np.ones(4), k.displacement_scale(u)
+    for power in (1.0, 1.5, 2.0):
+        gradient, hessian = k.dissipation_derivatives(p, u, b, scale, share, power)
+        for axis in range(3):
+            h = np.zeros(3)
+            h[axis] = 1e-7
+            up = k.dissipation_derivatives(p, u, b + h, scale, share, power)[0]
+            down = k.dissipation_derivatives(p, u, b - h, scale, share, power)[0]
+            np.testing.assert_allclose(hessian[:, :, axis], (up - down) / 2e-7, rtol=2e-3, atol=1e-4)
+            value = (
+                k._dissipation(p, u, b + h, scale, share, power)
+                - k._dissipation(p, u, b - h, scale, share, power)
+            ) / 2e-7
+            np.testing.assert_allclose(gradient[:, axis] / scale**2, value, rtol=1e-3, atol=1e-2)
+
+
+def test_bad_geometry_is_refused_by_name():
+    with pytest.raises(UsageError, match="radii"):
+        k.WheelGeometry(CAD.x_m, CAD.y_m, -CAD.radius_m)
+    with pytest.raises(UsageError, match="four finite"):
+        k.WheelGeometry(np.zeros(3), CAD.y_m, CAD.radius_m)
+    with pytest.raises(UsageError, match="one point"):
+        k.WheelGeometry(np.zeros(4), np.zeros(4), CAD.radius_m)
+    with pytest.raises(UsageError, match="expected one of exact"):
+        k.forward(CAD, np.ones(4), np.zeros(4), "wishful")
+    with pytest.raises(UsageError, match="integrator"):
+        o.integrate(np.zeros(3), np.zeros((1, 3)), "midpoint")
+
+
+def test_exponential_integration_composes_group_elements():
+    steps = 0.1 * np.random.default_rng(5).standard_normal((30, 3))
+    pose = np.array([0.2, -0.1, 0.4])
+    path = o.integrate(pose, steps)
+    for step, expected in zip(steps, path[1:], strict=True):
+        pose = compose(pose, se2_exp(step))
+        np.testing.assert_allclose(pose, expected, atol=1e-12)
+
+
+def test_euler_converges_to_the_exponential_at_first_order():
+    ends = []
+    for n in (100, 200, 400):
+        step = np.tile([0.5 / n, 0.1 / n, 1.0 / n], (n, 1))
+        gap = o.integrate(np.zeros(3), step, "euler")[-1] - o.integrate(np.zeros(3), step)[-1]
+        ends.append(np.linalg.norm(gap))
+    assert ends[0] / ends[1] == pytest.approx(2.0, rel=0.02)
+    assert ends[1] / ends[2] == pytest.approx(2.0, rel=0.02)
+
+
+def test_integration_jacobian_matches_differences():
+    rng = np.random.default_rng(6)
+    motion, slope = 0.05 * rng.standard_normal((20, 3)), rng.standard_normal((20, 3, 2))
+    start = rng.standard_normal(3)
+    poses, jacobian = o.integrate_with_jacobian(start, motion, slope)
+    np.testing.assert_allclose(poses, o.integrate(start, motion), atol=1e-13)
+    for j in range(2):
+        up = o.integrate(start, motion + 1e-6 * slope[:, :, j])
+        down = o.integrate(start, motion - 1e-6 * slope[:, :, j])
+        np.testing.assert_allclose(jacobian[:, :, j], (up - down) / 2e-6, atol=1e-7)
+
+
+@pytest.mark.parametrize("model", ["exact", "paper"])
+def test_state_space_model_and_its_jacobians(model):
+    rng = np.random.default_rng(7)
+    geometry = random_geometry(rng)
+    state, inputs = rng.standard_normal(11), rng.standard_normal(8)
+    rate = o.state_derivative(geometry, state, inputs, model)
+    np.testing.assert_allclose(rate[3:7], inputs[:4] / geometry.radius_m)
+    np.testing.assert_allclose(rate[7:], inputs[4:])
+    by_state, by_input = (
+        o.state_jacobian(geometry, state, inputs, model),
+        o.input_jacobian(geometry, state, model),
+    )
+    np.testing.assert_allclose(by_input @ inputs, rate, atol=1e-12)
+    for i in range(11):
+        h = 1e-6 * np.eye(11)[i]
+        slope = (
+            o.state_derivative(geometry, state + h, inputs, model)
+            - o.state_derivative(geometry, state - h, inputs, model)
+        ) / 2e-6
+        np.testing.assert_allclose(by_state[:, i], slope, atol=1e-8)

@@ -1,0 +1,184 @@
+"""Reading CSV recordings: round trips, repairs that are counted, refusals that name the file."""
+
+import gzip
+
+import numpy as np
+import pytest
+
+from hil.calibration.datasets import Log, build_recording, increasing
+from hil.calibration.synthetic import hidden_robot, simulate
+from hil.errors import DataError
+from hil.recording.plain_csv import read_plain, write_plain
+from hil.recording.public_csv import read_pair
+from hil.recording.sources import read_recordings
+
+NAMES = [f"{w}_{k}" for w in ("BL", "BR", "FL", "FR") for k in ("Position", "Wheel")]
+
+
+@pytest.fixture(scope="module")
+def run():
+    return simulate(hidden_robot(1), "line_x", "line_x_1", np.random.default_rng(1))
+
+
+def logs(n=200):
+    t = np.arange(n) * 0.02
+    wheels = np.column_stack([np.outer(t, np.full(4, 1.97)), np.zeros((n, 4))])
+    truth = np.column_stack([0.05 * t, np.zeros(n), np.zeros(n)])
+    return t, wheels, truth
+
+
+def write_pair(folder, n=200, *, columns=True, compress=False, break_rows=()):
+    t, wheels, truth = logs(n)
+    order = {f"{w}_Wheel": i for i, w in enumerate(("FL", "BL", "BR", "FR"))}
+    odom = [
+        "time;.header.seq;.header.stamp.secs;.header.stamp.nsecs;.header.frame_id;.name;.position;.velocity;.effort"
+    ]
+    absolute = [
+        "time;.header.seq;.header.stamp.secs;.header.stamp.nsecs;.header.frame_id;.pose.position.x;"
+        ".pose.position.y;.pose.position.z;.pose.orientation.x;.pose.orientation.y;.pose.orientation.z;.pose.orientation.w"
+    ]
+    for k in range(n):
+        stamp = f"2024/05/03/12:00:{t[k]:09.6f};{k};{1000 + int(t[k])};{round((t[k] % 1) * 1e9)}"
+        position = [float(wheels[k, order[m]]) + order[m] if m in order else 0.01 for m in NAMES]
+        rate = [1.97 + order[m] if m in order else 0.0 for m in NAMES]
+        row = f"{stamp};;{NAMES};{tuple(position)};{tuple(rate)};{(0.0,) * 8}"
+        odom.append("garbage" if k in break_rows else row)
+        absolute.append(f"{stamp};world;{truth[k, 0]};{truth[k, 1]};0;0;0;0;1")
+    if not columns:
+        odom = [line.replace(".position", ".place") for line in odom]
+    for name, lines in (("odom_3.csv", odom), ("abs_3.csv", absolute)):
+        data = ("\n".join(lines) + "\n").encode()
+        (folder / (name + ".gz" * compress)).write_bytes(gzip.compress(data) if compress else data)
+
+
+def test_plain_csv_reads_back_what_was_written(tmp_path, run):
+    write_plain(tmp_path / "line_x_1.csv", run)
+    back = read_plain(tmp_path / "line_x_1.csv")
+    assert (back.name, back.motion) == ("line_x_1", "line_x")
+    np.testing.assert_allclose(back.wheel_angle_rad, run.wheel_angle_rad, atol=1e-6)
+    np.testing.assert_allclose(back.steering_rad, run.steering_rad, atol=1e-6)
+    np.testing.assert_allclose(back.wheel_rate_rad_s, run.wheel_rate_rad_s, atol=1e-6)
+    truth = np.interp(run.t_s, run.truth_t_s, run.truth_pose[:, 0])
+    np.testing.assert_allclose(back.truth_pose[:, 0], truth, atol=1e-6)
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_public_pairs_come_in_paper_wheel_order(tmp_path, compress):
+    write_pair(tmp_path, compress=compress)
+    (recording,) = read_recordings([tmp_path])
+    assert recording.motion == "line_x"
+    np.testing.assert_allclose(recording.wheel_angle_rad[0], [0, 1, 2, 3], atol=1e-9)
+    np.testing.assert_allclose(recording.wheel_rate_rad_s[0], [1.97, 2.97, 3.97, 4.97])
+    np.testing.assert_allclose(np.diff(recording.t_s), 0.02, atol=1e-9)
+    assert len(recording.sha256) == 2
+
+
+def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    write_pair(tmp_path / "a")
+    write_pair(tmp_path / "b", break_rows=(50,))
+    (whole,), (broken,) = read_recordings([tmp_path / "a"]), read_recordings([tmp_path / "b"])
+    assert broken.repairs["wheel rows without numbers dropped"] == 1
+    np.testing.assert_array_equal(np.delete(whole.wheel_angle_rad, 50, axis=0), broken.wheel_angle_rad)
+
+
+def test_each_repair_is_counted():
+    t, wheels, truth = logs()
+    t_wheels = t.copy()
+    t_wheels[[50, 51]] = t_wheels[[51, 50]]
+    t_wheels[80] = t_wheels[79]
+    t_wheels[100:] += 0.5
+    wheels = wheels.copy()
+    wheels[20, 2] = np.nan
+    wheels[150:, 1] -= 2 * np.pi * 256
+    truth[30] = np.nan
+    recording = build_recording("run", Log(t_wheels, wheels), Log(t, truth))
+    assert recording.repairs == {
+        "wheel rows without numbers dropped": 1,
+        "wheel stamps out of order sorted": 1,
+        "wheel rows with a repeated stamp dropped": 1,
+        "wheel gaps over 0.1 s bridged": 1,
+        "wheel-angle wrap-arounds undone": 1,
+        "ground-truth rows without numbers dropped": 1,
+    }
+    assert np.all(np.diff(recording.t_s) > 0)
+    assert np.max(np.abs(np.diff(recording.wheel_angle_rad, axis=0))) < 1.1
+    assert len(recording.warnings()) == 6
+
+
+def test_wrapped_heading_is_unwrapped():
+    t, wheels, truth = logs()
+    truth[:, 2] = np.angle(np.exp(1j * 3.0 * t))
+    recording = build_recording("run", Log(t, wheels), Log(t, truth))
+    assert recording.truth_pose[-1, 2] == pytest.approx(3.0 * t[-1])
+
+
+def test_receive_stamps_become_increasing_by_microseconds():
+    out = increasing(np.array([0.0, 1.0, 1.0, 0.9, 2.0]))
+    np.testing.assert_allclose(out, [0.0, 1.0, 1.000001, 1.000002, 2.0], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda w, t: (w, 1000 * t), "millimetres"),
+        (lambda w, t: (np.column_stack([w[:, :4], np.full((len(w), 4), 45.0)]), t), "degrees"),
+        (lambda w, t: (w, np.full_like(t, np.nan)), "ground truth"),
+        (lambda w, t: (w * np.nan, t), "usable wheel rows"),
+    ],
+)
+def test_what_cannot_be_right_is_refused_with_a_remedy(spoil, message):
+    t, wheels, truth = logs()
+    wheels, truth = spoil(wheels, truth)
+    with pytest.raises(DataError, match=message):
+        build_recording("run", Log(t, wheels), Log(t, truth))
+
+
+def test_logs_that_do_not_overlap_are_refused():
+    t, wheels, truth = logs()
+    with pytest.raises(DataError, match="share"):
+        build_recording("run", Log(t, wheels), Log(t + 100, truth))
+
+
+def test_bad_files_are_named(tmp_path):
+    empty = tmp_path / "line_x_1.csv"
+    empty.write_text("")
+    with pytest.raises(DataError, match=r"line_x_1\.csv: is empty"):
+        read_recordings([empty])
+    empty.write_text("t,phi1\n0,1\n")
+    with pytest.raises(DataError, match="lacks the columns phi2"):
+        read_recordings([empty])
+    with pytest.raises(DataError, match="does not exist"):
+        read_recordings([tmp_path / "nowhere"])
+    (tmp_path / "void").mkdir()
+    with pytest.raises(DataError, match="holds no recording"):
+        read_recordings([tmp_path / "void"])
+
+
+def test_damaged_public_files_are_named(tmp_path):
+    write_pair(tmp_path, compress=True)
+    odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
+    whole = odom.read_bytes()
+    odom.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(DataError, match=r"odom_3\.csv\.gz: damaged gzip"):
+        read_recordings([tmp_path])
+    odom.write_bytes(whole)
+    absolute.unlink()
+    with pytest.raises(DataError, match="no ground truth"):
+        read_recordings([tmp_path])
+    (tmp_path / "c").mkdir()
+    write_pair(tmp_path / "c", columns=False)
+    with pytest.raises(DataError, match="lacks the columns"):
+        read_recordings([tmp_path / "c"])
+
+
+def test_the_public_recordings_are_classified_and_read_whole(public_data):
+    odom = sorted(public_data.glob("odom_*.csv.gz"))[0]
+    recording = read_pair(odom, public_data / odom.name.replace("odom", "abs"))
+    assert recording.has_rates
+    assert np.median(np.diff(recording.t_s)) == pytest.approx(0.016, abs=5e-4)
+    recordings = read_recordings([public_data])
+    by_run = {int(r.name.split("_")[1]): r.motion for r in recordings}
+    motions = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
+    assert by_run == {run: motions[(run - 1) // 5] for run in by_run}
