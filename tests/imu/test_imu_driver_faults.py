@@ -308,12 +308,14 @@ def test_faults_can_be_added_while_running_and_unknown_ones_are_refused(imu_benc
         bench.world.faults.add(parse_fault("imu:adhesion_loss"))
 
 
-def test_a_port_pulled_out_is_data_then_an_error_and_can_come_back(imu_bench):
-    bench = imu_bench()
+@pytest.mark.parametrize("prefetch", [False, True])
+def test_a_port_pulled_out_is_data_then_an_error_and_can_come_back(imu_bench, prefetch):
+    bench = imu_bench(config={"prefetch": prefetch})
     bench.driver.open()
     run(bench, 0.2)
     bench.unplug()
-    assert statuses(run(bench, 0.5)) == {Status.TIMEOUT}
+    already_received = 1 if prefetch else 0
+    assert statuses(run(bench, 0.5)[already_received:]) == {Status.TIMEOUT}
     bench.plug()
     assert run(bench, 0.3)[-1].status is Status.OK
     bench.unplug()
@@ -340,3 +342,38 @@ def test_a_reply_cut_short_is_a_time_out(imu_bench):
     kinds = [s.status for s in run(bench, 0.5)]
     assert Status.TIMEOUT in kinds
     assert kinds[-1] is Status.OK
+
+
+def test_a_second_client_that_changes_the_page_is_repaired(imu_bench):
+    bench = imu_bench()
+    bench.driver.open()
+    run(bench, 0.3)
+    bench.chip.receive(bytes.fromhex("AA00070101"), bench.clock.now_ns(), 115_200)
+    kinds = [s.status for s in run(bench, 0.5)]
+    assert Status.RESET in kinds
+    assert kinds[-1] is Status.OK
+
+
+def test_the_flow_of_the_common_public_client_is_understood(imu_bench):
+    """Identity, reset, ranges on page 1, NDOF, single-register reads, as hobby libraries do it."""
+    bench = imu_bench(overrun_probability=0.0, acknowledge_reset=False)
+
+    def ask(text, wait_ms=1.0):
+        now_ns = bench.clock.now_ns()
+        bench.world.sync_plant()
+        reply = b"".join(r.data for r in bench.chip.receive(bytes.fromhex(text), now_ns, 115_200))
+        bench.clock.sleep_until_ns(now_ns + round(wait_ms * 1e6))
+        return reply.hex()
+
+    assert ask("AA010001") == "bb01a0"
+    assert ask("AA003F0120", 700) == ""
+    assert ask("AA010001") == "bb01a0"
+    for setting in ("3E0100", "070100", "3F0100", "070101", "08010D", "0A0138", "09016D", "070100"):
+        assert ask("AA00" + setting) == "ee01"
+    assert ask("AA003D0100", 20) == "ee01"
+    assert ask("AA003D010C", 10) == "ee01"
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 50_000_000)
+    for register, length in (("35", 1), ("34", 1), ("1A", 6), ("20", 8), ("28", 6), ("2E", 6), ("0E", 6)):
+        reply = ask(f"AA01{register}{length:02X}")
+        assert reply.startswith(f"bb{length:02x}")
+        assert len(reply) == 2 * (length + 2)
