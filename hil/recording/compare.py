@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 import struct
 from collections.abc import Mapping
 from typing import Any
@@ -34,11 +35,18 @@ def first_difference(a: Any, b: Any, where: str = "") -> str | None:
         if set(a) != set(b):
             return f"{where}: only in one of them: {', '.join(sorted(map(str, set(a) ^ set(b))))}"
         return _first(((str(key), a[key], b[key]) for key in a), where)
-    if isinstance(a, (float, np.floating)) and isinstance(b, (float, np.floating)):
-        same = struct.pack("<d", a) == struct.pack("<d", b)
-    else:
-        same = type(a) is type(b) and a == b
-    return None if same else f"{where}: {a!r} and {b!r}"
+    return None if _same(a, b) else f"{where}: {a!r} and {b!r}"
+
+
+def _same(a: Any, b: Any) -> bool:
+    """Numbers of one kind by value (floats by their bits), everything else by type and value."""
+    if isinstance(a, (bool, np.bool_)) or isinstance(b, (bool, np.bool_)):
+        return isinstance(a, (bool, np.bool_)) and isinstance(b, (bool, np.bool_)) and bool(a) == bool(b)
+    if isinstance(a, numbers.Integral) and isinstance(b, numbers.Integral):
+        return int(a) == int(b)
+    if isinstance(a, numbers.Real) and isinstance(b, numbers.Real):
+        return struct.pack("<d", a) == struct.pack("<d", b)
+    return type(a) is type(b) and bool(a == b)
 
 
 def _first(pairs: Any, where: str) -> str | None:

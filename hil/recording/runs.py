@@ -1,0 +1,119 @@
+"""Where a run begins inside a recording, and with what: all that replay needs besides the inputs.
+
+One recording holds every run of a bench session (settling, then driving, ...). A note of kind `run`
+before its first cycle says which estimator and controller decide, and from which state they start.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import DataError
+from hil.recording.mcap_reader import Note, RecordingReader
+from hil.signals import CycleRecord, RobotState
+
+RUN = "run"
+
+
+@dataclass(frozen=True)
+class RunStart:
+    """How a run began.
+
+    Attributes:
+        state: state that the brain was reset to.
+        feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
+        controller: control law, None when nothing was commanded.
+        observers: estimators that ran beside it.
+        trajectory: how to build the reference again (free mapping of the caller), None without one.
+    """
+
+    state: RobotState
+    feedback: str
+    controller: str | None = None
+    observers: tuple[str, ...] = ()
+    trajectory: Mapping[str, Any] | None = None
+
+    def note(self) -> dict[str, object]:
+        """As data of a note; floats survive exactly."""
+        state = self.state
+        return {
+            "state": {
+                "t_ns": state.t_ns,
+                "pose_body_in_wall": state.pose_body_in_wall.tolist(),
+                "twist_body": state.twist_body.tolist(),
+                "covariance": state.covariance.tolist(),
+            },
+            "feedback": self.feedback,
+            "controller": self.controller,
+            "observers": list(self.observers),
+            "trajectory": self.trajectory,
+        }
+
+    @classmethod
+    def from_note(cls, data: Mapping[str, Any]) -> RunStart:
+        """The inverse of `note`.
+
+        Raises:
+            KeyError, TypeError, ValueError: not such a note.
+        """
+        state = data["state"]
+        pose, twist, covariance = (
+            np.array(state[k], dtype=np.float64) for k in ("pose_body_in_wall", "twist_body", "covariance")
+        )
+        if (pose.shape, twist.shape, covariance.shape) != ((3,), (3,), (6, 6)):
+            raise ValueError("a state of the wrong shape")
+        return cls(
+            RobotState(int(state["t_ns"]), pose, twist, covariance),
+            str(data["feedback"]),
+            data["controller"],
+            tuple(data["observers"]),
+            data["trajectory"],
+        )
+
+
+@dataclass(frozen=True)
+class RecordedRun:
+    """Cycles of one run; `start` is None where the recording does not say how it began."""
+
+    start: RunStart | None
+    records: tuple[CycleRecord, ...]
+
+
+def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[RecordedRun]:
+    """Runs of a recording in order; runs without cycles are left out.
+
+    Args:
+        path: the MCAP file.
+        problems: receives what could not be read; without it damage raises after the last run.
+
+    Raises:
+        DataError: see `RecordingReader`.
+    """
+    reader = RecordingReader(path)
+    start: RunStart | None = None
+    records: list[CycleRecord] = []
+    for item in reader.items():
+        begins = (
+            item.kind == RUN if isinstance(item, Note) else bool(records) and item.cycle <= records[-1].cycle
+        )
+        if begins and records:
+            yield RecordedRun(start, tuple(records))
+            start, records = None, []
+        if isinstance(item, CycleRecord):
+            records.append(item)
+        elif item.kind == RUN:
+            try:
+                start = RunStart.from_note(item.data)
+            except (KeyError, TypeError, ValueError) as error:
+                reader.problems.append(f"a note on how a run began cannot be read ({error!r})")
+    if records:
+        yield RecordedRun(start, tuple(records))
+    if problems is not None:
+        problems += reader.problems
+    elif reader.problems:
+        raise DataError(str(path), "; ".join(reader.problems), remedy="what was readable has been read")

@@ -1,0 +1,107 @@
+"""Feeds a recording's inputs back through the brain: exact verification, and other estimators.
+
+`verify` holds every estimate, setpoint and event against the recorded one, bit for bit; `compare`
+runs estimators on the recorded measurements and holds them against motion capture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.errors import SafetyStop
+from hil.geometry import Array, wrap_array
+from hil.interfaces import Estimator
+from hil.loop import Brain
+from hil.motion import Motion
+from hil.recording.compare import first_difference
+from hil.signals import CycleRecord, Reference, RobotState
+
+FIELDS = ("measurements", "state", "reference", "setpoint", "command", "events")
+
+
+@dataclass(frozen=True)
+class Mismatch:
+    """First place in which a replay differs from its recording."""
+
+    cycle: int
+    field: str
+
+
+class RecordedReferences:
+    """The recorded references in their order: stands in for a trajectory that cannot be built again."""
+
+    def __init__(self, records: Sequence[CycleRecord]) -> None:
+        self._references: Iterator[Reference | None] = iter([r.reference for r in records])
+
+    def __call__(self, t_s: float) -> Reference:
+        """Reference of the next cycle."""
+        reference = next(self._references)
+        if reference is None:
+            raise ValueError(f"the recording has no reference at {t_s:.3f} s")
+        return reference
+
+
+def verify(records: Sequence[CycleRecord], brain: Brain, start: RobotState) -> Mismatch | None:
+    """Whether a brain decides on the recorded inputs exactly what was recorded.
+
+    Args:
+        records: one run from its first cycle.
+        brain: put together as for the run.
+        start: state that the run was started from.
+
+    Returns:
+        The first difference, or None if every bit agrees.
+    """
+    brain.reset(start)
+    for record in records:
+        recorded = {name: getattr(record, name) for name in FIELDS}
+        try:
+            decision = brain.decide(record.inputs)
+        except SafetyStop as stop:
+            if [e.message for e in record.events] == [str(stop)]:
+                continue
+            return Mismatch(record.cycle, f"events: replay stopped the robot: {stop}")
+        found = first_difference(recorded, {name: getattr(decision, name) for name in FIELDS})
+        if found is not None:
+            return Mismatch(record.cycle, found)
+    return None
+
+
+def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
+    """The run with the states of another estimator, fed with the recorded measurements."""
+    estimator.reset(start)
+    return Motion(tuple(replace(r, state=estimator.update(r.measurements)) for r in records))
+
+
+def errors(motion: Motion) -> dict[str, float]:
+    """Errors against motion capture; NaN without it.
+
+    Returns:
+        `rmse_position_m`, `rmse_theta_rad`, `final_position_m`, `max_position_m`.
+    """
+    difference = motion.estimate - motion.mocap
+    known = difference[np.all(np.isfinite(difference), axis=1)]
+    if not len(known):
+        return dict.fromkeys(
+            ("rmse_position_m", "rmse_theta_rad", "final_position_m", "max_position_m"), np.nan
+        )
+    distance_m: Array = np.hypot(known[:, 0], known[:, 1])
+    return {
+        "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
+        "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(known[:, 2]) ** 2))),
+        "final_position_m": float(distance_m[-1]),
+        "max_position_m": float(distance_m.max()),
+    }
+
+
+def compare(
+    records: Sequence[CycleRecord], estimators: Mapping[str, Estimator], start: RobotState
+) -> dict[str, Motion]:
+    """The run as recorded and as each estimator sees it, by name."""
+    motions = {"recorded": Motion(tuple(records))}
+    for name, estimator in estimators.items():
+        motions[name] = estimate(records, estimator, start)
+    return motions

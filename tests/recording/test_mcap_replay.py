@@ -1,0 +1,192 @@
+"""Exact replay: a brain fed with the recorded inputs decides the same bits, and differences are named."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from mcap_cases import driving_record
+
+from hil.alignment import Alignment, AlignmentParameters
+from hil.errors import DataError, SafetyStop
+from hil.geometry import compose, se2_exp
+from hil.interfaces import Controller, Estimator
+from hil.kinematics import WheelGeometry, twist_of_vectors
+from hil.loop import Brain
+from hil.recording.mcap_writer import McapRecorder
+from hil.recording.runs import RunStart, read_runs
+from hil.report.replay import RecordedReferences, compare, errors, verify
+from hil.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
+from hil.supervisor import SafetyLimits, Supervisor
+
+GEOMETRY = WheelGeometry.nominal()
+START = RobotState(0, np.array([0.1, 1.0 / 3.0, 0.02]), np.zeros(3), np.eye(6) * 1e-6)
+
+
+class DeadReckoning(Estimator):
+    """Integrates wheel increments: small, but every bit depends on all inputs before."""
+
+    def __init__(self, scale: float = 1.0) -> None:
+        self.scale = scale
+
+    def reset(self, state):
+        self.pose, self.last = state.pose_body_in_wall, None
+
+    def update(self, measurements):
+        twist = np.zeros(3)
+        for wheels in measurements.wheels:
+            if self.last is not None:
+                step = (wheels.wheel_angle_rad - self.last) * GEOMETRY.radius_m * self.scale
+                heading = wheels.steering_rad
+                u = np.column_stack([np.cos(heading), np.sin(heading)]).ravel() * np.repeat(step, 2)
+                twist = twist_of_vectors(GEOMETRY.x_m, GEOMETRY.y_m, u)
+                self.pose = compose(self.pose, se2_exp(twist))
+            self.last = wheels.wheel_angle_rad
+        return RobotState(
+            measurements.t_ns, self.pose, twist * 100.0, np.eye(6) * 1e-6, {"steps": len(measurements.wheels)}
+        )
+
+
+class Proportional(Controller):
+    def reset(self):
+        pass
+
+    def update(self, state, reference, wheels):
+        error = reference.pose_in_wall - state.pose_body_in_wall
+        return WheelSetpoint(np.full(4, error[0]), wheels.steering_rad * 0.5)
+
+
+def line(t_s):
+    return Reference(t_s, np.array([0.1 + 0.03 * t_s, 0.33, 0.02]), np.zeros(3), np.zeros(3))
+
+
+def brain(scale=1.0, reference=line, limits=None):
+    return Brain(
+        Supervisor(limits or SafetyLimits()),
+        Alignment(AlignmentParameters(steer_zero_rad=(0.01, 0.0, 0.0, 0.0))),
+        DeadReckoning(scale),
+        Proportional(),
+        reference,
+    )
+
+
+def run(cycles, the_brain):
+    the_brain.reset(START)
+    for k in range(cycles):
+        source = driving_record(k)
+        try:
+            decision = the_brain.decide(source.inputs)
+        except SafetyStop as stop:
+            event = Event(source.inputs.t_ns, "error", "supervisor", str(stop))
+            yield dataclasses.replace(source, events=(event,))
+            return
+        yield dataclasses.replace(
+            source, measurements=decision.measurements, state=decision.state, reference=decision.reference,
+            setpoint=decision.setpoint, command=decision.command, events=decision.events,
+        )  # fmt: skip
+
+
+def recorded(path, *runs, start=START):
+    recorder = McapRecorder(path, {}, lossless=True)
+    for records in runs:
+        if start is not None:
+            recorder.note(0, "run", RunStart(start, "odometry", "p", ("ekf",), {"shape": "line"}).note())
+        for record in records:
+            recorder.write(record)
+    recorder.close()
+    return path
+
+
+def test_replay_from_the_file_reproduces_every_bit(tmp_path):
+    path = recorded(tmp_path / "r", run(250, brain()), run(40, brain()))
+    runs = list(read_runs(path))
+    assert [len(r.records) for r in runs] == [250, 40]
+    for each in runs:
+        assert each.start.trajectory == {"shape": "line"}
+        assert each.start.observers == ("ekf",)
+        assert verify(each.records, brain(), each.start.state) is None
+        assert verify(each.records, brain(reference=RecordedReferences(each.records)), START) is None
+
+
+def test_another_estimator_is_named_with_cycle_and_field(tmp_path):
+    (only,) = read_runs(recorded(tmp_path / "r", run(30, brain())))
+    found = verify(only.records, brain(scale=np.nextafter(1.0, 2.0)), only.start.state)
+    assert 1 <= found.cycle < 30
+    assert found.field.startswith("state.pose_body_in_wall[")
+
+
+def test_one_changed_input_bit_is_found():
+    records = list(run(30, brain()))
+    servos = records[11].inputs.servos[0]
+    angle = servos.position_rad.copy()
+    angle[6] = np.nextafter(angle[6], 10.0)
+    servos = dataclasses.replace(servos, position_rad=angle)
+    inputs = dataclasses.replace(records[11].inputs, servos=(servos,))
+    records[11] = dataclasses.replace(records[11], inputs=inputs)
+    found = verify(records, brain(), START)
+    assert (found.cycle, found.field.split(":")[0]) == (11, "measurements.wheels.0.steering_rad[2]")
+
+
+def test_a_recorded_stop_is_reproduced_and_an_unrecorded_one_named():
+    tight = SafetyLimits(tracking_error_limit_m=0.004)
+    stopped = list(run(100, brain(limits=tight)))
+    assert len(stopped) < 100
+    assert verify(stopped, brain(limits=tight), START) is None
+    found = verify(list(run(100, brain())), brain(limits=tight), START)
+    assert found.cycle == len(stopped) - 1
+    assert "stopped the robot" in found.field
+
+
+def test_runs_without_a_note_are_told_apart_by_their_cycle_numbers(tmp_path):
+    path = recorded(tmp_path / "r", run(20, brain()), run(10, brain()), start=None)
+    runs = list(read_runs(path))
+    assert [len(r.records) for r in runs] == [20, 10]
+    assert all(r.start is None for r in runs)
+
+
+def test_an_unreadable_start_is_named(tmp_path):
+    recorder = McapRecorder(tmp_path / "r", {}, lossless=True)
+    recorder.note(0, "run", {"state": {"t_ns": 0}})
+    recorder.write(driving_record(0))
+    recorder.close()
+    problems = []
+    (only,) = read_runs(tmp_path / "r", problems)
+    assert only.start is None
+    assert "how a run began" in problems[0]
+    with pytest.raises(DataError, match="how a run began"):
+        list(read_runs(tmp_path / "r"))
+
+
+def test_run_start_survives_its_note():
+    again = RunStart.from_note(RunStart(START, "ekf").note())
+    assert again.state.pose_body_in_wall.tobytes() == START.pose_body_in_wall.tobytes()
+    assert (again.controller, again.observers, again.trajectory) == (None, (), None)
+
+
+def moving(scale: float, k: int) -> CycleRecord:
+    record = driving_record(k)
+    truth = dataclasses.replace(
+        record.measurements.mocap[0], pose=np.array([scale * 0.01 * k, 0.0, 0.0]), valid=True
+    )
+    return dataclasses.replace(record, measurements=dataclasses.replace(record.measurements, mocap=(truth,)))
+
+
+def test_errors_are_those_of_the_known_truth():
+    # Wheels turn 1 rad/s on 25.4 mm: 0.254 mm a cycle. A truth of 0.3 mm a cycle leaves a known ramp.
+    records = [moving(0.03, k) for k in range(101)]
+    start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
+    motions = compare(records, {"dead": DeadReckoning(), "scaled": DeadReckoning(0.03 / 0.0254)}, start)
+    assert set(motions) == {"recorded", "dead", "scaled"}
+    ramp = errors(motions["dead"])
+    assert ramp["final_position_m"] == pytest.approx(0.0046, abs=3e-4)
+    assert ramp["rmse_position_m"] == pytest.approx(0.0046 / np.sqrt(3), abs=3e-4)
+    assert errors(motions["scaled"])["final_position_m"] < 3e-4
+
+
+def test_without_truth_errors_are_nan():
+    bare = [
+        dataclasses.replace(driving_record(k), measurements=driving_record(k).measurements) for k in range(3)
+    ]
+    bare = [dataclasses.replace(r, measurements=dataclasses.replace(r.measurements, mocap=())) for r in bare]
+    assert np.isnan(errors(compare(bare, {}, START)["recorded"])["rmse_position_m"])
