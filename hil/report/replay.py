@@ -20,6 +20,7 @@ from hil.recording.compare import first_difference
 from hil.signals import CycleRecord, Reference, RobotState
 
 FIELDS = ("measurements", "state", "reference", "setpoint", "command", "events")
+ESTIMATION = ("measurements", "state", "reference", "events")
 
 
 @dataclass(frozen=True)
@@ -44,27 +45,30 @@ class RecordedReferences:
         return reference
 
 
-def verify(records: Sequence[CycleRecord], brain: Brain, start: RobotState) -> Mismatch | None:
+def verify(
+    records: Sequence[CycleRecord], brain: Brain, start: RobotState, fields: tuple[str, ...] = FIELDS
+) -> Mismatch | None:
     """Whether a brain decides on the recorded inputs exactly what was recorded.
 
     Args:
         records: one run from its first cycle.
         brain: put together as for the run.
         start: state that the run was started from.
+        fields: what to hold against the recording; `ESTIMATION` for a brain without the controller.
 
     Returns:
         The first difference, or None if every bit agrees.
     """
     brain.reset(start)
     for record in records:
-        recorded = {name: getattr(record, name) for name in FIELDS}
+        recorded = {name: getattr(record, name) for name in fields}
         try:
             decision = brain.decide(record.inputs)
         except SafetyStop as stop:
             if [e.message for e in record.events] == [str(stop)]:
                 continue
             return Mismatch(record.cycle, f"events: replay stopped the robot: {stop}")
-        found = first_difference(recorded, {name: getattr(decision, name) for name in FIELDS})
+        found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
         if found is not None:
             return Mismatch(record.cycle, found)
     return None

@@ -9,6 +9,7 @@ import pytest
 from mcap_cases import driving_record
 
 from hil.alignment import Alignment, AlignmentParameters
+from hil.cli import main
 from hil.errors import DataError, SafetyStop
 from hil.geometry import compose, se2_exp
 from hil.interfaces import Controller, Estimator
@@ -16,7 +17,8 @@ from hil.kinematics import WheelGeometry, twist_of_vectors
 from hil.loop import Brain
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart, read_runs
-from hil.report.replay import RecordedReferences, compare, errors, verify
+from hil.report.replay import ESTIMATION, RecordedReferences, compare, errors, verify
+from hil.report.replay_page import write_replay_page
 from hil.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.supervisor import SafetyLimits, Supervisor
 
@@ -190,3 +192,31 @@ def test_without_truth_errors_are_nan():
     ]
     bare = [dataclasses.replace(r, measurements=dataclasses.replace(r.measurements, mocap=())) for r in bare]
     assert np.isnan(errors(compare(bare, {}, START)["recorded"])["rmse_position_m"])
+
+
+def test_estimation_alone_can_be_verified_without_the_controller():
+    records = list(run(30, brain()))
+    bare = brain()
+    bare.controller = None
+    assert verify(records, bare, START, ESTIMATION) is None
+    assert verify(records, bare, START).field.startswith("setpoint.")
+
+
+def test_the_page_shows_every_estimator(tmp_path):
+    records = [moving(0.03, k) for k in range(60)]
+    motions = compare(records, {"dead <reckoning>": DeadReckoning()}, START)
+    write_replay_page(tmp_path / "page.html", "Replay", motions, ("verified",))
+    page = (tmp_path / "page.html").read_text(encoding="utf-8")
+    assert "dead &lt;reckoning&gt;" in page
+    assert page.count("data:image/png;base64,") == 2
+    with pytest.raises(DataError, match="cannot be written"):
+        write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, ())
+
+
+def test_the_command_refuses_what_is_no_recording_with_exit_code_2(tmp_path, capsys):
+    path = tmp_path / "notes.txt"
+    path.write_text("nothing here", encoding="utf-8")
+    assert main(["replay", str(path), "--verify", "--json"]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert "is not an MCAP file" in told.err
