@@ -68,12 +68,14 @@ def fit(
         nominal: start, prior mean and centre of the box.
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: of the stochastic methods.
-        start: solution of a neighbouring problem; skips the chain (cross-validation).
+        start: asks for the short fit of a cross-validation's fold. Only the paper's cost, which is
+            then iterated to its end, starts there; a robust fit goes through the chain from nominal,
+            because a few steps from a solution that knows the left-out runs would not forget them.
         progress: generations of the stochastic methods.
     """
     problem = Problem(blocks, setting, nominal)
     if start is not None:
-        return _refine(problem.with_power(chain(setting)[-1]), start)
+        return _fold(problem, start)
     prefit = _robust_prefit(problem) if setting.robust or method == "lm" else None
     if prefit is not None and prefit.problem.setting != setting:
         setting, problem = prefit.problem.setting, prefit.problem
@@ -109,10 +111,10 @@ def _linear(stage: Problem) -> Problem:
     twin = Problem(
         stage.blocks, replace(stage.setting, model="exact"), WheelGeometry.from_vector(stage.nominal)
     )
-    return twin.with_weights(stage.weights)
+    return twin.counting_with(stage).with_weights(stage.weights)
 
 
-def _robust_prefit(problem: Problem) -> Fit:
+def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_limit: int = 10) -> Fit:
     """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way."""
     z, weights = problem.nominal, problem.weights
     robust = problem.setting.robust
@@ -120,14 +122,14 @@ def _robust_prefit(problem: Problem) -> Fit:
     for power in powers:
         stage = problem.with_power(power) if power != 2.0 else _linear(problem)
         last = power == powers[-1]
-        rounds = (_REWEIGHTINGS if last or power == 2.0 else 1) if robust else 1
+        rounds = (rounds_at_ends if last or power == 2.0 else 1) if robust else 1
         for _ in range(rounds):
             limit = 4 if robust else 200
             solution = levenberg_marquardt(stage.with_weights(weights), z, limit=limit)
             z = solution.z
             if robust:
                 weights = stage.cauchy_weights(z)
-        solution = levenberg_marquardt(stage.with_weights(weights), z, limit=12) if last else solution
+        solution = levenberg_marquardt(stage.with_weights(weights), z, limit=last_limit) if last else solution
         z = solution.z
         if power == 2.0:
             least_squares = Fit(stage.with_weights(weights), solution)
@@ -144,13 +146,16 @@ def _typical_cost(candidate: Fit) -> float:
     return float(np.median(candidate.problem.recording_costs(candidate.solution.z)))
 
 
-def _refine(problem: Problem, start: Array) -> Fit:
-    """Continue from a neighbouring solution."""
-    z = problem.clip(start)
+def _fold(problem: Problem, start: Array) -> Fit:
+    """A fold of a cross-validation: fewer iterations, the same model as the fit on all recordings."""
     if not problem.setting.robust:
-        return Fit(problem, levenberg_marquardt(problem, z, limit=60))
-    problem = problem.with_weights(problem.cauchy_weights(z))
-    return Fit(problem, levenberg_marquardt(problem, z, limit=5))
+        return Fit(problem, levenberg_marquardt(problem, problem.clip(start), limit=60))
+    fixed = Problem(
+        problem.blocks,
+        replace(problem.setting, choose_model=False),
+        WheelGeometry.from_vector(problem.nominal),
+    )
+    return _robust_prefit(fixed.counting_with(problem), rounds_at_ends=2, last_limit=5)
 
 
 def twist_correction(z: Array, nominal: WheelGeometry) -> Array:

@@ -84,7 +84,7 @@ class Problem:
         half[12:] = np.inf
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
-        self.evaluations = 0
+        self._count = [0]
         self._model: MotionModel = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8))
         self._scale = self._row_scale()
 
@@ -95,6 +95,16 @@ class Problem:
             return np.asarray(mask * np.sqrt(self.blocks.block_s / 0.01), dtype=np.float64)
         share = np.sqrt(_EFFECTIVE_OBSERVATIONS / self.blocks.counts)
         return np.asarray(mask * share[:, None, None] / np.array(self.setting.sigma), dtype=np.float64)
+
+    @property
+    def evaluations(self) -> int:
+        """How often poses were computed, by this problem and by those derived from it."""
+        return self._count[0]
+
+    def counting_with(self, other: Problem) -> Problem:
+        """This problem, adding its evaluations to those of another."""
+        self._count = other._count
+        return self
 
     def with_weights(self, weights: Array) -> Problem:
         """The same problem with other weights per recording (shares the warm start)."""
@@ -110,7 +120,7 @@ class Problem:
 
     def errors(self, z: Array) -> Array:
         """Pose errors (R, N, 3): odometry minus truth, m, m, rad."""
-        self.evaluations += 1
+        self._count[0] += 1
         r, n, _ = self.blocks.wheel_rad.shape
         motion = self._model.motion(z).reshape(r, n, 3)
         poses = _integrate_all(self.blocks.start, motion)
@@ -118,7 +128,7 @@ class Problem:
 
     def errors_and_jacobian(self, z: Array) -> tuple[Array, Array]:
         """Pose errors (R, N, 3) and their derivatives (R, N, 3, m)."""
-        self.evaluations += 1
+        self._count[0] += 1
         r, n, _ = self.blocks.wheel_rad.shape
         motion, jacobian = self._model.motion_jacobian(z)
         motion, jacobian = motion.reshape(r, n, 3), jacobian.reshape(r, n, 3, -1)

@@ -45,7 +45,7 @@ def cross_validate(
         blocks: the same runs, reduced.
         setting: how to fit.
         nominal: prior mean.
-        start: solution on all recordings, where each fit starts.
+        start: solution on all recordings; see `fitting.fit` for what may start there.
         groups: one label per recording; each label in turn is left out.
         progress: called with (done, total) folds.
     """
