@@ -7,7 +7,7 @@ EXTRAS := fast,rerun,parquet,test,lint
 .PHONY: help demo test test-long lint bench clean
 
 help:
-	@echo "make demo       run the main job on the emulated bench and name the report"
+	@echo "make demo       calibrate on a generated data set and name the pages"
 	@echo "make test       run the default test suite"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
@@ -20,7 +20,12 @@ $(BIN)/.installed: pyproject.toml
 	@touch $@
 
 demo: $(BIN)/.installed
-	@$(BIN)/hil run wall_tracking --out out/demo
+	$(BIN)/hil demo-data out/demo/data --corrupt circle_cw_2
+	$(BIN)/hil evaluate out/demo/data
+	$(BIN)/hil calibrate out/demo/data --out out/demo/calibration.toml --plots out/demo/calibration
+	$(BIN)/hil evaluate out/demo/data --calibration out/demo/calibration.toml --plots out/demo/evaluation
+	@echo "calibration file: out/demo/calibration.toml"
+	@echo "open out/demo/calibration/index.html and out/demo/evaluation/index.html"
 
 test: $(BIN)/.installed
 	$(BIN)/python -m pytest

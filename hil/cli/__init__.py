@@ -8,6 +8,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import logging
+import os
 import sys
 from collections.abc import Sequence
 
@@ -15,6 +16,10 @@ import click
 
 from hil import __version__
 from hil.errors import EXIT_ABORTED, EXIT_USAGE, HilError
+
+# Set before numpy is imported by a command: its matrices here are small, and threads of the linear
+# algebra library then cost up to ten times what they bring when another process uses a core.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "calibrate": "fit the odometry parameters to recordings, with validation",
