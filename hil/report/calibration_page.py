@@ -129,13 +129,13 @@ def _correlation(result: Calibration) -> Figure:
     scale = 1.0 / problem.prior_std
     covariance = np.linalg.pinv(hessian / np.outer(scale, scale) + 1e-9 * np.eye(len(z)))
     spread = np.sqrt(np.diag(covariance))
-    figure = Figure(figsize=(6.0, 5.0), layout="constrained")
+    figure = Figure(figsize=(6.8, 5.4), layout="constrained")
     axes = figure.add_subplot()
     image = axes.imshow(covariance / np.outer(spread, spread), cmap="RdBu_r", vmin=-1, vmax=1)
     names = PARAMETER_NAMES[: len(z)]
     axes.set_xticks(range(len(z)), names, rotation=90, fontsize=8)
     axes.set_yticks(range(len(z)), names, fontsize=8)
-    figure.colorbar(image, label="correlation of the estimates")
+    figure.colorbar(image, ax=axes, label="correlation of the estimates")
     return figure
 
 
@@ -185,7 +185,7 @@ def _write(
     images = []
     for name, figure in figures.items():
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=_DPI)
+        figure.savefig(buffer, format="png", dpi=_DPI, bbox_inches="tight")
         (folder / f"{name}.png").write_bytes(buffer.getvalue())
         images.append((name, base64.b64encode(buffer.getvalue()).decode("ascii")))
     environment = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True)
