@@ -6,14 +6,16 @@ Frames on standard input come from `hil.monitor.sink` in the parent process and 
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import sys
 from collections.abc import Sequence
 from typing import BinaryIO
 
-from hil.errors import HilError
-from hil.monitor.sink import END, FRAME, RECORD
+from hil.monitor.sink import END, FRAME, READY, RECORD
+
+_NICE = 10
 
 
 def _frame(pipe: BinaryIO) -> tuple[bytes, int, bytes]:
@@ -27,17 +29,18 @@ def _frame(pipe: BinaryIO) -> tuple[bytes, int, bytes]:
 
 def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     """Show records until the end frame."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    os.nice(_NICE)
+    import rerun  # noqa: F401  # the slow part, before the parent is told to go on
+
     from hil.monitor.stream import RerunStream
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
     _, _, geometry = _frame(pipe)
     if not geometry:
         return 0
-    try:
-        stream = RerunStream(tuple(targets), pickle.loads(geometry))
-    except HilError as error:
-        print(f"hil monitor: {error}", file=sys.stderr)
-        return error.exit_code
+    os.write(sys.stdout.fileno(), READY)
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    stream = RerunStream(tuple(targets), pickle.loads(geometry))
     while True:
         kind, dropped, payload = _frame(pipe)
         if kind != RECORD:

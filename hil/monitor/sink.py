@@ -15,6 +15,7 @@ import subprocess
 import sys
 import threading
 from collections import deque
+from pathlib import Path
 
 from hil.errors import UsageError
 from hil.interfaces import Sink
@@ -24,7 +25,9 @@ from hil.signals import CycleRecord
 LOG = logging.getLogger(__name__)
 
 FRAME = struct.Struct("<cIQ")
-RECORD, END = b"R", b"E"
+RECORD, END, GEOMETRY = b"R", b"E", b"G"
+LIVE = ("spawn", "connect", "serve")
+READY = b"hil monitor ready\n"
 
 _CAPACITY = 500
 _CLOSE_S = 4.0
@@ -34,11 +37,14 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: an empty list.
+        UsageError: an empty list, or a file in a folder that does not exist.
     """
     targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
-    if not targets:
-        raise UsageError(f"rerun target {target!r}", expected="spawn, connect, serve, a URL or a .rrd file")
+    files = [t for t in targets if t not in LIVE and "://" not in t]
+    if not targets or not all(Path(f).resolve().parent.is_dir() for f in files):
+        raise UsageError(
+            f"the monitor cannot open {target!r}", expected="spawn, connect, serve, a URL or a .rrd file"
+        )
     return targets
 
 
@@ -88,10 +94,31 @@ class RerunMonitor(Sink):
             self._stream = RerunStream(targets, self._geometry)
             return
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "hil.monitor", *targets], stdin=subprocess.PIPE, start_new_session=True
+            [sys.executable, "-m", "hil.monitor", *targets],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            start_new_session=True,
         )
+        self._await_ready(target)
         self._thread = threading.Thread(target=self._feed, name="monitor", daemon=True)
         self._thread.start()
+
+    def _await_ready(self, target: str) -> None:
+        """Let the process load Rerun before the loop starts: its start-up would make cycles late."""
+        assert self._process is not None
+        assert self._process.stdout is not None
+        try:
+            self._send(GEOMETRY, pickle.dumps(self._geometry))
+            ready = any(line == READY for line in iter(self._process.stdout.readline, b""))
+        except OSError:
+            ready = False
+        self._process.stdout.close()
+        if not ready:
+            self._process.kill()
+            self._process.wait()
+            raise UsageError(
+                f"the monitor's process did not start for {target!r}", remedy="see its message on stderr"
+            )
 
     def write(self, record: CycleRecord) -> None:
         """Take one record."""
@@ -115,7 +142,6 @@ class RerunMonitor(Sink):
     def _feed(self) -> None:
         """Thread: records from the queue into the pipe."""
         try:
-            self._send(b"G", pickle.dumps(self._geometry))
             while True:
                 self._something.wait()
                 self._something.clear()

@@ -7,13 +7,11 @@ that neither the interpreter lock nor a stalled viewer can reach the loop.
 from __future__ import annotations
 
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hil.clock import NS_PER_S
-from hil.errors import UsageError
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.monitor import shapes
@@ -37,9 +35,6 @@ class RerunStream:
         targets: any of `spawn`, `connect`, `serve`, a `rerun+http://` URL, or the name of a `.rrd`
             file; several at once are fed the same.
         geometry: wheel geometry of the outline.
-
-    Raises:
-        UsageError: an output that cannot be opened.
     """
 
     def __init__(self, targets: tuple[str, ...], geometry: WheelGeometry) -> None:
@@ -73,10 +68,6 @@ class RerunStream:
             rr.serve_web_viewer(open_browser=False, connect_to=DEFAULT_URL)
             print("rerun: open http://127.0.0.1:9090 in a browser", file=sys.stderr)
             return sink
-        if not Path(target).resolve().parent.is_dir():
-            raise UsageError(
-                f"rerun target {target!r}", expected="spawn, connect, serve, a URL or a .rrd file"
-            )
         return rr.FileSink(target)
 
     def add(self, record: CycleRecord) -> None:

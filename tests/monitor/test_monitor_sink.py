@@ -149,3 +149,9 @@ def test_a_killed_monitor_is_named_and_the_rest_counted():
     monitor.close()
     assert "has ended" in monitor.failure
     assert monitor.dropped > 400
+
+
+@needs_rerun
+def test_a_target_that_cannot_be_opened_is_named_at_once(tmp_path):
+    with pytest.raises(UsageError, match="cannot open"):
+        RerunMonitor(str(tmp_path / "no" / "such" / "run.rrd"), lossless=False)
