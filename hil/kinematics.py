@@ -246,13 +246,14 @@ def dissipation_derivatives(
 def contact_curvature(e: Array, size: Array, scale: Array, share: Array, power: float = 1.0) -> Array:
     """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2)."""
     weight = contact_weight(size, scale, share, power)
-    direction = e / np.maximum(size, 1e-30)[..., None]
     relative = size / scale[:, None]
     bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)
-    curvature = bend[..., None, None] * direction[..., :, None] * direction[..., None, :]
-    curvature[..., 0, 0] += weight
-    curvature[..., 1, 1] += weight
-    return np.asarray(curvature, dtype=np.float64)
+    n_x, n_y = (e[..., k] / np.maximum(size, 1e-30) for k in (0, 1))
+    curvature = np.empty((*size.shape, 2, 2))
+    curvature[..., 0, 0] = weight + bend * n_x * n_x
+    curvature[..., 1, 1] = weight + bend * n_y * n_y
+    curvature[..., 0, 1] = curvature[..., 1, 0] = bend * n_x * n_y
+    return curvature
 
 
 def _improve(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float, step: Array) -> Array:

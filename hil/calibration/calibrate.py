@@ -169,7 +169,8 @@ def calibrate(
     after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]
     intervals = jackknife(found, cad)
     fitted_ns = clock.now_ns()
-    tables = _validation(recordings, blocks, setting, cad, found, report) if validate else {}
+    paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
+    tables = _validation(recordings, blocks, setting, cad, found, paper, report) if validate else {}
     return Calibration(
         method=method,
         seed=seed,
@@ -183,11 +184,19 @@ def calibrate(
         validation=tables,
         floor=repeatability(recordings),
         recordings=tuple(recordings),
-        warnings=_warnings(recordings, found, spectrum),
+        warnings=_warnings(recordings, found, spectrum, paper),
         evaluations=evaluations,
         wall_s=(fitted_ns - begin_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns) / NS_PER_S,
     )
+
+
+def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit | None:
+    """The paper's setting on the same recordings, to hold the result against; None without wheel rates."""
+    if not all(r.has_rates for r in recordings):
+        return None
+    setting = replace(PAPER, block_s=_VALIDATION_BLOCK_S)
+    return fit(reduce_recordings(recordings, setting.block_s, setting.signal), setting, nominal)
 
 
 def _validation(
@@ -196,15 +205,14 @@ def _validation(
     setting: Setting,
     nominal: WheelGeometry,
     found: Fit,
+    paper: Fit | None,
     report: Report,
 ) -> dict[str, Table]:
     tables = {"nominal": score(recordings, nominal, setting)}
     tables["in_sample"] = score(recordings, found.geometry, setting)
     runs = [(setting, blocks, found.solution.z, "")]
-    if setting.name != PAPER.name and all(r.has_rates for r in recordings):
-        paper = replace(PAPER, block_s=_VALIDATION_BLOCK_S)
-        paper_blocks = reduce_recordings(recordings, paper.block_s, paper.signal)
-        runs.append((paper, paper_blocks, fit(paper_blocks, paper, nominal).solution.z, "paper_"))
+    if paper is not None:
+        runs.append((paper.problem.setting, paper.problem.blocks, paper.solution.z, "paper_"))
     repetitions = repetition_numbers(blocks.motions)
     for kind, reduced, start, prefix in runs:
         folds: dict[str, Sequence[object]] = {
@@ -220,7 +228,9 @@ def _validation(
     return tables
 
 
-def _warnings(recordings: Sequence[Recording], found: Fit, spectrum: Identifiability) -> tuple[str, ...]:
+def _warnings(
+    recordings: Sequence[Recording], found: Fit, spectrum: Identifiability, paper: Fit | None
+) -> tuple[str, ...]:
     out = [line for r in recordings for line in r.warnings()]
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
@@ -234,4 +244,9 @@ def _warnings(recordings: Sequence[Recording], found: Fit, spectrum: Identifiabi
         f"the data determine {spectrum.determined} directions of the {total} parameters; "
         "single parameters are effective values, only their combinations are measured"
     )
+    if paper is not None:
+        out.append(
+            f"under the paper's setting the data determine {identifiability(paper).determined} of its "
+            f"{len(paper.solution.z)} parameters; the bounds decide the rest"
+        )
     return tuple(out)

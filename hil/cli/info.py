@@ -9,7 +9,6 @@ from importlib import metadata, util
 import click
 
 from hil import __version__
-from hil.config.bench import profile_names
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
@@ -35,20 +34,21 @@ def _version(package: str) -> str:
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(as_json: bool) -> int:
     """Print the versions that matter for a bug report."""
-    found = {
-        "hil": __version__,
-        "python": platform.python_version(),
-        "platform": platform.platform(),
-        "packages": {name: _version(name) for name in _PACKAGES},
-        "extras": {name: util.find_spec(module) is not None for name, module in _EXTRAS.items()},
-        "profiles": list(profile_names()),
-    }
+    packages = {name: _version(name) for name in _PACKAGES}
+    extras = {name: util.find_spec(module) is not None for name, module in _EXTRAS.items()}
+    host = platform.platform()
     if as_json:
-        click.echo(json.dumps(found))
+        found = {"hil": __version__, "python": platform.python_version(), "platform": host}
+        click.echo(json.dumps({**found, "packages": packages, "extras": extras}))
         return 0
+    click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
+    for name, version in packages.items():
+        click.echo(f"  {name:16} {version}")
+    click.echo("extras: " + ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in extras.items()))
+    return 0
     click.echo(f"hil {found['hil']}, Python {found['python']}, {found['platform']}")
     for name, version in found["packages"].items():  # type: ignore[attr-defined]
         click.echo(f"  {name:16} {version}")
-    extras = ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in found["extras"].items())  # type: ignore[attr-defined]
+    extras = ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in found["extras"].items())
     click.echo(f"extras: {extras}\nprofiles: {', '.join(found['profiles'])}")  # type: ignore[arg-type]
     return 0

@@ -13,14 +13,8 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hil.config.control import ControlConfig
 from hil.config.encoders import EncodersConfig
-from hil.config.estimator import EstimatorConfig
 from hil.config.imu import ImuConfig
-from hil.config.mocap import MocapConfig
-from hil.config.robot import RobotConfig
-from hil.config.servos import ServosConfig
-from hil.config.tracker import TrackerConfig
 from hil.errors import ConfigError
 
 if sys.version_info >= (3, 11):
@@ -28,7 +22,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
+DEVICES = ("encoders", "imu")
 
 
 class Strict(BaseModel):
@@ -95,19 +89,13 @@ class BenchConfig(Strict):
     name: str = Field(min_length=1)
     surface: Literal["wall", "floor"] = "wall"
     calibration: str | None = None
-    robot: RobotConfig = RobotConfig()
-    control: ControlConfig = ControlConfig()
-    estimator: EstimatorConfig = EstimatorConfig()
     loop: LoopConfig = LoopConfig()
     safety: SafetyConfig = SafetyConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     emulation: EmulationConfig = EmulationConfig()
     exit: ExitConfig = ExitConfig()
-    servos: ServosConfig | None = None
     encoders: EncodersConfig | None = None
     imu: ImuConfig | None = None
-    tracker: TrackerConfig | None = None
-    mocap: MocapConfig | None = None
 
     def devices(self) -> dict[str, Any]:
         """Configured devices by name, in the fixed order."""

@@ -48,7 +48,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
         f"cost J {result.cost_before:.2f} before, {result.cost_after:.2f} after",
-        *result.warnings[-3:],
+        *result.warnings[-4:],
     ]
     tables = [
         _error_table("Before", evaluate(before)),
