@@ -23,19 +23,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
     "calibrate": "fit the odometry parameters to recordings, with validation",
-    "campaign": "run a procedure many times",
     "demo-data": "write a generated data set of the six motions",
-    "discover": "find ports and IDs and print a ready bench.toml",
-    "doctor": "check a bench and say what to do about each finding",
-    "emulate": "serve the emulated devices to any client",
     "evaluate": "odometry error table of recordings",
     "export": "a recording as CSV or Parquet",
     "info": "versions for a bug report",
-    "live": "the control-estimate loop with monitoring",
-    "replay": "re-run estimation on a recording",
-    "report": "HTML report of a result folder, or a comparison",
-    "run": "run a procedure",
-    "setup": "set one servo's ID and baud rate",
 }
 
 

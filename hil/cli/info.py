@@ -46,9 +46,3 @@ def command(as_json: bool) -> int:
         click.echo(f"  {name:16} {version}")
     click.echo("extras: " + ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in extras.items()))
     return 0
-    click.echo(f"hil {found['hil']}, Python {found['python']}, {found['platform']}")
-    for name, version in found["packages"].items():  # type: ignore[attr-defined]
-        click.echo(f"  {name:16} {version}")
-    extras = ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in found["extras"].items())
-    click.echo(f"extras: {extras}\nprofiles: {', '.join(found['profiles'])}")  # type: ignore[arg-type]
-    return 0
