@@ -10,7 +10,7 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import cost, track
+from hil.calibration.evaluation import Track, cost, track
 from hil.calibration.fitting import Fit, fit
 from hil.calibration.identifiability import Identifiability, Jackknife, identifiability, jackknife
 from hil.calibration.motion_models import make_model
@@ -37,7 +37,7 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `wall_s` is the compute time of the calibration itself, `validation_s` that of the cross-validations.
+    `kept_cost` is the cost before and after on the recordings that were not rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the cross-validations.
     """
 
     method: str
@@ -49,6 +49,7 @@ class Calibration:
     intervals: Jackknife
     cost_before: float
     cost_after: float
+    kept_cost: tuple[float, float]
     validation: dict[str, Table]
     floor: dict[str, float]
     recordings: tuple[Recording, ...]
@@ -87,6 +88,8 @@ class Calibration:
             "recordings": len(self.recordings),
             "cost_before": self.cost_before,
             "cost_after": self.cost_after,
+            "cost_before_without_rejected": self.kept_cost[0],
+            "cost_after_without_rejected": self.kept_cost[1],
             "objective": self.fit.solution.objective,
             "objective_before_polish": self.fit.solution.objective_before_polish,
             "polished": self.fit.solution.objective_before_polish is not None,
@@ -181,6 +184,7 @@ def calibrate(
         intervals=intervals,
         cost_before=cost(before),
         cost_after=cost(after),
+        kept_cost=(_kept_cost(before, found), _kept_cost(after, found)),
         validation=tables,
         floor=repeatability(recordings),
         recordings=tuple(recordings),
@@ -189,6 +193,10 @@ def calibrate(
         wall_s=(fitted_ns - begin_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns) / NS_PER_S,
     )
+
+
+def _kept_cost(tracks: Sequence[Track], found: Fit) -> float:
+    return cost([t for t in tracks if t.recording.name not in found.rejected])
 
 
 def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit | None:

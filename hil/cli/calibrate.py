@@ -79,6 +79,13 @@ def _write(out: Path, result: Calibration) -> None:
     click.echo(f"wrote {out} (version {file.version})", err=True)
 
 
+def _kept(result: Calibration) -> list[str]:
+    if not result.fit.rejected:
+        return []
+    before, after = result.kept_cost
+    return [f"without {', '.join(result.fit.rejected)}: J {before:.2f} -> {after:.2f}"]
+
+
 def _text(result: Calibration) -> str:
     z, std = result.geometry, result.intervals.std
     spectrum = result.spectrum
@@ -86,6 +93,7 @@ def _text(result: Calibration) -> str:
         f"{result.method}, setting {result.setting.name} ({result.setting.model}, {result.setting.signal}), "
         f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
         f"in {result.wall_s:.2f} s",
+        *_kept(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
     for i, wheel in enumerate(("FL", "BL", "BR", "FR")):

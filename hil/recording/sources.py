@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.errors import DataError
-from hil.recording import plain_csv, public_csv
+from hil.recording import export, plain_csv, public_csv
 
 Job = Callable[[], Recording]
 
@@ -24,7 +24,9 @@ def find_recordings(paths: Sequence[str | Path]) -> list[Job]:
         found = _folder(path) if path.is_dir() else [_file(path)]
         if not found:
             raise DataError(
-                str(path), "holds no recording", expected="odom_N.csv + abs_N.csv pairs, or plain .csv files"
+                str(path),
+                "holds no recording",
+                expected="odom_N.csv + abs_N.csv pairs, plain .csv files or .mcap recordings",
             )
         jobs += found
     if not jobs:
@@ -49,13 +51,15 @@ def _folder(folder: Path) -> list[Job]:
     pairs = public_csv.find_pairs(folder)
     if pairs:
         return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
-    files = sorted([*folder.glob("*.csv"), *folder.glob("*.csv.gz")])
+    files = sorted(f for kind in ("*.csv", "*.csv.gz", "*.mcap") for f in folder.glob(kind))
     return [_file(f) for f in files]
 
 
 def _file(path: Path) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist")
+    if path.suffix == ".mcap":
+        return lambda: export.to_recording(path)
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():

@@ -47,7 +47,8 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     figures["weights"] = _weights(result)
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
-        f"cost J {result.cost_before:.2f} before, {result.cost_after:.2f} after",
+        f"cost J {result.cost_before:.2f} before, {result.cost_after:.2f} after; without the rejected "
+        f"recordings {result.kept_cost[0]:.2f} and {result.kept_cost[1]:.2f}",
         *result.warnings[-4:],
     ]
     tables = [
