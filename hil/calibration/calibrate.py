@@ -37,7 +37,8 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `kept_cost` is the cost before and after on the recordings that were not rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the cross-validations.
+    `kept_cost` is the cost before and after on the recordings that were not rejected; `wall_s` is the
+    compute time of the calibration itself, `validation_s` that of the cross-validations.
     """
 
     method: str
