@@ -9,7 +9,6 @@ import pytest
 from mcap_cases import driving_record
 
 from hil.alignment import Alignment, AlignmentParameters
-from hil.cli import main
 from hil.errors import DataError, SafetyStop
 from hil.geometry import compose, se2_exp
 from hil.interfaces import Controller, Estimator
@@ -211,12 +210,3 @@ def test_the_page_shows_every_estimator(tmp_path):
     assert page.count("data:image/png;base64,") == 2
     with pytest.raises(DataError, match="cannot be written"):
         write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, ())
-
-
-def test_the_command_refuses_what_is_no_recording_with_exit_code_2(tmp_path, capsys):
-    path = tmp_path / "notes.txt"
-    path.write_text("nothing here", encoding="utf-8")
-    assert main(["replay", str(path), "--verify", "--json"]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert "is not an MCAP file" in told.err
