@@ -1,1 +1,5 @@
 """Pose tracking: control laws, the module layer, limits."""
+
+from hil.controller.tracking import TrackingController, make_controller
+
+__all__ = ["TrackingController", "make_controller"]

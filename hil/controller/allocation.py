@@ -1,0 +1,92 @@
+"""The module layer: from a body twist to four wheel speeds and steering angles, in one fixed order.
+
+1. inverse kinematics; 2. a wheel that hardly moves holds its last angle (a centre of rotation on a
+wheel is singular); 3. flip by half a turn when that is the shorter turn from the **measured** angle,
+with hysteresis; 4. keep inside the steering range, else flip; 5. cosine compensation; 6. desaturate
+all wheels alike, which keeps the centre of rotation; 7. steering rate limit
+(`facts/plant_and_control.md`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.geometry import Array, wrap, wrap_array
+from hil.kinematics import WheelGeometry, inverse
+from hil.signals import WheelSetpoint
+
+_QUARTER_RAD = np.pi / 2.0
+
+
+@dataclass(frozen=True)
+class ModuleLimits:
+    """Limits of a steered and driven wheel."""
+
+    speed_m_s: float = 0.122
+    steering_rad: float = 2.0944
+    steering_rate_rad_s: float = 5.0
+    still_speed_m_s: float = 0.002
+    flip_hysteresis_rad: float = 0.1047
+
+
+def optimize(
+    speed: float, angle_rad: float, measured_rad: float, limits: ModuleLimits
+) -> tuple[float, float]:
+    """Speed and the equivalent angle nearest to the measured one, within the steering range.
+
+    Never asks for a turn of more than a quarter plus the hysteresis unless the range forces it.
+    """
+    near = measured_rad + wrap(angle_rad - measured_rad)
+    if abs(near - measured_rad) > _QUARTER_RAD + limits.flip_hysteresis_rad:
+        near, speed = near - np.copysign(np.pi, near - measured_rad), -speed
+    if abs(near) > limits.steering_rad:
+        near, speed = near - np.copysign(np.pi, near), -speed
+    return speed, float(near)
+
+
+def desaturate(speed: Array, limit: float) -> Array:
+    """All speeds scaled by one factor so that none exceeds the limit."""
+    peak = float(np.max(np.abs(speed)))
+    return speed if peak <= limit else speed * (limit / peak)
+
+
+class ModuleLayer:
+    """Keeps each module's held angle between calls."""
+
+    def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
+        self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget held and sent angles: they start again from the measured ones."""
+        self._held: Array | None = None
+        self._sent: Array | None = None
+
+    def hold(self, measured_rad: Array) -> WheelSetpoint:
+        """Wheels at rest at the held (or measured) angles."""
+        held = measured_rad.copy() if self._held is None else self._held
+        self._held = self._sent = held
+        return WheelSetpoint(np.zeros(4), held.copy())
+
+    def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
+        """Setpoint for a twist (3,) given the measured steering angles (4,)."""
+        held = measured_rad.copy() if self._held is None else self._held
+        speed, angle = inverse(self.geometry, twist_body)
+        target = held.copy()
+        for i in range(4):
+            if speed[i] < self.limits.still_speed_m_s:
+                speed[i] = 0.0
+                continue
+            speed[i], target[i] = optimize(
+                float(speed[i]), float(angle[i]), float(measured_rad[i]), self.limits
+            )
+        self._held = target
+        error = wrap_array(target - measured_rad)
+        speed = desaturate(speed * np.maximum(0.0, np.cos(error)), self.limits.speed_m_s)
+        reach = self.limits.steering_rate_rad_s * self.dt_s
+        sent = measured_rad if self._sent is None else self._sent
+        self._sent = sent + np.clip(target - sent, -reach, reach)
+        bounded = np.clip(self._sent, -self.limits.steering_rad, self.limits.steering_rad)
+        return WheelSetpoint(speed / self.geometry.radius_m, bounded)

@@ -1,0 +1,145 @@
+"""Control laws: from pose error and reference to a commanded body twist.
+
+Pose error in the measured body frame: e = (R(th)' (p_d - p), wrap(th_d - th)); reference twist t_d in
+the reference's body frame (`facts/plant_and_control.md`, section Controllers).
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Callable
+from typing import Protocol
+
+import numpy as np
+
+from hil.geometry import Array, rotation2, wrap
+from hil.signals import Reference, RobotState
+
+
+def pose_error(state: RobotState, reference: Reference) -> Array:
+    """Reference minus state, shape (3,), in the measured body frame, heading wrapped."""
+    pose, wanted = state.pose_body_in_wall, reference.pose_in_wall
+    ahead = rotation2(-float(pose[2])) @ (wanted[:2] - pose[:2])
+    return np.array([ahead[0], ahead[1], wrap(float(wanted[2] - pose[2]))])
+
+
+class Law(Protocol):
+    """A tracking law; may keep state between calls."""
+
+    @abstractmethod
+    def reset(self) -> None:
+        """Forget all state."""
+
+    @abstractmethod
+    def twist(self, error: Array, reference: Reference) -> Array:
+        """Commanded body twist (3,) for an error (3,)."""
+
+
+class NonlinearLaw(Law):
+    """Model-based law t = t_d + K e, the body form of the authors' per-wheel law.
+
+    With V = |e|^2 / 2 it gives V' = -e' K e without slip; a slip velocity d leaves e = d / k.
+    """
+
+    def __init__(self, gains: tuple[float, float, float]) -> None:
+        self.gains = np.array(gains)
+
+    def reset(self) -> None:
+        """No state to forget."""
+
+    def twist(self, error: Array, reference: Reference) -> Array:
+        """Feed-forward plus proportional correction."""
+        return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
+
+
+def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Array]:
+    """Discrete A (9, 9) and B (9, 3) of z = (e, integral of e, lagged correction), input: correction.
+
+    e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential.
+    """
+    from scipy.linalg import expm
+
+    a = np.zeros((12, 12))
+    a[0, 1], a[1, 0] = omega_rad_s, -omega_rad_s
+    a[0:3, 6:9] = -np.eye(3)
+    a[3:6, 0:3] = np.eye(3)
+    a[6:9, 6:9] = -np.eye(3) / lag_s
+    a[6:9, 9:12] = np.eye(3) / lag_s
+    step = expm(a * dt_s)
+    return np.ascontiguousarray(step[:9, :9]), np.ascontiguousarray(step[:9, 9:])
+
+
+def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_cost: Array) -> list[Array]:
+    """Finite-horizon time-varying LQR gains K_k, u = -K_k z, by the backward recursion from S_N = Q.
+
+    K_k = (R + B'S B)^-1 B'S A; S <- Q + A'S (A - B K_k).
+    """
+    s = state_cost.copy()
+    gains: list[Array] = []
+    for a, b in reversed(models):
+        bs = b.T @ s
+        gain = np.linalg.solve(input_cost + bs @ b, bs @ a)
+        s = state_cost + a.T @ s @ (a - b @ gain)
+        s = 0.5 * (s + s.T)
+        gains.append(np.asarray(gain, dtype=np.float64))
+    return gains[::-1]
+
+
+class OptimalLaw(Law):
+    """Time-varying LQR about the reference, with the servo lag in its model and optional integral action.
+
+    Args:
+        omega_at: reference turn rate by time, rad/s.
+        duration_s: horizon; afterwards the steady gain is kept.
+        dt_s: control period.
+        lag_s: lag between command and motion.
+        weights: (state, integral, input) diagonal weights; integral 0 switches it off.
+        clamp: bound of the integral states.
+    """
+
+    def __init__(
+        self,
+        omega_at: Callable[[float], float],
+        duration_s: float,
+        *,
+        dt_s: float,
+        lag_s: float,
+        weights: tuple[float, float, float],
+        clamp: float,
+    ) -> None:
+        q, q_i, r = weights
+        steps = max(2, round(duration_s / dt_s) + 2)
+        cache: dict[float, tuple[Array, Array]] = {}
+        models = []
+        for k in range(steps + round(5.0 / dt_s)):
+            omega = round(float(omega_at(min(k * dt_s, duration_s))), 4)
+            if omega not in cache:
+                cache[omega] = lag_model(omega, dt_s, lag_s)
+            models.append(cache[omega])
+        state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
+        if q_i == 0.0:
+            models = [_without_integral(m) for m in models]
+        self._gains = riccati_gains(models, state_cost, r * np.eye(3))[:steps]
+        self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
+        self._integrates = q_i > 0.0
+        self.reset()
+
+    def reset(self) -> None:
+        """Empty integral and lag states."""
+        self._integral, self._lagged = np.zeros(3), np.zeros(3)
+
+    def twist(self, error: Array, reference: Reference) -> Array:
+        """Feed-forward plus optimal correction."""
+        k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
+        z = np.concatenate([error, self._integral, self._lagged])
+        correction = -self._gains[k] @ z
+        if self._integrates:
+            self._integral = np.clip(self._integral + error * self._dt_s, -self._clamp, self._clamp)
+        self._lagged = self._decay * self._lagged + (1.0 - self._decay) * correction
+        return np.asarray(reference.twist_body + correction, dtype=np.float64)
+
+
+def _without_integral(model: tuple[Array, Array]) -> tuple[Array, Array]:
+    a, b = model[0].copy(), model[1].copy()
+    a[3:6], b[3:6] = 0.0, 0.0
+    return a, b

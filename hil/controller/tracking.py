@@ -1,0 +1,82 @@
+"""The controller of the ring: law, module layer, goal tolerance, and refusal of nonsense."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.control import ControlConfig
+from hil.controller.allocation import ModuleLayer, ModuleLimits
+from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, pose_error
+from hil.errors import SafetyStop
+from hil.interfaces import Controller
+from hil.kinematics import WheelGeometry
+from hil.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
+from hil.trajectories import Trajectory
+
+
+class TrackingController(Controller):
+    """Follows a reference; at the goal it holds, lest the modules be set against each other."""
+
+    def __init__(
+        self, law: Law, modules: ModuleLayer, *, goal_position_m: float, goal_heading_rad: float
+    ) -> None:
+        self._law, self._modules = law, modules
+        self._goal_position_m, self._goal_heading_rad = goal_position_m, goal_heading_rad
+
+    def reset(self) -> None:
+        """Forget integrators and held angles."""
+        self._law.reset()
+        self._modules.reset()
+
+    def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
+        """Wheel setpoint for now.
+
+        Raises:
+            SafetyStop: `not_finite` when state, reference or the law's output is not finite.
+        """
+        error = pose_error(state, reference)
+        twist = self._law.twist(error, reference)
+        if not np.all(np.isfinite(np.concatenate([error, twist, reference.pose_in_wall]))):
+            raise SafetyStop("not_finite", "state, reference or gains are not finite")
+        at_goal = (
+            reference.done
+            and np.hypot(error[0], error[1]) <= self._goal_position_m
+            and abs(error[2]) <= self._goal_heading_rad
+        )
+        if at_goal:
+            return self._modules.hold(wheels.steering_rad)
+        return self._modules.allocate(twist, wheels.steering_rad)
+
+
+def make_controller(
+    config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory
+) -> TrackingController:
+    """Controller of a configuration for one trajectory; the optimal law's gains are computed here."""
+    dt_s = 1.0 / config.rate_hz
+    law: Law = NonlinearLaw(config.gains)
+    if config.law == "optimal":
+        law = OptimalLaw(
+            lambda t_s: float(trajectory.sample(t_s).twist_body[2]),
+            trajectory.duration_s,
+            dt_s=dt_s,
+            lag_s=config.servo_lag_s,
+            weights=(
+                config.state_weight,
+                config.integral_weight if config.integral else 0.0,
+                config.input_weight,
+            ),
+            clamp=config.integral_clamp,
+        )
+    limits = ModuleLimits(
+        config.wheel_speed_m_s,
+        config.steering_limit_rad,
+        config.steering_rate_rad_s,
+        config.still_speed_m_s,
+        config.flip_hysteresis_rad,
+    )
+    return TrackingController(
+        law,
+        ModuleLayer(geometry, limits, dt_s),
+        goal_position_m=config.goal_position_m,
+        goal_heading_rad=config.goal_heading_rad,
+    )

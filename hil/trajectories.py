@@ -1,0 +1,274 @@
+"""References: where the robot should be at a time, and whether the limits allow it.
+
+A trajectory is a chain of segments. A segment is a path over s in [0, 1] and a time law: `quintic`
+(s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both ends) or `constant` (the step profile of the public
+recordings). Wall frame: X up the wall, Y to the left; heading about the wall normal
+(`facts/plant_and_control.md`, section Trajectories). SI units.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hil.errors import DataError, TrajectoryError, UsageError
+from hil.geometry import Array, ArrayLike, rotation2
+from hil.kinematics import WheelGeometry
+from hil.signals import Reference
+
+TimeLaw = Literal["quintic", "constant"]
+PathAt = Callable[[float], tuple[Array, Array, Array]]
+"""Pose (3,), its first and its second derivative by s."""
+
+QUINTIC_PEAK_SPEED = 1.875
+QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+_CHECK_STEP_S = 0.01
+_SLACK = 1.0 + 1e-6
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One stretch: a path over s in [0, 1], how long it takes, and how s runs."""
+
+    path: PathAt
+    duration_s: float
+    law: TimeLaw = "quintic"
+
+    def at(self, t_s: float) -> tuple[Array, Array, Array]:
+        """Pose, velocity and acceleration (3,) each, in wall axes, at a time within the segment."""
+        u = min(max(t_s / self.duration_s, 0.0), 1.0)
+        if self.law == "quintic":
+            s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+            ds = 30.0 * u**2 * (1.0 - u) ** 2 / self.duration_s
+            dds = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / self.duration_s**2
+        else:
+            s, ds, dds = u, (1.0 / self.duration_s if 0.0 <= t_s < self.duration_s else 0.0), 0.0
+        pose, first, second = self.path(s)
+        return pose, first * ds, second * ds**2 + first * dds
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A chain of segments, held at its last pose afterwards."""
+
+    name: str
+    segments: tuple[Segment, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to the last pose."""
+        return sum(s.duration_s for s in self.segments)
+
+    def sample(self, t_s: float) -> Reference:
+        """Reference at a time; the twist is in the reference's body frame."""
+        left = t_s
+        for segment in self.segments:
+            if left < segment.duration_s:
+                pose, velocity, acceleration = segment.at(max(left, 0.0))
+                if t_s < 0.0:
+                    velocity, acceleration = np.zeros(3), np.zeros(3)
+                return _reference(t_s, pose, velocity, acceleration, False)
+            left -= segment.duration_s
+        pose, _, _ = self.segments[-1].path(1.0)
+        return _reference(t_s, pose, np.zeros(3), np.zeros(3), True)
+
+
+def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, done: bool) -> Reference:
+    body = rotation2(-pose[2]) @ velocity[:2]
+    return Reference(t_s, pose, np.array([body[0], body[1], velocity[2]]), acceleration, done)
+
+
+def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:
+    """Time for a stretch within peak wheel speed and acceleration; a turn counts by its wheel path."""
+    way = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
+    if way <= 0:
+        raise UsageError("a segment of no length", expected="a start and an end that differ")
+    if law == "constant":
+        return way / speed
+    return max(QUINTIC_PEAK_SPEED * way / speed, math.sqrt(QUINTIC_PEAK_ACCELERATION * way / acceleration))
+
+
+def straight(start: ArrayLike, end: ArrayLike) -> PathAt:
+    """Path that changes x, y and heading in proportion to s."""
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    return lambda s: (a + s * (b - a), b - a, np.zeros(3))
+
+
+def arc(start: ArrayLike, radius_m: float, angle_rad: float, *, tangent: bool) -> PathAt:
+    """Arc to the left (positive angle) or right of the start heading, heading tangent or fixed."""
+    x, y, theta = np.asarray(start, dtype=np.float64)
+    side = math.copysign(1.0, angle_rad)
+    turn = rotation2(float(theta))
+
+    def path(s: float) -> tuple[Array, Array, Array]:
+        a = abs(angle_rad) * s
+        w = abs(angle_rad)
+        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))]) * radius_m
+        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * radius_m * w
+        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * radius_m * w**2
+        heading = side * a if tangent else 0.0
+        rate = side * w if tangent else 0.0
+        return (
+            np.array([x + p[0], y + p[1], theta + heading]),
+            np.array([d[0], d[1], rate]),
+            np.array([dd[0], dd[1], 0.0]),
+        )
+
+    return path
+
+
+def line(
+    start: ArrayLike, end: ArrayLike, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    duration_s: float | None = None, law: TimeLaw = "quintic", name: str = "line",
+) -> Trajectory:  # fmt: skip
+    """Straight line between two poses (3,), heading changing along with it.
+
+    Args:
+        start: first pose.
+        end: last pose.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        duration_s: overrides what the limits would need (and is checked later).
+        law: `quintic` or `constant`.
+        name: shown in results.
+    """
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    length = float(np.hypot(*(b - a)[:2]))
+    needed = _duration(length, float(b[2] - a[2]), speed_m_s, acceleration_m_s2, law)
+    return Trajectory(name, (Segment(straight(a, b), duration_s or needed, law),))
+
+
+def circle(
+    start: ArrayLike, radius_m: float, *, turns: float = 1.0, tangent: bool = True, speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2, law: TimeLaw = "quintic", name: str = "circle",
+) -> Trajectory:  # fmt: skip
+    """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading."""
+    angle = 2.0 * math.pi * turns
+    turn = angle if tangent else 0.0
+    time_s = _duration(abs(angle) * radius_m, turn, speed_m_s, acceleration_m_s2, law)
+    return Trajectory(name, (Segment(arc(start, radius_m, angle, tangent=tangent), time_s, law),))
+
+
+def scan(
+    start: ArrayLike, length_m: float, lanes: int, spacing_m: float, *, speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2, name: str = "scan",
+) -> Trajectory:  # fmt: skip
+    """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners."""
+    if lanes < 1:
+        raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
+    x, y, theta = np.asarray(start, dtype=np.float64)
+    points = []
+    for lane in range(lanes):
+        ends = (x, x + length_m) if lane % 2 == 0 else (x + length_m, x)
+        points += [np.array([e, y + lane * spacing_m, theta]) for e in ends]
+    return through(points, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, name=name)
+
+
+def through(
+    poses: Sequence[ArrayLike], *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    name: str = "waypoints",
+) -> Trajectory:  # fmt: skip
+    """Straight quintic segments through poses, at rest at each."""
+    if len(poses) < 2:
+        raise UsageError(f"{len(poses)} waypoint(s)", expected="at least 2")
+    parts = [
+        line(a, b, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2).segments[0]
+        for a, b in pairwise(poses)
+    ]
+    return Trajectory(name, tuple(parts))
+
+
+def read_waypoints(path: Path) -> list[Array]:
+    """Poses of a CSV file with the header `x,y,theta` (m, m, rad)."""
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(str(path), f"cannot be read ({error})") from None
+    except (KeyError, TypeError, ValueError):
+        raise DataError(str(path), "is no waypoint list", expected="header x,y,theta and numbers") from None
+    if len(poses) < 2 or not np.all(np.isfinite(poses)):
+        raise DataError(str(path), f"holds {len(poses)} waypoint(s)", expected="at least 2, all finite")
+    return poses
+
+
+def recorded_motion(name: str) -> Trajectory:
+    """The public recordings' motions: constant speed with a step start (`facts/robot.md`)."""
+    origin = np.zeros(3)
+    v, w = 0.050, 0.157
+    law: TimeLaw = "constant"
+    sign = 1.0 if name.endswith("_ccw") else -1.0
+    if name in ("line_x", "line_y"):
+        end = np.array([4.0, 0, 0]) if name == "line_x" else np.array([0, 4.0, 0])
+        return Trajectory(name, (Segment(straight(origin, end), 4.0 / v, law),))
+    if name in ("circle_ccw", "circle_cw"):
+        path, time_s = arc(origin, 0.5, sign * 2 * math.pi, tangent=True), math.pi / v
+    elif name in ("rotation_ccw", "rotation_cw"):
+        path, time_s = straight(origin, np.array([0, 0, sign * 2 * math.pi])), 2 * math.pi / w
+    else:
+        raise UsageError(
+            f"motion {name!r}", expected="line_x, line_y, circle_ccw, circle_cw, rotation_ccw, rotation_cw"
+        )
+    return Trajectory(name, (Segment(path, time_s, law),))
+
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """What a reference is held against before anything moves.
+
+    Attributes:
+        wheel_speed_m_s, wheel_acceleration_m_s2: per wheel.
+        heading_limit_rad: of the heading while on a wall, None on the floor.
+        x_range_m, y_range_m: the usable wall, None for no bound.
+    """
+
+    wheel_speed_m_s: float = 0.122
+    wheel_acceleration_m_s2: float = 0.2
+    heading_limit_rad: float | None = None
+    x_range_m: tuple[float, float] | None = None
+    y_range_m: tuple[float, float] | None = None
+
+
+def check(trajectory: Trajectory, geometry: WheelGeometry, limits: MotionLimits) -> None:
+    """Refuse a trajectory that the limits cannot follow.
+
+    Raises:
+        TrajectoryError: with the first offending time and value.
+    """
+    p = geometry.projection()
+    steps = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
+    for t_s in steps.tolist():
+        now = trajectory.sample(t_s)
+        if not (np.all(np.isfinite(now.pose_in_wall)) and np.all(np.isfinite(now.twist_body))):
+            raise TrajectoryError(
+                trajectory.name, t_s=t_s, quantity="reference", value=math.nan, limit=math.inf
+            )
+        speed = np.hypot(*(p @ now.twist_body).reshape(4, 2).T)
+        _hold(trajectory, t_s, "wheel speed (m/s)", float(speed.max()), limits.wheel_speed_m_s)
+        body = rotation2(-float(now.pose_in_wall[2])) @ now.acceleration_wall[:2]
+        pull = np.hypot(*(p @ np.array([body[0], body[1], now.acceleration_wall[2]])).reshape(4, 2).T)
+        _hold(
+            trajectory, t_s, "wheel acceleration (m/s^2)", float(pull.max()), limits.wheel_acceleration_m_s2
+        )
+        if limits.heading_limit_rad is not None:
+            heading = abs(float(now.pose_in_wall[2]))
+            _hold(trajectory, t_s, "heading on the wall (rad)", heading, limits.heading_limit_rad)
+        for axis, bounds in enumerate((limits.x_range_m, limits.y_range_m)):
+            if bounds is not None:
+                value = float(now.pose_in_wall[axis])
+                label = f"{'xy'[axis]} on the wall (m)"
+                _hold(trajectory, t_s, label, value, bounds[1])
+                _hold(trajectory, t_s, "-" + label, -value, -bounds[0])
+
+
+def _hold(trajectory: Trajectory, t_s: float, quantity: str, value: float, limit: float) -> None:
+    if value > limit + abs(limit) * (_SLACK - 1.0) + 1e-12:
+        raise TrajectoryError(trajectory.name, t_s=t_s, quantity=quantity, value=value, limit=limit)

@@ -1,0 +1,203 @@
+"""Controllers by their laws, and in closed loop on a kinematic robot with lag and slip."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.config.control import ControlConfig
+from hil.controller import make_controller
+from hil.controller.allocation import ModuleLayer, ModuleLimits, desaturate, optimize
+from hil.controller.laws import NonlinearLaw, OptimalLaw, lag_model, pose_error, riccati_gains
+from hil.errors import SafetyStop
+from hil.geometry import compose, se2_exp
+from hil.kinematics import WheelGeometry, forward, wheel_vectors
+from hil.signals import Reference, RobotState, Stamp, WheelMeasurement
+from hil.trajectories import circle, line
+
+CAD = WheelGeometry.nominal()
+DT = 0.01
+
+
+def state(pose):
+    return RobotState(0, np.asarray(pose, float), np.zeros(3), np.eye(6))
+
+
+def reference(pose, twist, t_s=0.0, done=False):
+    return Reference(t_s, np.asarray(pose, float), np.asarray(twist, float), np.zeros(3), done)
+
+
+def wheels(steering):
+    return WheelMeasurement(
+        Stamp(0, 0, 0), np.zeros(4), np.zeros(4), np.asarray(steering, float), (True,) * 4
+    )
+
+
+def drive(law, trajectory, *, slip=(0.0, 0.0, 0.0), integral=True, feedback=lambda p: p):
+    """Closed loop on a kinematic robot: first-order wheels, rate-limited steering, slip in wall axes."""
+    controller = make_controller(ControlConfig(law=law, integral=integral), CAD, trajectory)
+    controller.reset()
+    pose, rate, steering = np.zeros(3), np.zeros(4), np.zeros(4)
+    errors = []
+    for k in range(round((trajectory.duration_s + 2) / DT)):
+        wanted = trajectory.sample(k * DT)
+        setpoint = controller.update(state(feedback(pose)), wanted, wheels(steering))
+        rate = rate + (setpoint.wheel_rate_rad_s - rate) * DT / 0.07
+        steering = steering + np.clip(setpoint.steering_rad - steering, -0.05, 0.05)
+        body = forward(CAD, rate * CAD.radius_m, steering)
+        pose = compose(pose, se2_exp(body * DT))
+        pose[:2] += np.asarray(slip[:2]) * DT
+        errors.append(wanted.pose_in_wall - pose)
+    return np.array(errors)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=50, deadline=None)
+def test_the_per_wheel_law_is_the_projected_twist(seed):
+    """a_i, b_i of the authors' law equal P (t_d + K e)."""
+    rng = np.random.default_rng(seed)
+    k = rng.uniform(0.5, 5.0, 3)
+    e, t = rng.normal(0, 0.1, 3), rng.normal(0, 0.1, 3)
+    a = t[0] - CAD.y_m * t[2] + k[0] * e[0] - k[2] * CAD.y_m * e[2]
+    b = t[1] + CAD.x_m * t[2] + k[1] * e[1] + k[2] * CAD.x_m * e[2]
+    u = CAD.projection() @ NonlinearLaw(tuple(k)).twist(e, reference(np.zeros(3), t))
+    np.testing.assert_allclose(u[0::2], a, atol=1e-12)
+    np.testing.assert_allclose(u[1::2], b, atol=1e-12)
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=50, deadline=None)
+def test_lyapunov_function_falls_at_the_stated_rate(seed):
+    rng = np.random.default_rng(seed)
+    k = np.array([4.0, 4.0, 3.0])
+    pose, goal = rng.normal(0, 0.2, 3), np.zeros(3)
+    twist_d = np.array([0.0, 0.0, 0.0])
+    h = 1e-6
+    e = pose_error(state(pose), reference(goal, twist_d))
+    twist = NonlinearLaw(tuple(k)).twist(e, reference(goal, twist_d))
+    after = pose_error(state(compose(pose, se2_exp(twist * h))), reference(goal, twist_d))
+    slope = (after @ after - e @ e) / 2 / h
+    assert slope == pytest.approx(-e @ (k * e), rel=1e-3, abs=1e-6)
+
+
+def test_eight_input_lqr_is_the_twist_lqr():
+    """x' = P^+ w with R = rho I has the gains P K of the twist form with R = rho P'P."""
+    p, rho, q = CAD.projection(), 0.3, np.diag([25.0, 25.0, 10.0])
+    twist = [(np.eye(3), DT * np.eye(3))] * 200
+    eight = [(np.eye(3), DT * np.linalg.pinv(p))] * 200
+    for small, large in zip(
+        riccati_gains(twist, q, rho * p.T @ p), riccati_gains(eight, q, rho * np.eye(8)), strict=True
+    ):
+        np.testing.assert_allclose(large, p @ small, atol=1e-9)
+
+
+def test_lag_model_and_gains_against_scipy():
+    from scipy.linalg import solve_discrete_are
+
+    a, b = lag_model(0.1, DT, 0.1)
+    assert a[6, 6] == pytest.approx(math.exp(-0.1))
+    q, r = np.diag([25.0] * 3 + [20.0] * 3 + [1e-9] * 3), np.eye(3)
+    s = solve_discrete_are(a, b, q, r)
+    steady = np.linalg.solve(r + b.T @ s @ b, b.T @ s @ a)
+    np.testing.assert_allclose(riccati_gains([(a, b)] * 4000, q, r)[0], steady, rtol=1e-6, atol=1e-8)
+    assert np.max(np.abs(np.linalg.eigvals(a - b @ steady))) < 1.0
+
+
+def test_module_oracles_of_wpimath():
+    limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
+    speed, angle = optimize(1.0, 2.5, 0.0, limits)
+    assert (speed, angle) == (-1.0, pytest.approx(2.5 - math.pi))
+    np.testing.assert_allclose(desaturate(np.array([0.5, 0.3, 0.2, 0.1]), 0.28), [0.28, 0.168, 0.112, 0.056])
+
+
+@given(st.floats(-3.14, 3.14), st.floats(-2.09, 2.09))
+def test_a_flip_keeps_the_motion_and_never_turns_far(angle, measured):
+    limits = ModuleLimits()
+    speed, target = optimize(1.0, angle, measured, limits)
+    same = wheel_vectors(np.full(4, speed), np.full(4, target))
+    np.testing.assert_allclose(same, wheel_vectors(np.ones(4), np.full(4, angle)), atol=1e-9)
+    assert abs(target) <= limits.steering_rad
+    forced = abs(measured) + math.pi / 2 + limits.flip_hysteresis_rad > limits.steering_rad
+    assert abs(target - measured) <= math.radians(96.0) + 1e-3 or forced
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40, deadline=None)
+def test_desaturation_keeps_the_centre_of_rotation(seed):
+    twist = np.random.default_rng(seed).normal(0, 1.0, 3)
+    layer = ModuleLayer(CAD, ModuleLimits(steering_rad=10.0, steering_rate_rad_s=1e6), DT)
+    aligned = np.arctan2(*(CAD.projection() @ twist).reshape(4, 2).T[::-1])
+    out = layer.allocate(twist, aligned)
+    back = forward(CAD, out.wheel_rate_rad_s * CAD.radius_m, out.steering_rad)
+    assert np.max(np.abs(out.wheel_rate_rad_s * CAD.radius_m)) <= 0.122 + 1e-12
+    np.testing.assert_allclose(np.cross(back, twist), 0.0, atol=1e-9)
+    assert back @ twist > 0
+
+
+def test_a_wheel_in_the_centre_of_rotation_holds_its_angle():
+    twist = np.array([CAD.y_m[0], -CAD.x_m[0], 1.0]) * 0.1
+    layer = ModuleLayer(CAD, ModuleLimits(), DT)
+    out = layer.allocate(twist, np.array([0.7, 0.0, 0.0, 0.0]))
+    assert out.wheel_rate_rad_s[0] == 0.0
+    assert out.steering_rad[0] == 0.7
+
+
+@pytest.mark.parametrize("law", ["nonlinear", "optimal"])
+@pytest.mark.parametrize(
+    "trajectory", [line(np.zeros(3), [0.5, 0.3, 0.1]), circle(np.zeros(3), 0.3)], ids=["line", "circle"]
+)
+def test_tracks_without_slip(law, trajectory):
+    errors = drive(law, trajectory)
+    assert np.abs(errors[:, :2]).max() < 8e-3
+    assert np.abs(errors[-1, :2]).max() < 1.5e-3
+    assert abs(errors[-1, 2]) < 4e-3
+
+
+def test_integral_action_beats_the_proportional_law_under_sag():
+    """A slip velocity d leaves e = d / k under the non-linear law; integral action removes it."""
+    trajectory = line(np.zeros(3), [0.0, 1.0, 0.0], duration_s=20.0)
+    sag = (-2e-3, 0.0, 0.0)
+    plain, optimal = drive("nonlinear", trajectory, slip=sag), drive("optimal", trajectory, slip=sag)
+    moving = slice(200, 1900)
+    assert plain[moving, 0].mean() == pytest.approx(2e-3 / 4.0, rel=0.1)
+    rms = [np.sqrt(np.mean(e[:, 0] ** 2)) for e in (plain, optimal)]
+    assert rms[1] <= 0.7 * rms[0]
+
+
+def test_optimal_law_without_integral_still_tracks():
+    errors = drive("optimal", line(np.zeros(3), [0.5, 0, 0]), integral=False)
+    assert np.abs(errors[-1, :2]).max() < 2e-3
+
+
+def test_at_the_goal_the_robot_is_held():
+    trajectory = line(np.zeros(3), [0.5, 0, 0])
+    controller = make_controller(ControlConfig(), CAD, trajectory)
+    end = trajectory.sample(1e3)
+    out = controller.update(state([0.4995, 0, 0]), end, wheels([0.1, 0.2, 0.3, 0.4]))
+    np.testing.assert_array_equal(out.wheel_rate_rad_s, 0.0)
+    np.testing.assert_array_equal(out.steering_rad, [0.1, 0.2, 0.3, 0.4])
+
+
+@pytest.mark.parametrize("bad", ["state", "reference", "gains"])
+def test_nonsense_stops_the_robot(bad):
+    trajectory = line(np.zeros(3), [0.5, 0, 0])
+    gains = (math.nan, 4.0, 3.0) if bad == "gains" else (4.0, 4.0, 3.0)
+    controller = make_controller(
+        ControlConfig.model_construct(**{**ControlConfig().model_dump(), "gains": gains}), CAD, trajectory
+    )
+    pose = [math.nan, 0, 0] if bad == "state" else [0, 0, 0]
+    goal = [math.nan, 0, 0] if bad == "reference" else [0.1, 0, 0]
+    with pytest.raises(SafetyStop, match="not_finite"):
+        controller.update(state(pose), reference(goal, [0, 0, 0]), wheels(np.zeros(4)))
+
+
+def test_optimal_law_resets():
+    law = OptimalLaw(lambda t: 0.0, 1.0, dt_s=DT, lag_s=0.1, weights=(25.0, 20.0, 1.0), clamp=0.1)
+    first = law.twist(np.array([0.01, 0, 0]), reference(np.zeros(3), np.zeros(3)))
+    law.twist(np.array([0.01, 0, 0]), reference(np.zeros(3), np.zeros(3), 0.01))
+    law.reset()
+    np.testing.assert_array_equal(
+        first, law.twist(np.array([0.01, 0, 0]), reference(np.zeros(3), np.zeros(3)))
+    )

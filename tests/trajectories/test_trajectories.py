@@ -1,0 +1,128 @@
+"""Trajectories: derivatives that are derivatives, limits that are met, refusals that say when and why."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hil import trajectories as tr
+from hil.errors import DataError, TrajectoryError, UsageError
+from hil.geometry import rotation2
+from hil.kinematics import WheelGeometry
+
+CAD = WheelGeometry.nominal()
+ORIGIN = np.zeros(3)
+ALL = [
+    tr.line(ORIGIN, [1.5, 0, 0]),
+    tr.line([0.1, 0.2, 0.1], [0.4, -0.3, -0.1]),
+    tr.circle([0, 0, 0.3], 0.5),
+    tr.circle(ORIGIN, 0.4, turns=-0.5, tangent=False),
+    tr.line(ORIGIN, [0, 0, 2 * math.pi], name="rotation"),
+    tr.scan(ORIGIN, 1.0, 5, 0.1),
+]
+
+
+@pytest.mark.parametrize("trajectory", ALL, ids=lambda t: t.name)
+def test_twist_and_acceleration_are_the_derivatives_of_the_pose(trajectory):
+    h = 1e-5
+    for t in np.linspace(0.01, trajectory.duration_s - 0.01, 57):
+        before, now, after = (trajectory.sample(t + k * h) for k in (-1, 0, 1))
+        velocity = (after.pose_in_wall - before.pose_in_wall) / (2 * h)
+        body = rotation2(-now.pose_in_wall[2]) @ velocity[:2]
+        np.testing.assert_allclose(now.twist_body, [*body, velocity[2]], atol=1e-6)
+        bend = (after.pose_in_wall - 2 * now.pose_in_wall + before.pose_in_wall) / h**2
+        np.testing.assert_allclose(now.acceleration_wall, bend, atol=2e-4)
+
+
+@pytest.mark.parametrize("trajectory", ALL, ids=lambda t: t.name)
+def test_starts_and_ends_at_rest_and_then_holds(trajectory):
+    for t in (-1.0, 0.0, trajectory.duration_s, trajectory.duration_s + 5):
+        np.testing.assert_allclose(trajectory.sample(t).twist_body, 0.0, atol=1e-12)
+    assert trajectory.sample(trajectory.duration_s).done
+    assert not trajectory.sample(trajectory.duration_s - 1e-6).done
+    end = trajectory.sample(trajectory.duration_s + 1).pose_in_wall
+    np.testing.assert_allclose(trajectory.sample(trajectory.duration_s - 1e-9).pose_in_wall, end, atol=1e-6)
+
+
+@pytest.mark.parametrize("trajectory", ALL, ids=lambda t: t.name)
+def test_time_from_limits_meets_them_and_wastes_little(trajectory):
+    tr.check(trajectory, CAD, tr.MotionLimits(wheel_speed_m_s=0.105, wheel_acceleration_m_s2=0.21))
+    with pytest.raises(TrajectoryError):
+        tr.check(trajectory, CAD, tr.MotionLimits(wheel_speed_m_s=0.08, wheel_acceleration_m_s2=0.15))
+
+
+def test_quintic_peaks_are_as_stated():
+    trajectory = tr.line(ORIGIN, [1.0, 0, 0], duration_s=10.0)
+    t = np.linspace(0, 10, 4001)
+    speed = np.array([trajectory.sample(x).twist_body[0] for x in t])
+    pull = np.array([trajectory.sample(x).acceleration_wall[0] for x in t])
+    assert speed.max() == pytest.approx(tr.QUINTIC_PEAK_SPEED / 10, rel=1e-6)
+    assert pull.max() == pytest.approx(tr.QUINTIC_PEAK_ACCELERATION / 100, rel=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("name", "duration", "turn"),
+    [
+        ("line_x", 80.0, 0.0), ("line_y", 80.0, 0.0), ("circle_ccw", 62.83, 2 * math.pi),
+        ("circle_cw", 62.83, -2 * math.pi), ("rotation_ccw", 40.02, 2 * math.pi),
+        ("rotation_cw", 40.02, -2 * math.pi),
+    ],
+)  # fmt: skip
+def test_recorded_motions(name, duration, turn):
+    trajectory = tr.recorded_motion(name)
+    assert trajectory.duration_s == pytest.approx(duration, abs=0.01)
+    assert trajectory.sample(1e9).pose_in_wall[2] == pytest.approx(turn)
+    speeds = [np.linalg.norm(trajectory.sample(t).twist_body[:2]) for t in (0.0, 1.0, duration - 1)]
+    expected = 0.0 if name.startswith("rotation") else 0.05
+    np.testing.assert_allclose(speeds, expected, atol=1e-9)
+
+
+def test_scan_visits_every_lane_in_turn():
+    trajectory = tr.scan(ORIGIN, 1.0, 3, 0.1)
+    ends = []
+    t = 0.0
+    for segment in trajectory.segments:
+        t += segment.duration_s
+        ends.append(tuple(trajectory.sample(t).pose_in_wall[:2].round(9)))
+    assert ends == [(1, 0), (1, 0.1), (0, 0.1), (0, 0.2), (1, 0.2)]
+
+
+def test_a_refusal_names_the_first_time_and_value():
+    fast = tr.line(ORIGIN, [1.0, 0, 0], duration_s=5.0)
+    with pytest.raises(TrajectoryError, match=r"wheel speed .* at t = ") as error:
+        tr.check(fast, CAD, tr.MotionLimits(wheel_acceleration_m_s2=1.0))
+    assert error.value.value > 0.122
+    before = fast.sample(error.value.t_s - 0.02).twist_body[0]
+    assert before <= 0.122
+    with pytest.raises(TrajectoryError, match="heading"):
+        tr.check(ALL[2], CAD, tr.MotionLimits(heading_limit_rad=0.26, wheel_acceleration_m_s2=1.0))
+    with pytest.raises(TrajectoryError, match="x on the wall"):
+        tr.check(ALL[0], CAD, tr.MotionLimits(x_range_m=(0.0, 1.0), wheel_acceleration_m_s2=1.0))
+    with pytest.raises(TrajectoryError, match="-y on the wall"):
+        tr.check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, tr.MotionLimits(y_range_m=(-0.5, 1.0)))
+    with pytest.raises(TrajectoryError, match="reference"):
+        tr.check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, tr.MotionLimits())
+
+
+def test_waypoints_from_csv(tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("x,y,theta\n0,0,0\n0.5,0,0\n0.5,0.2,0.1\n")
+    trajectory = tr.through(tr.read_waypoints(path))
+    np.testing.assert_allclose(trajectory.sample(1e9).pose_in_wall, [0.5, 0.2, 0.1])
+    for text, message in (("x,y\n0,0\n", "no waypoint list"), ("x,y,theta\n0,0,0\n", "1 waypoint")):
+        path.write_text(text)
+        with pytest.raises(DataError, match=message):
+            tr.read_waypoints(path)
+    with pytest.raises(DataError, match="cannot be read"):
+        tr.read_waypoints(tmp_path / "none.csv")
+
+
+def test_impossible_requests_are_refused():
+    with pytest.raises(UsageError, match="no length"):
+        tr.line(ORIGIN, ORIGIN)
+    with pytest.raises(UsageError, match="waypoint"):
+        tr.through([ORIGIN])
+    with pytest.raises(UsageError, match="lanes"):
+        tr.scan(ORIGIN, 1.0, 0, 0.1)
+    with pytest.raises(UsageError, match="line_x"):
+        tr.recorded_motion("tango")
