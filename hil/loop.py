@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -201,7 +202,7 @@ class ControlLoop:
             self.rig.servos.command(decision.command)  # 8
         tick.append(self.clock.now_ns())
         names = ("read", "decide", "write")
-        timing = {name: b - a for name, a, b in zip(names, tick, tick[1:], strict=True)}
+        timing = {name: b - a for name, (a, b) in zip(names, pairwise(tick), strict=True)}
         timing["lateness"] = start_ns - deadline_ns
         record = CycleRecord(
             self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,

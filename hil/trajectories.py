@@ -20,7 +20,6 @@ import numpy as np
 
 from hil.errors import DataError, TrajectoryError, UsageError
 from hil.geometry import Array, ArrayLike, rotation2
-from hil.kinematics import WheelGeometry
 from hil.signals import Reference
 
 TimeLaw = Literal["quintic", "constant"]
@@ -237,13 +236,17 @@ class MotionLimits:
     y_range_m: tuple[float, float] | None = None
 
 
-def check(trajectory: Trajectory, geometry: WheelGeometry, limits: MotionLimits) -> None:
+def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> None:
     """Refuse a trajectory that the limits cannot follow.
+
+    Args:
+        trajectory: what is asked for.
+        projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
+        limits: what must hold at every time.
 
     Raises:
         TrajectoryError: with the first offending time and value.
     """
-    p = geometry.projection()
     steps = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
     for t_s in steps.tolist():
         now = trajectory.sample(t_s)
@@ -251,10 +254,12 @@ def check(trajectory: Trajectory, geometry: WheelGeometry, limits: MotionLimits)
             raise TrajectoryError(
                 trajectory.name, t_s=t_s, quantity="reference", value=math.nan, limit=math.inf
             )
-        speed = np.hypot(*(p @ now.twist_body).reshape(4, 2).T)
+        speed = np.hypot(*(projection @ now.twist_body).reshape(4, 2).T)
         _hold(trajectory, t_s, "wheel speed (m/s)", float(speed.max()), limits.wheel_speed_m_s)
         body = rotation2(-float(now.pose_in_wall[2])) @ now.acceleration_wall[:2]
-        pull = np.hypot(*(p @ np.array([body[0], body[1], now.acceleration_wall[2]])).reshape(4, 2).T)
+        pull = np.hypot(
+            *(projection @ np.array([body[0], body[1], now.acceleration_wall[2]])).reshape(4, 2).T
+        )
         _hold(
             trajectory, t_s, "wheel acceleration (m/s^2)", float(pull.max()), limits.wheel_acceleration_m_s2
         )

@@ -10,7 +10,7 @@ from hil.errors import DataError, TrajectoryError, UsageError
 from hil.geometry import rotation2
 from hil.kinematics import WheelGeometry
 
-CAD = WheelGeometry.nominal()
+CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)
 ALL = [
     tr.line(ORIGIN, [1.5, 0, 0]),

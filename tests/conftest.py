@@ -1,11 +1,11 @@
-"""Where the public recordings are, and small recordings for tests."""
+"""Where the public recordings are."""
 
 import os
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="session")

@@ -1,1 +1,0 @@
-"""Pose estimation: odometry, EKF and UKF over late and missing measurements."""

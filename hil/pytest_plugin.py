@@ -1,1 +1,0 @@
-"""Fixtures and markers for bench tests."""

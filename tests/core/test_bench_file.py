@@ -1,0 +1,67 @@
+"""The bench file is strict and tells every problem at once."""
+
+import pytest
+
+from hil.config.bench import BenchConfig, load_bench
+from hil.errors import ConfigError
+
+GOOD = """
+schema = 1
+name = "two sensors"
+[imu]
+port = "/dev/ttyUSB3"
+[encoders]
+backend = "emulated"
+[safety]
+heading_limit_rad = 0.2
+"""
+
+
+@pytest.fixture
+def bench(tmp_path):
+    path = tmp_path / "bench.toml"
+    path.write_text(GOOD)
+    return path
+
+
+def test_a_good_file_loads_and_can_be_overridden(bench):
+    config = load_bench(bench, overrides={"loop.rate_hz": 50.0})
+    assert (config.name, config.loop.rate_hz, config.safety.heading_limit_rad) == ("two sensors", 50.0, 0.2)
+    assert config.emulated() == ("encoders",)
+    assert load_bench(bench, emulate="all").emulated() == ("encoders", "imu")
+    assert load_bench(bench, emulate=("imu",)).emulated() == ("encoders", "imu")
+    assert load_bench(config) == config
+    assert isinstance(config, BenchConfig)
+
+
+def test_every_problem_is_told_at_once(bench):
+    bench.write_text(
+        GOOD.replace("schema = 1", "schema = 9")
+        + "whim = 3\n[loop]\nrate_hz = -1\n[alignment]\ndrive_sign=[1,1,0,1]\n"
+    )
+    with pytest.raises(ConfigError) as error:
+        load_bench(bench)
+    text = str(error.value)
+    assert len(error.value.problems) == 4
+    for part in ("schema", "safety.whim: unknown key", "loop.rate_hz", "alignment", "found -1"):
+        assert part in text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"), [("schema = ", "not valid TOML"), ("schema = 1\n", "name: missing")]
+)
+def test_broken_files_are_named(bench, text, message):
+    bench.write_text(text)
+    with pytest.raises(ConfigError, match=message):
+        load_bench(bench)
+
+
+def test_unknown_sources_devices_and_overrides_are_refused(bench, tmp_path):
+    with pytest.raises(ConfigError, match="neither a file nor a shipped profile"):
+        load_bench("moonbase")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_bench(tmp_path / "absent.toml")
+    with pytest.raises(ConfigError, match="no such device"):
+        load_bench(bench, emulate="tracker")
+    with pytest.raises(ConfigError, match="is a value"):
+        load_bench(bench, overrides={"name.first": 1})

@@ -1,0 +1,237 @@
+"""The loop keeps its grid and always leaves the robot held; the server serves on time; motions as arrays."""
+
+import os
+import socket
+
+import numpy as np
+import pytest
+
+from hil.alignment import Alignment, AlignmentParameters
+from hil.clock import MonotonicClock, nanoseconds
+from hil.errors import DeviceError, SafetyStop
+from hil.fakes.server import EmulationServer, Face
+from hil.fakes.world import NEVER_NS, VirtualClock, World
+from hil.interfaces import Actuators, Controller, Estimator, Sensor, Sink
+from hil.loop import Brain, ControlLoop
+from hil.motion import Motion
+from hil.rig import Rig
+from hil.signals import MocapSample, Reference, RobotState, ServoSample, Stamp, Status, WheelSetpoint
+from hil.supervisor import SafetyLimits, Supervisor
+
+
+class StillPlant:
+    t_ns = 0
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+
+class Servos(Actuators):
+    """Eight servos that answer at once; `held` and `commands` tell what was asked of them."""
+
+    name = "servos"
+
+    def __init__(self, clock, silent_after_ns=NEVER_NS):
+        self.clock, self.silent_after_ns = clock, silent_after_ns
+        self.commands, self.held, self.opened, self.seq = [], False, False, 0
+
+    def open(self):
+        self.opened = True
+
+    def close(self):
+        self.opened = False
+
+    def identity(self):
+        return {"model": "test"} if self.opened else {}
+
+    def read(self):
+        t = self.clock.now_ns()
+        ok = t < self.silent_after_ns
+        self.seq += 1
+        status = (Status.OK if ok else Status.TIMEOUT,) * 8
+        values = np.zeros(8) if ok else np.full(8, np.nan)
+        return (ServoSample(Stamp(t, t, self.seq), values, values, values, status),)
+
+    def read_health(self):
+        return ()
+
+    def enable(self):
+        self.held = False
+
+    def command(self, setpoint):
+        self.commands.append(setpoint)
+        self.held = False
+
+    def stop(self):
+        self.held = True
+
+    def release(self):
+        self.held = False
+
+
+class Mocap(Sensor[MocapSample]):
+    name = "mocap"
+
+    def __init__(self, clock, broken=False):
+        self.clock, self.broken, self.opened = clock, broken, False
+
+    def open(self):
+        if self.broken:
+            raise DeviceError("mocap", "no answer")
+        self.opened = True
+
+    def close(self):
+        self.opened = False
+
+    def identity(self):
+        return {}
+
+    def read(self):
+        t = self.clock.now_ns()
+        position = np.array([1e-9 * t, 0.0, 0.0])
+        return (MocapSample(Stamp(t, t, 0), position, np.array([1.0, 0, 0, 0]), True, 0.0, 0.0),)
+
+
+class Standing(Estimator):
+    def reset(self, state):
+        self.state = state
+
+    def update(self, measurements):
+        return RobotState(measurements.t_ns, self.state.pose_body_in_wall, np.zeros(3), np.eye(6))
+
+
+class Forward(Controller):
+    def reset(self):
+        pass
+
+    def update(self, state, reference, wheels):
+        return WheelSetpoint(np.ones(4), wheels.steering_rad)
+
+
+class Busy(Sink):
+    """Takes up virtual time in one cycle, as a slow disk would."""
+
+    def __init__(self, clock, at, delay_ns):
+        self.clock, self.at, self.delay_ns, self.seen = clock, at, delay_ns, []
+
+    def write(self, record):
+        self.seen.append(record)
+        if record.cycle == self.at:
+            self.clock.sleep_until_ns(self.clock.now_ns() + self.delay_ns)
+
+    def close(self):
+        pass
+
+
+def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
+    clock = VirtualClock(World(StillPlant()))
+    rig = Rig(clock, servos=Servos(clock, silent_after_ns), mocap=Mocap(clock))
+    brain = Brain(
+        Supervisor(SafetyLimits()), Alignment(AlignmentParameters()), Standing(), Forward(),
+        lambda t_s: Reference(t_s, np.zeros(3), np.zeros(3), np.zeros(3)), {"shadow": Standing()},
+    )  # fmt: skip
+    brain.reset(RobotState(0, np.zeros(3), np.zeros(3), np.eye(6)))
+    return rig, ControlLoop(rig, clock, brain, sinks=sinks(clock))
+
+
+def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
+    records = []
+    rig, loop = make()
+    loop.run(lambda r: (records.append(r), r.cycle == 50)[1])
+    assert [r.deadline_ns for r in records] == [k * 10_000_000 for k in range(51)]
+    assert rig.servos.held
+    assert len(rig.servos.commands) == 51
+    assert loop.statistics.summary()["late"] == 0
+    motion = Motion(tuple(records))
+    np.testing.assert_allclose(motion.t_s, np.arange(51) * 0.01)
+    np.testing.assert_allclose(motion.mocap[:, 0], motion.t_s, atol=1e-12)
+    np.testing.assert_array_equal(motion.observer("shadow"), np.zeros((51, 3)))
+    np.testing.assert_array_equal(motion.estimate, motion.reference)
+    assert motion.wheels.shape == (51, 8)
+    assert motion.covariance.shape == (51, 6, 6)
+    assert np.all(np.isnan(motion.diagnostic("nothing")))
+    assert (motion.twist == 0).all()
+    assert motion.events == ()
+
+
+def test_a_missed_deadline_is_counted_and_never_made_up_for():
+    starts = []
+    _, loop = make(sinks=lambda clock: (Busy(clock, 3, nanoseconds(0.037)),))
+    loop.run(lambda r: (starts.append(r.start_ns), r.cycle == 6)[1])
+    assert starts == [0, 10_000_000, 20_000_000, 30_000_000, 67_000_000, 70_000_000, 80_000_000]
+    assert loop.statistics.late == 1
+    assert loop.statistics.skipped == 2
+
+
+def test_silent_servos_stop_the_robot_and_leave_a_record_of_why():
+    rig, loop = make(silent_after_ns=nanoseconds(0.2), sinks=lambda clock: (Busy(clock, -1, 0),))
+    with pytest.raises(SafetyStop, match="stale_servos"):
+        loop.run(lambda r: False)
+    assert rig.servos.held
+    assert "stale_servos" in loop.sinks[0].seen[-1].events[0].message
+
+
+def test_an_error_in_the_callers_code_still_holds_the_robot():
+    rig, loop = make()
+    with pytest.raises(ZeroDivisionError):
+        loop.run(lambda r: 1 / 0)
+    assert rig.servos.held
+
+
+def test_a_rig_that_cannot_open_whole_closes_what_it_opened():
+    clock = MonotonicClock()
+    rig = Rig(clock, servos=Servos(clock), mocap=Mocap(clock))
+    rig.open()
+    assert rig.servos.opened
+    rig.close()
+    assert not rig.servos.opened
+    rig.mocap.broken = True
+    with pytest.raises(DeviceError, match="no answer"):
+        rig.open()
+    assert not rig.servos.opened
+    with pytest.raises(DeviceError, match="no servos"):
+        Rig(clock).actuators()
+
+
+class Echo(Face):
+    """Answers a byte with the world time at which it was served; ticks every 5 ms."""
+
+    def __init__(self):
+        self.near, self.far = socket.socketpair()
+        self.due_ns, self.ticks, self.closed = 5_000_000, 0, False
+
+    def filenos(self):
+        return [self.near.fileno()]
+
+    def on_readable(self, fd, t_ns):
+        os.read(fd, 1)
+        self.near.send(str(t_ns).encode())
+
+    def next_due_ns(self):
+        return self.due_ns
+
+    def on_due(self, t_ns):
+        self.ticks += 1
+        self.due_ns += 5_000_000
+
+    def endpoint(self):
+        return {"fd": self.far.fileno()}
+
+    def close(self):
+        self.near.close()
+        self.closed = True
+
+
+def test_the_server_answers_and_ticks_on_world_time():
+    face = Echo()
+    server = EmulationServer(World(StillPlant()), MonotonicClock(), {"echo": face})
+    assert server.endpoints() == {"echo": {"fd": face.far.fileno()}}
+    face.far.send(b"?")
+    while face.ticks < 4:
+        server.step()
+    assert 0 <= int(face.far.recv(32)) <= server.world.now_ns
+    assert face.ticks == server.world.now_ns // 5_000_000
+    server.stop()
+    server.run()
+    assert face.closed
+    face.far.close()
