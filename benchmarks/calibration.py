@@ -96,7 +96,8 @@ def main():
         for method in ("lm", "interior-point", "ga", "pso"):
             result = calibrate(recordings, setting, CLOCK, method=method)
             print(
-                f"{setting.name:12}{method:15}{result.wall_s:6.2f} s, validation {result.validation_s:5.2f} s, "
+                f"{setting.name:12}{method:15}{result.wall_s:6.2f} s, "
+                f"validation {result.validation_s:5.2f} s, "
                 f"objective {result.fit.solution.objective:.5g}, J {result.cost_after:.3f}"
             )
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
