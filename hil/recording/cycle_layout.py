@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.geometry import Array
 from hil.signals import CycleRecord
 
 FORMAT = 1
@@ -44,9 +45,9 @@ def layout_of(hint: Any) -> Layout:
     simple = {int: "int", float: "float", bool: "bool", str: "str", Any: "any"}
     if hint in simple:
         return simple[hint]
-    origin, args = typing.get_origin(hint), typing.get_args(hint)
-    if origin is np.ndarray:
+    if hint == Array:
         return "array"
+    origin, args = typing.get_origin(hint), typing.get_args(hint)
     if origin is tuple:
         return ["tuple", layout_of(args[0])]
     if origin is Mapping:
