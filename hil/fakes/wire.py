@@ -10,6 +10,8 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
+from hil.fakes.world import NEVER_NS
+
 
 @dataclass(frozen=True)
 class Reply:
@@ -20,9 +22,15 @@ class Reply:
 
 
 class SerialChip(Protocol):
-    """A chip (or a bus of chips) at the far end of a serial line."""
+    """A chip (or a bus of chips) at the far end of a serial line.
+
+    Attributes:
+        name: device name, also of its faults.
+        supported_faults: faults that arise in the chip itself; the line declares them with its own.
+    """
 
     name: str
+    supported_faults: tuple[str, ...]
 
     @abstractmethod
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:
@@ -35,3 +43,11 @@ class SerialChip(Protocol):
     @abstractmethod
     def reset(self, t_ns: int) -> None:
         """Power was cycled (brownout, unplug and replug)."""
+
+    def poll(self, t_ns: int) -> list[Reply]:
+        """What the chip says unasked at `t_ns`; nothing by default."""
+        return []
+
+    def next_poll_ns(self) -> int:
+        """When `poll` may have something to say; never by default."""
+        return NEVER_NS

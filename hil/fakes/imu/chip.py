@@ -18,9 +18,7 @@ from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, matrix, prod
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
-__all__ = ["LINE_FAULTS", "SUPPORTED_FAULTS", "Bno055Chip"]
-
-LINE_FAULTS = ("drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug")
+__all__ = ["SUPPORTED_FAULTS", "Bno055Chip"]
 
 RESET_NS = 650_000_000
 TO_RUNNING_NS, TO_CONFIG_NS = 7_000_000, 19_000_000
@@ -42,7 +40,6 @@ class Bno055Chip(SerialChip, Scheduled):
         bench_remap: (axis map, axis sign) of that bench.
         overrun_probability: chance that a read is answered with bus overrun; five times less without
             the magnetometer, whose 20 Hz processing causes it (`facts/devices.md`).
-        line_faults: faults that the serial line in front of the chip can produce, declared with its own.
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
@@ -56,9 +53,8 @@ class Bno055Chip(SerialChip, Scheduled):
         bench_remap: tuple[int, int] = (0x24, 0x00),
         overrun_probability: float = 0.01,
         acknowledge_reset: bool = True,
-        line_faults: tuple[str, ...] = LINE_FAULTS,
     ) -> None:
-        self.name = name
+        self.name, self.supported_faults = name, SUPPORTED_FAULTS
         self._world = world
         rng = world.rng(name)
         self._rng = rng
@@ -71,7 +67,7 @@ class Bno055Chip(SerialChip, Scheduled):
         self._serial = int(rng.integers(1, 1 << 60))
         self._parser = uart.RequestParser()
         self._faults = ImuFaults(world.faults, name, rng)
-        world.faults.declare(name, SUPPORTED_FAULTS + line_faults)
+        world.faults.declare(name, SUPPORTED_FAULTS)
         self._history: deque[tuple[int, bytes]] = deque(maxlen=_HISTORY)
         self._boot(0)
         self._boot_end_ns = self._switched_ns = 0

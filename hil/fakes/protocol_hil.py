@@ -1,0 +1,138 @@
+"""pyserial scheme `hil://NAME`: a port on an emulated serial line, on the virtual clock.
+
+pyserial finds the scheme by this module's name in a package listed in
+`serial.protocol_handler_packages`. Waiting moves the world; a look at an empty port costs a little
+world time, so that a client that polls cannot stand still in it.
+"""
+
+from __future__ import annotations
+
+import errno
+from typing import Any
+from urllib.parse import urlsplit
+
+from serial import SerialBase, SerialException
+
+from hil.clock import nanoseconds
+from hil.fakes.serial_line import SerialLine, Unplugged, find_line, line_names
+from hil.fakes.world import NEVER_NS
+
+
+class Serial(SerialBase):
+    """A pyserial port whose far end is an emulated chip."""
+
+    _line: SerialLine | None = None
+    _break_state = _rts_state = _dtr_state = False
+
+    def open(self) -> None:
+        """Take the line; raises `SerialException` when there is none or it is taken."""
+        name = urlsplit(str(self.portstr)).netloc
+        try:
+            line = find_line(name)
+        except KeyError:
+            known = ", ".join(line_names()) or "none"
+            raise SerialException(errno.ENOENT, f"no emulated line {name!r}; open ones: {known}") from None
+        if line.in_use:
+            raise SerialException(errno.EBUSY, f"hil://{name} is in use")
+        line.in_use = True
+        self._line = line
+        self.is_open = True
+
+    def close(self) -> None:
+        """Give the line back. Idempotent."""
+        if self._line is not None:
+            self._line.in_use = False
+            self._line = None
+        self.is_open = False
+
+    def _reconfigure_port(self, *args: Any, **kwargs: Any) -> None:
+        return None
+
+    def _opened(self) -> SerialLine:
+        if self._line is None:
+            raise SerialException(errno.EBADF, "the port is not open")
+        try:
+            self._line.check_plugged()
+        except Unplugged as gone:
+            raise SerialException(errno.EIO, str(gone)) from None
+        return self._line
+
+    @property
+    def in_waiting(self) -> int:
+        """Bytes that a read would return at once; looking at an empty port takes world time."""
+        line = self._opened()
+        count = line.waiting()
+        if not count:
+            line.world.advance_to(line.world.now_ns + line.client_cost_ns)
+            count = line.waiting()
+        return count
+
+    def read(self, size: int = 1, /) -> bytes:
+        """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
+        line = self._opened()
+        world = line.world
+        out = bytearray(line.take(size))
+        if len(out) >= size:
+            return bytes(out)
+        if self.timeout is None:
+            deadline_ns = NEVER_NS
+        else:
+            deadline_ns = world.now_ns + max(nanoseconds(self.timeout), line.client_cost_ns)
+        while len(out) < size and world.now_ns < deadline_ns:
+            step_ns = min(line.next_event_ns(), deadline_ns)
+            if step_ns >= NEVER_NS:
+                step_ns = world.next_due_ns()
+            if step_ns >= NEVER_NS:
+                raise SerialException("nothing will ever arrive on this line")
+            world.advance_to(step_ns)
+            out += line.take(size - len(out))
+        self._opened()
+        return bytes(out)
+
+    def write(self, data: Any, /) -> int:
+        """Hand bytes to the adapter; returns at once."""
+        payload = bytes(data)
+        if payload:
+            self._opened().send(payload, self.baudrate)
+        return len(payload)
+
+    def flush(self) -> None:
+        """Wait until everything has left."""
+        line = self._opened()
+        line.world.advance_to(line.sent_ns())
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has arrived."""
+        self._opened().discard()
+
+    def reset_output_buffer(self) -> None:
+        """Nothing to do: what was handed over is on the wire."""
+
+    def _update_break_state(self) -> None:
+        return None
+
+    def _update_rts_state(self) -> None:
+        return None
+
+    def _update_dtr_state(self) -> None:
+        return None
+
+    @property
+    def cts(self) -> bool:
+        """The line has no modem signals; clear to send."""
+        return True
+
+    @property
+    def dsr(self) -> bool:
+        """The line has no modem signals."""
+        return True
+
+    @property
+    def ri(self) -> bool:
+        """The line has no modem signals."""
+        return False
+
+    @property
+    def cd(self) -> bool:
+        """The line has no modem signals."""
+        return True

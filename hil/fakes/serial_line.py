@@ -1,0 +1,202 @@
+"""The emulated serial line between a client's port and a chip: pacing, USB latency, wire faults.
+
+Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
+the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
+when its latency timer expires (16 ms as delivered, 1 ms as it should be set; `facts/devices.md`).
+Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import serial
+
+from hil.clock import NS_PER_S, nanoseconds
+from hil.errors import UsageError
+from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.world import NEVER_NS, Scheduled, World
+
+LINE_FAULTS = ("drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug")
+
+_BITS_PER_BYTE = 10
+_USB_PACKET = 62
+_PROBABILITY = 0.1
+_WRONG_BAUD_FACTOR = 0.5
+
+_LINES: dict[str, SerialLine] = {}
+
+
+class Unplugged(Exception):
+    """The adapter is gone; a face turns this into what its client expects."""
+
+
+class SerialLine(Scheduled):
+    """One chip on one adapter. Registers itself as a part of the world.
+
+    Faults (`drop corrupt truncate duplicate`, each per transfer with option `probability=`,
+    `baud_mismatch`, `unplug`) go by the chip's name.
+
+    Args:
+        world: time, seed and faults.
+        chip: what is at the far end.
+        name: name for `hil://NAME`; the chip's name by default.
+        latency_s: the adapter's latency timer; 0 hands every byte over as it arrives.
+        client_cost_ns: world time that a client's look at an empty port takes.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        chip: SerialChip,
+        *,
+        name: str = "",
+        latency_s: float = 0.001,
+        client_cost_ns: int = 50_000,
+    ) -> None:
+        self.world, self.chip, self.name = world, chip, name or chip.name
+        self.client_cost_ns = client_cost_ns
+        self._latency_ns = nanoseconds(latency_s)
+        self._rng = world.rng(f"line.{self.name}")
+        self._out: deque[tuple[int, bytes, int]] = deque()
+        self._in: deque[tuple[int, bytes]] = deque()
+        self._out_free_ns = self._in_free_ns = 0
+        self._baud = 0
+        self.in_use = False
+        world.faults.declare(chip.name, (*chip.supported_faults, *LINE_FAULTS))
+        world.add(self)
+
+    def open(self) -> SerialLine:
+        """Make the line reachable as `hil://NAME`; raises `UsageError` if the name is taken."""
+        if _LINES.setdefault(self.name, self) is not self:
+            raise UsageError(
+                f"serial line {self.name!r} exists already", remedy="close it or use another name"
+            )
+        if __package__ not in serial.protocol_handler_packages:
+            serial.protocol_handler_packages.append(__package__)
+        return self
+
+    def close(self) -> None:
+        """Forget the line. Idempotent."""
+        if _LINES.get(self.name) is self:
+            del _LINES[self.name]
+
+    def send(self, data: bytes, baud: int) -> None:
+        """Bytes from the client, now; raises `Unplugged`."""
+        self.check_plugged()
+        self._baud = baud
+        start_ns = max(self.world.now_ns, self._out_free_ns)
+        for piece in self._spoil(data, self.world.now_ns):
+            start_ns += self._duration_ns(len(piece), baud)
+            self._out.append((start_ns, piece, baud))
+        self._out_free_ns = start_ns
+
+    def take(self, limit: int) -> bytes:
+        """Up to `limit` bytes that have reached the host."""
+        out = bytearray()
+        while self._in and self._in[0][0] <= self.world.now_ns and len(out) < limit:
+            host_ns, data = self._in.popleft()
+            rest = data[limit - len(out) :]
+            out += data[: limit - len(out)]
+            if rest:
+                self._in.appendleft((host_ns, rest))
+        return bytes(out)
+
+    def waiting(self) -> int:
+        """How many bytes have reached the host."""
+        return sum(len(data) for host_ns, data in self._in if host_ns <= self.world.now_ns)
+
+    def discard(self) -> None:
+        """Throw away what has reached the host."""
+        while self._in and self._in[0][0] <= self.world.now_ns:
+            self._in.popleft()
+
+    def sent_ns(self) -> int:
+        """When the last byte handed over will have left."""
+        return self._out_free_ns
+
+    def next_arrival_ns(self) -> int:
+        """When the next bytes reach the host, as far as is known now."""
+        return self._in[0][0] if self._in else NEVER_NS
+
+    def next_event_ns(self) -> int:
+        """The next moment at which anything changes on this line."""
+        now_ns = self.world.now_ns
+        arrival_ns = next((host_ns for host_ns, _ in self._in if host_ns > now_ns), NEVER_NS)
+        return min(self.next_due_ns(), arrival_ns)
+
+    def next_due_ns(self) -> int:
+        """When bytes next reach the chip or the chip next speaks unasked."""
+        poll_ns = self.chip.next_poll_ns()
+        return min(self._out[0][0], poll_ns) if self._out else poll_ns
+
+    def on_due(self, t_ns: int) -> None:
+        """Let the chip hear what has arrived, and take its answers."""
+        while self._out and self._out[0][0] <= t_ns:
+            _, data, baud = self._out.popleft()
+            self._answer(self.chip.receive(data, t_ns, self._heard(baud, t_ns)), baud, t_ns)
+        if self.chip.next_poll_ns() <= t_ns:
+            self._answer(self.chip.poll(t_ns), self._baud, t_ns)
+
+    def check_plugged(self) -> None:
+        """Raise `Unplugged` while the adapter is pulled out."""
+        faults = self.world.faults
+        if not faults.empty and faults.find(self.chip.name, "unplug", self.world.now_ns):
+            raise Unplugged(f"the adapter of {self.name} is gone")
+
+    def _heard(self, baud: int, t_ns: int) -> int:
+        faults = self.world.faults
+        if faults.empty or faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
+            return baud
+        return round(baud * _WRONG_BAUD_FACTOR)
+
+    def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
+        for reply in replies:
+            for data in self._spoil(reply.data, t_ns):
+                self._deliver(data, max(reply.ready_ns, self._in_free_ns), baud)
+
+    def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
+        """Put a paced answer into the host's buffer, in the adapter's packets."""
+        packet = _USB_PACKET if self._latency_ns else 1
+        for first in range(0, len(data), packet):
+            piece = data[first : first + packet]
+            start_ns += self._duration_ns(len(piece), baud)
+            latency_ns = self._latency_ns if len(piece) < packet else 0
+            self._in.append((start_ns + latency_ns, piece))
+        self._in_free_ns = start_ns
+
+    @staticmethod
+    def _duration_ns(count: int, baud: int) -> int:
+        return count * _BITS_PER_BYTE * NS_PER_S // baud
+
+    def _spoil(self, data: bytes, t_ns: int) -> tuple[bytes, ...]:
+        """The transfers that one becomes under the active wire faults."""
+        faults = self.world.faults
+        if faults.empty:
+            return (data,)
+
+        def hit(kind: str) -> bool:
+            fault = faults.find(self.chip.name, kind, t_ns)
+            return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+
+        if faults.find(self.chip.name, "unplug", t_ns) or hit("drop"):
+            return ()
+        if data and hit("truncate"):
+            data = data[: int(self._rng.integers(0, len(data)))]
+        if not data:
+            return ()
+        if hit("corrupt"):
+            place = int(self._rng.integers(len(data)))
+            spoilt = data[place] ^ (1 << int(self._rng.integers(8)))
+            data = data[:place] + bytes((spoilt,)) + data[place + 1 :]
+        return (data, data) if hit("duplicate") else (data,)
+
+
+def find_line(name: str) -> SerialLine:
+    """The open line of that name; raises `KeyError`."""
+    return _LINES[name]
+
+
+def line_names() -> tuple[str, ...]:
+    """Names of the open lines."""
+    return tuple(_LINES)

@@ -1,0 +1,191 @@
+"""The emulated serial line as a client meets it: pacing, latency, time-outs, faults, in both faces."""
+
+import os
+import threading
+
+import pytest
+import serial
+
+from hil.clock import MonotonicClock
+from hil.errors import FaultNotSupportedError, UsageError
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.serial_line import SerialLine
+from hil.fakes.serial_pty import SerialPty
+from hil.fakes.server import EmulationServer
+from hil.fakes.wire import Reply, SerialChip
+from hil.fakes.world import World
+
+
+class Still:
+    t_ns = 0
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+
+class Echo(SerialChip):
+    """Answers every request with its upper-case form, and notes what it heard."""
+
+    def __init__(self, name="echo", baud=115_200):
+        self.name, self.supported_faults = name, ("off",)
+        self.baud, self.heard = baud, []
+
+    def receive(self, data, t_ns, baud):
+        self.heard.append((t_ns, data, baud))
+        return [Reply(t_ns + 1_000_000, data.upper())] if baud == self.baud else []
+
+    def reset(self, t_ns):
+        self.heard.clear()
+
+
+@pytest.fixture
+def wired():
+    lines = []
+
+    def build(*faults, latency_s=0.001, timeout=0.1, baud=115_200):
+        world = World(Still(), seed=3, faults=FaultPlan([parse_fault(f) for f in faults]))
+        chip = Echo()
+        line = SerialLine(world, chip, latency_s=latency_s).open()
+        lines.append(line)
+        world.faults.check()
+        return world, chip, serial.serial_for_url("hil://echo", baudrate=baud, timeout=timeout)
+
+    yield build
+    for line in lines:
+        line.close()
+
+
+def test_a_request_and_its_answer_take_the_time_of_the_wire(wired):
+    world, chip, port = wired()
+    port.write(b"abcde")
+    assert world.now_ns == 0
+    assert port.read(5) == b"ABCDE"
+    byte_ns = 10e9 / 115_200
+    assert chip.heard[0][0] == pytest.approx(5 * byte_ns, abs=5)
+    assert world.now_ns == pytest.approx(10 * byte_ns + 1e6 + 1e6, abs=10)
+
+
+def test_a_full_usb_packet_does_not_wait_for_the_latency_timer(wired):
+    world, _, port = wired(latency_s=0.016)
+    port.write(b"a" * 62)
+    assert len(port.read(62)) == 62
+    assert world.now_ns < 14_000_000
+    port.write(b"b")
+    began_ns = world.now_ns
+    assert port.read(1) == b"B"
+    assert world.now_ns - began_ns > 16_000_000
+
+
+def test_without_latency_every_byte_is_handed_over_as_it_arrives(wired):
+    world, _, port = wired(latency_s=0.0)
+    port.write(b"abc")
+    assert port.read(1) == b"A"
+    assert world.now_ns == pytest.approx(4 * 10e9 / 115_200 + 1e6, abs=10)
+
+
+def test_silence_costs_the_timeout_and_an_empty_look_a_little(wired):
+    world, _, port = wired(baud=9600)
+    port.write(b"x")
+    assert port.read(1) == b""
+    assert world.now_ns == 100_000_000
+    assert port.in_waiting == 0
+    assert world.now_ns == 100_050_000
+    port.timeout = 0
+    assert port.read(1) == b""
+    assert world.now_ns == 100_100_000
+
+
+def test_waiting_for_ever_on_a_silent_line_is_an_error_not_a_hang(wired):
+    _, _, port = wired(timeout=None)
+    with pytest.raises(serial.SerialException, match="nothing will ever arrive"):
+        port.read(1)
+
+
+def test_reset_input_buffer_forgets_only_what_has_arrived(wired):
+    _, _, port = wired()
+    port.write(b"old")
+    port.read(1)
+    port.reset_input_buffer()
+    port.write(b"new")
+    assert port.read(3) == b"NEW"
+
+
+def test_a_port_has_one_client_and_a_line_one_name(wired):
+    world, _, port = wired()
+    with pytest.raises(serial.SerialException, match="in use"):
+        serial.serial_for_url("hil://echo")
+    port.close()
+    serial.serial_for_url("hil://echo").close()
+    with pytest.raises(UsageError, match="exists already"):
+        SerialLine(world, Echo()).open()
+    with pytest.raises(serial.SerialException, match="open ones: echo"):
+        serial.serial_for_url("hil://other")
+
+
+def test_flush_waits_until_the_bytes_have_left(wired):
+    world, chip, port = wired()
+    port.write(b"abcd")
+    port.flush()
+    assert chip.heard
+    assert world.now_ns == pytest.approx(4 * 10e9 / 115_200, abs=5)
+
+
+@pytest.mark.parametrize(
+    ("kind", "seen"),
+    [("drop", b""), ("duplicate", b"ABAB" * 2), ("unplug", None), ("baud_mismatch", b"")],
+)
+def test_wire_faults_act_while_they_are_active(wired, kind, seen):
+    option = ",probability=1" if kind in ("drop", "duplicate") else ""
+    world, chip, port = wired(f"echo:{kind}@1+1{option}")
+    port.write(b"ab")
+    assert port.read(2) == b"AB"
+    world.advance_to(1_500_000_000)
+    if seen is None:
+        with pytest.raises(serial.SerialException, match="gone"):
+            port.write(b"ab")
+    else:
+        port.write(b"ab")
+        assert port.read(20) == seen
+    if kind == "baud_mismatch":
+        assert chip.heard[-1][2] == 57_600
+    world.advance_to(3_000_000_000)
+    port.write(b"cd")
+    assert port.read(2) == b"CD"
+
+
+@pytest.mark.parametrize("kind", ["corrupt", "truncate"])
+def test_damaged_transfers_differ_from_what_was_sent(wired, kind):
+    _, chip, port = wired(f"echo:{kind},probability=1")
+    port.write(b"abcdefgh")
+    port.read(8)
+    assert chip.heard[0][1] != b"abcdefgh"
+
+
+def test_a_fault_that_neither_chip_nor_line_knows_is_refused(wired):
+    with pytest.raises(FaultNotSupportedError, match="bus_off"):
+        wired("echo:bus_off")
+
+
+@pytest.mark.parametrize("baud", [9600, 115_200, 1_000_000, 3_000_000, 4_500_000])
+def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
+    chip = Echo(baud=baud)
+    world = World(Still())
+    face = SerialPty(SerialLine(world, chip), {"baud": baud})
+    server = EmulationServer(world, MonotonicClock(), {"echo": face})
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        with serial.Serial(face.endpoint()["port"], baud, timeout=2.0) as port:
+            port.write(b"hello")
+            assert port.read(5) == b"HELLO"
+            assert chip.heard[-1][2] == baud
+            port.baudrate = 19_200
+            port.timeout = 0.1
+            port.write(b"hello")
+            assert port.read(5) == b""
+            assert chip.heard[-1][2] == 19_200
+    finally:
+        server.stop()
+        thread.join(5)
+    assert not face.filenos()
+    assert not os.path.exists(face.endpoint()["port"] or "gone")
