@@ -1,4 +1,4 @@
-"""References: where the robot should be at a time, and whether the limits allow it.
+"""References: where the robot should be at a time.
 
 A trajectory is a chain of segments. A segment is a path over s in [0, 1] and a time law: `quintic`
 (s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both ends) or `constant` (the step profile of the public
@@ -10,33 +10,69 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
-from hil.errors import DataError, TrajectoryError, UsageError
+from hil.errors import DataError, UsageError
 from hil.geometry import Array, ArrayLike, rotation2
 from hil.signals import Reference
 
 TimeLaw = Literal["quintic", "constant"]
-PathAt = Callable[[float], tuple[Array, Array, Array]]
-"""Pose (3,), its first and its second derivative by s."""
+Pose = tuple[float, float, float]
 
 QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
-_CHECK_STEP_S = 0.01
-_SLACK = 1.0 + 1e-6
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Path that changes x, y and heading in proportion to s, between two poses (x m, y m, theta rad)."""
+
+    start: Pose
+    end: Pose
+
+    def __call__(self, s: float) -> tuple[Array, Array, Array]:
+        """Pose (3,), its first and its second derivative by s."""
+        a, b = np.array(self.start), np.array(self.end)
+        return a + s * (b - a), b - a, np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Arc to the left (positive angle) or right of the start heading, heading tangent or fixed."""
+
+    start: Pose
+    radius_m: float
+    angle_rad: float
+    tangent: bool = True
+
+    def __call__(self, s: float) -> tuple[Array, Array, Array]:
+        """Pose (3,), its first and its second derivative by s."""
+        x, y, theta = self.start
+        side, w = math.copysign(1.0, self.angle_rad), abs(self.angle_rad)
+        a = w * s
+        turn = rotation2(theta) * self.radius_m
+        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))])
+        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * w
+        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * w**2
+        heading, rate = (side * a, side * w) if self.tangent else (0.0, 0.0)
+        return (
+            np.array([x + p[0], y + p[1], theta + heading]),
+            np.array([d[0], d[1], rate]),
+            np.array([dd[0], dd[1], 0.0]),
+        )
 
 
 @dataclass(frozen=True)
 class Segment:
     """One stretch: a path over s in [0, 1], how long it takes, and how s runs."""
 
-    path: PathAt
+    path: Straight | Arc
     duration_s: float
     law: TimeLaw = "quintic"
 
@@ -65,6 +101,23 @@ class Trajectory:
         """Time from start to the last pose."""
         return sum(s.duration_s for s in self.segments)
 
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain data from which `from_mapping` builds the same trajectory, bit for bit."""
+        segments = [
+            {"kind": type(part.path).__name__.lower(), "path": asdict(part.path),
+             "duration_s": part.duration_s, "law": part.law}
+            for part in self.segments
+        ]  # fmt: skip
+        return {"name": self.name, "segments": segments}
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any]) -> Trajectory:
+        """The inverse of `to_mapping`; raises `UsageError` for anything else."""
+        try:
+            return cls(str(data["name"]), tuple(_segment(part) for part in data["segments"]))
+        except (KeyError, TypeError, ValueError) as error:
+            raise UsageError(f"this is no trajectory ({error!r})", expected="what to_mapping wrote") from None
+
     def sample(self, t_s: float) -> Reference:
         """Reference at a time; the twist is in the reference's body frame."""
         left = t_s
@@ -77,6 +130,21 @@ class Trajectory:
             left -= segment.duration_s
         pose, _, _ = self.segments[-1].path(1.0)
         return _reference(t_s, pose, np.zeros(3), np.zeros(3), True)
+
+
+def _segment(data: Mapping[str, Any]) -> Segment:
+    path = dict(data["path"])
+    for key in ("start", "end"):
+        if key in path:
+            path[key] = _pose(path[key])
+    kinds: dict[str, type[Straight | Arc]] = {"straight": Straight, "arc": Arc}
+    law: TimeLaw = "constant" if data["law"] == "constant" else "quintic"
+    return Segment(kinds[data["kind"]](**path), float(data["duration_s"]), law)
+
+
+def _pose(value: ArrayLike) -> Pose:
+    x, y, theta = np.asarray(value, dtype=np.float64).tolist()
+    return (x, y, theta)
 
 
 def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, done: bool) -> Reference:
@@ -92,35 +160,6 @@ def _duration(length: float, turn_rad: float, speed: float, acceleration: float,
     if law == "constant":
         return way / speed
     return max(QUINTIC_PEAK_SPEED * way / speed, math.sqrt(QUINTIC_PEAK_ACCELERATION * way / acceleration))
-
-
-def straight(start: ArrayLike, end: ArrayLike) -> PathAt:
-    """Path that changes x, y and heading in proportion to s."""
-    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
-    return lambda s: (a + s * (b - a), b - a, np.zeros(3))
-
-
-def arc(start: ArrayLike, radius_m: float, angle_rad: float, *, tangent: bool) -> PathAt:
-    """Arc to the left (positive angle) or right of the start heading, heading tangent or fixed."""
-    x, y, theta = np.asarray(start, dtype=np.float64)
-    side = math.copysign(1.0, angle_rad)
-    turn = rotation2(float(theta))
-
-    def path(s: float) -> tuple[Array, Array, Array]:
-        a = abs(angle_rad) * s
-        w = abs(angle_rad)
-        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))]) * radius_m
-        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * radius_m * w
-        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * radius_m * w**2
-        heading = side * a if tangent else 0.0
-        rate = side * w if tangent else 0.0
-        return (
-            np.array([x + p[0], y + p[1], theta + heading]),
-            np.array([d[0], d[1], rate]),
-            np.array([dd[0], dd[1], 0.0]),
-        )
-
-    return path
 
 
 def line(
@@ -141,7 +180,7 @@ def line(
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.hypot(*(b - a)[:2]))
     needed = _duration(length, float(b[2] - a[2]), speed_m_s, acceleration_m_s2, law)
-    return Trajectory(name, (Segment(straight(a, b), duration_s or needed, law),))
+    return Trajectory(name, (Segment(Straight(_pose(a), _pose(b)), duration_s or needed, law),))
 
 
 def circle(
@@ -152,7 +191,7 @@ def circle(
     angle = 2.0 * math.pi * turns
     turn = angle if tangent else 0.0
     time_s = _duration(abs(angle) * radius_m, turn, speed_m_s, acceleration_m_s2, law)
-    return Trajectory(name, (Segment(arc(start, radius_m, angle, tangent=tangent), time_s, law),))
+    return Trajectory(name, (Segment(Arc(_pose(start), radius_m, angle, tangent), time_s, law),))
 
 
 def scan(
@@ -201,79 +240,19 @@ def read_waypoints(path: Path) -> list[Array]:
 
 def recorded_motion(name: str) -> Trajectory:
     """The public recordings' motions: constant speed with a step start (`facts/robot.md`)."""
-    origin = np.zeros(3)
+    origin = (0.0, 0.0, 0.0)
     v, w = 0.050, 0.157
     law: TimeLaw = "constant"
     sign = 1.0 if name.endswith("_ccw") else -1.0
     if name in ("line_x", "line_y"):
-        end = np.array([4.0, 0, 0]) if name == "line_x" else np.array([0, 4.0, 0])
-        return Trajectory(name, (Segment(straight(origin, end), 4.0 / v, law),))
+        end = (4.0, 0.0, 0.0) if name == "line_x" else (0.0, 4.0, 0.0)
+        return Trajectory(name, (Segment(Straight(origin, end), 4.0 / v, law),))
     if name in ("circle_ccw", "circle_cw"):
-        path, time_s = arc(origin, 0.5, sign * 2 * math.pi, tangent=True), math.pi / v
-    elif name in ("rotation_ccw", "rotation_cw"):
-        path, time_s = straight(origin, np.array([0, 0, sign * 2 * math.pi])), 2 * math.pi / w
-    else:
-        raise UsageError(
-            f"motion {name!r}", expected="line_x, line_y, circle_ccw, circle_cw, rotation_ccw, rotation_cw"
-        )
-    return Trajectory(name, (Segment(path, time_s, law),))
-
-
-@dataclass(frozen=True)
-class MotionLimits:
-    """What a reference is held against before anything moves.
-
-    Attributes:
-        wheel_speed_m_s, wheel_acceleration_m_s2: per wheel.
-        heading_limit_rad: of the heading while on a wall, None on the floor.
-        x_range_m, y_range_m: the usable wall, None for no bound.
-    """
-
-    wheel_speed_m_s: float = 0.122
-    wheel_acceleration_m_s2: float = 0.2
-    heading_limit_rad: float | None = None
-    x_range_m: tuple[float, float] | None = None
-    y_range_m: tuple[float, float] | None = None
-
-
-def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> None:
-    """Refuse a trajectory that the limits cannot follow.
-
-    Args:
-        trajectory: what is asked for.
-        projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
-        limits: what must hold at every time.
-
-    Raises:
-        TrajectoryError: with the first offending time and value.
-    """
-    steps = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-    for t_s in steps.tolist():
-        now = trajectory.sample(t_s)
-        if not (np.all(np.isfinite(now.pose_in_wall)) and np.all(np.isfinite(now.twist_body))):
-            raise TrajectoryError(
-                trajectory.name, t_s=t_s, quantity="reference", value=math.nan, limit=math.inf
-            )
-        speed = np.hypot(*(projection @ now.twist_body).reshape(4, 2).T)
-        _hold(trajectory, t_s, "wheel speed (m/s)", float(speed.max()), limits.wheel_speed_m_s)
-        body = rotation2(-float(now.pose_in_wall[2])) @ now.acceleration_wall[:2]
-        pull = np.hypot(
-            *(projection @ np.array([body[0], body[1], now.acceleration_wall[2]])).reshape(4, 2).T
-        )
-        _hold(
-            trajectory, t_s, "wheel acceleration (m/s^2)", float(pull.max()), limits.wheel_acceleration_m_s2
-        )
-        if limits.heading_limit_rad is not None:
-            heading = abs(float(now.pose_in_wall[2]))
-            _hold(trajectory, t_s, "heading on the wall (rad)", heading, limits.heading_limit_rad)
-        for axis, bounds in enumerate((limits.x_range_m, limits.y_range_m)):
-            if bounds is not None:
-                value = float(now.pose_in_wall[axis])
-                label = f"{'xy'[axis]} on the wall (m)"
-                _hold(trajectory, t_s, label, value, bounds[1])
-                _hold(trajectory, t_s, "-" + label, -value, -bounds[0])
-
-
-def _hold(trajectory: Trajectory, t_s: float, quantity: str, value: float, limit: float) -> None:
-    if value > limit + abs(limit) * (_SLACK - 1.0) + 1e-12:
-        raise TrajectoryError(trajectory.name, t_s=t_s, quantity=quantity, value=value, limit=limit)
+        full = sign * 2.0 * math.pi
+        return Trajectory(name, (Segment(Arc(origin, 0.5, full), math.pi / v, law),))
+    if name in ("rotation_ccw", "rotation_cw"):
+        turned = (0.0, 0.0, sign * 2.0 * math.pi)
+        return Trajectory(name, (Segment(Straight(origin, turned), 2 * math.pi / w, law),))
+    raise UsageError(
+        f"motion {name!r}", expected="line_x, line_y, circle_ccw, circle_cw, rotation_ccw, rotation_cw"
+    )

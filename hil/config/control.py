@@ -27,7 +27,6 @@ class ControlConfig(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     law: Literal["nonlinear", "optimal"] = "nonlinear"
-    rate_hz: float = Field(100.0, gt=0)
     gains: Gain = (4.0, 4.0, 3.0)
     integral: bool = True
     state_weight: float = Field(25.0, gt=0)

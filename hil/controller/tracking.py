@@ -49,10 +49,10 @@ class TrackingController(Controller):
 
 
 def make_controller(
-    config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory
+    config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory, *, rate_hz: float = 100.0
 ) -> TrackingController:
     """Controller of a configuration for one trajectory; the optimal law's gains are computed here."""
-    dt_s = 1.0 / config.rate_hz
+    dt_s = 1.0 / rate_hz
     law: Law = NonlinearLaw(config.gains)
     if config.law == "optimal":
         law = OptimalLaw(

@@ -1,5 +1,6 @@
 """Trajectories: derivatives that are derivatives, limits that are met, refusals that say when and why."""
 
+import json
 import math
 
 import numpy as np
@@ -9,6 +10,7 @@ from hil import trajectories as tr
 from hil.errors import DataError, TrajectoryError, UsageError
 from hil.geometry import rotation2
 from hil.kinematics import WheelGeometry
+from hil.motion_limits import MotionLimits, check
 
 CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)
@@ -46,9 +48,9 @@ def test_starts_and_ends_at_rest_and_then_holds(trajectory):
 
 @pytest.mark.parametrize("trajectory", ALL, ids=lambda t: t.name)
 def test_time_from_limits_meets_them_and_wastes_little(trajectory):
-    tr.check(trajectory, CAD, tr.MotionLimits(wheel_speed_m_s=0.105, wheel_acceleration_m_s2=0.21))
+    check(trajectory, CAD, MotionLimits(wheel_speed_m_s=0.105, wheel_acceleration_m_s2=0.21))
     with pytest.raises(TrajectoryError):
-        tr.check(trajectory, CAD, tr.MotionLimits(wheel_speed_m_s=0.08, wheel_acceleration_m_s2=0.15))
+        check(trajectory, CAD, MotionLimits(wheel_speed_m_s=0.08, wheel_acceleration_m_s2=0.15))
 
 
 def test_quintic_peaks_are_as_stated():
@@ -90,18 +92,18 @@ def test_scan_visits_every_lane_in_turn():
 def test_a_refusal_names_the_first_time_and_value():
     fast = tr.line(ORIGIN, [1.0, 0, 0], duration_s=5.0)
     with pytest.raises(TrajectoryError, match=r"wheel speed .* at t = ") as error:
-        tr.check(fast, CAD, tr.MotionLimits(wheel_acceleration_m_s2=1.0))
+        check(fast, CAD, MotionLimits(wheel_acceleration_m_s2=1.0))
     assert error.value.value > 0.122
     before = fast.sample(error.value.t_s - 0.02).twist_body[0]
     assert before <= 0.122
     with pytest.raises(TrajectoryError, match="heading"):
-        tr.check(ALL[2], CAD, tr.MotionLimits(heading_limit_rad=0.26, wheel_acceleration_m_s2=1.0))
+        check(ALL[2], CAD, MotionLimits(heading_limit_rad=0.26, wheel_acceleration_m_s2=1.0))
     with pytest.raises(TrajectoryError, match="x on the wall"):
-        tr.check(ALL[0], CAD, tr.MotionLimits(x_range_m=(0.0, 1.0), wheel_acceleration_m_s2=1.0))
+        check(ALL[0], CAD, MotionLimits(x_range_m=(0.0, 1.0), wheel_acceleration_m_s2=1.0))
     with pytest.raises(TrajectoryError, match="-y on the wall"):
-        tr.check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, tr.MotionLimits(y_range_m=(-0.5, 1.0)))
+        check(tr.line(ORIGIN, [0, -1.0, 0]), CAD, MotionLimits(y_range_m=(-0.5, 1.0)))
     with pytest.raises(TrajectoryError, match="reference"):
-        tr.check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, tr.MotionLimits())
+        check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, MotionLimits())
 
 
 def test_waypoints_from_csv(tmp_path):
@@ -126,3 +128,23 @@ def test_impossible_requests_are_refused():
         tr.scan(ORIGIN, 1.0, 0, 0.1)
     with pytest.raises(UsageError, match="line_x"):
         tr.recorded_motion("tango")
+
+
+@pytest.mark.parametrize(
+    "trajectory",
+    [*ALL, tr.recorded_motion("rotation_cw")],
+    ids=lambda t: t.name,
+)
+def test_a_trajectory_survives_json_bit_for_bit(trajectory):
+    again = tr.Trajectory.from_mapping(json.loads(json.dumps(trajectory.to_mapping())))
+    assert again == trajectory
+    for t_s in np.linspace(-1, trajectory.duration_s + 1, 57):
+        a, b = trajectory.sample(t_s), again.sample(t_s)
+        assert np.array_equal(a.pose_in_wall, b.pose_in_wall)
+        assert np.array_equal(a.twist_body, b.twist_body)
+
+
+@pytest.mark.parametrize("data", [{}, {"name": "x", "segments": [{"kind": "spiral"}]}, {"name": 1}])
+def test_what_is_no_trajectory_is_refused(data):
+    with pytest.raises(UsageError, match="no trajectory"):
+        tr.Trajectory.from_mapping(data)
