@@ -17,6 +17,8 @@ from hil.errors import SafetyStop
 from hil.geometry import wrap
 from hil.signals import Event, Inputs, Reference, RobotState, Status, WheelSetpoint
 
+_HOLD_SAMPLES = 3
+
 
 @dataclass(frozen=True)
 class SafetyLimits:
@@ -29,6 +31,8 @@ class SafetyLimits:
     steering_limit_rad: float = 2.0944
     heading_limit_rad: float = math.radians(15.0)
     tracking_error_limit_m: float = 0.5
+    body_speed_limit_m_s: float = 0.5
+    adhesion_limit_m_s2: float = 5.0
     on_wall: bool = True
 
 
@@ -49,12 +53,13 @@ class Supervisor:
         """Forget ages and alarms."""
         self._last_ok_ns: dict[str, int] = {}
         self._alarmed: set[str] = set()
+        self._weightless = self._sliding = 0
 
     def check(self, inputs: Inputs) -> tuple[Event, ...]:
         """Judge one cycle's inputs.
 
         Raises:
-            SafetyStop: `stale_servos` or `hardware_error`. A silent IMU or camera is an event, not a
+            SafetyStop: `stale_servos`, `hardware_error`, `adhesion` or `sliding`. A silent IMU or camera is an event, not a
                 stop: the estimator lives without it for a while and says how sure it is.
         """
         events: list[Event] = []
@@ -72,7 +77,26 @@ class Supervisor:
                     "hardware_error",
                     f"servo alert bytes {sample.alert}; reboot the servo after removing the cause",
                 )
+        self._check_hold(inputs)
         return tuple(events)
+
+    def _check_hold(self, inputs: Inputs) -> None:
+        """A robot that has come off is weightless; one that slides is faster than it can drive."""
+        for imu in inputs.imu:
+            if imu.status is Status.OK:
+                force = imu.gravity_m_s2 + imu.linear_acceleration_m_s2
+                light = math.hypot(*force.tolist()) < self.limits.adhesion_limit_m_s2
+                self._weightless = self._weightless + 1 if light else 0
+        for tracker in inputs.tracker:
+            if tracker.status is Status.OK:
+                fast = math.hypot(*tracker.velocity_m_s.tolist()) > self.limits.body_speed_limit_m_s
+                self._sliding = self._sliding + 1 if fast else 0
+        if self._weightless >= _HOLD_SAMPLES:
+            raise SafetyStop("adhesion", "the accelerometer feels less than the weight: adhesion is lost")
+        if self._sliding >= _HOLD_SAMPLES:
+            raise SafetyStop(
+                "sliding", f"the camera sees more than {self.limits.body_speed_limit_m_s:g} m/s: no hold"
+            )
 
     def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
         last_ns = self._last_ok_ns.setdefault(name, t_ns)

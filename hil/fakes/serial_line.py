@@ -57,7 +57,7 @@ class SerialLine(Scheduled):
         self.world, self.chip, self.name = world, chip, name or chip.name
         self.client_cost_ns = client_cost_ns
         self._latency_ns = nanoseconds(latency_s)
-        self._rng = world.rng(f"line.{self.name}")
+        self._rng = world.rng(f"line.{chip.name}")
         self._out: deque[tuple[int, bytes, int]] = deque()
         self._in: deque[tuple[int, bytes]] = deque()
         self._out_free_ns = self._in_free_ns = 0

@@ -6,6 +6,7 @@ soon as the kernel reports them. One thread, no sleeping beyond the next planned
 
 from __future__ import annotations
 
+import os
 import select
 from abc import abstractmethod
 from collections.abc import Mapping
@@ -38,10 +39,20 @@ class Face(Scheduled, Protocol):
 
 
 class EmulationServer:
-    """Runs a world and its faces until told to stop."""
+    """Runs a world and its faces until told to stop.
 
-    def __init__(self, world: World, clock: Clock, faces: Mapping[str, Face]) -> None:
+    Args:
+        world: the emulated devices.
+        clock: what the world follows.
+        faces: connections to the outside by name.
+        lifeline: file descriptor of a pipe; the server ends when its other end is closed.
+    """
+
+    def __init__(
+        self, world: World, clock: Clock, faces: Mapping[str, Face], *, lifeline: int | None = None
+    ) -> None:
         self.world, self.clock, self.faces = world, clock, dict(faces)
+        self._lifeline = [] if lifeline is None else [lifeline]
         self._start_ns = clock.now_ns()
         self._running = True
         for face in self.faces.values():
@@ -68,8 +79,12 @@ class EmulationServer:
         self.world.advance_to(self._now_ns())
         owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
         wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
-        readable, _, _ = select.select(list(owners), [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
+        watched = [*owners, *self._lifeline]
+        readable, _, _ = select.select(watched, [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
         for fd in readable:
+            if fd in self._lifeline:
+                self._running = bool(os.read(fd, 1))
+                continue
             t_ns = self._now_ns()
             self.world.advance_to(t_ns)
             owners[fd].on_readable(fd, t_ns)

@@ -55,7 +55,7 @@ class World:
 
     def rng(self, name: str) -> np.random.Generator:
         """An independent random stream for a named device, fixed by the world's seed."""
-        return np.random.default_rng([self.seed, zlib.crc32(name.encode())])
+        return random_stream(self.seed, name)
 
     def sync_plant(self) -> None:
         """Bring the plant up to world time (lazily: it is only integrated when somebody looks)."""
@@ -77,6 +77,11 @@ class World:
     def next_due_ns(self) -> int:
         """World time of the earliest planned action."""
         return min((part.next_due_ns() for part in self._parts), default=NEVER_NS)
+
+
+def random_stream(seed: int, name: str) -> np.random.Generator:
+    """The random stream of a named part of the world with this seed."""
+    return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
 class VirtualClock(Clock):

@@ -138,3 +138,43 @@ def test_limits_scale_all_wheels_alike_and_refuse_nonsense():
         supervisor.limit(WheelSetpoint(np.array([np.nan, 0, 0, 0]), np.zeros(4)))
     with pytest.raises(SafetyStop, match="steering"):
         supervisor.limit(WheelSetpoint(np.zeros(4), np.array([2.2, 0, 0, 0])))
+
+
+def imu_inputs(cycle, force, status=Status.OK):
+    stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
+    sample = ImuSample(
+        stamp, np.array([1.0, 0, 0, 0]), np.zeros(3), np.array([force - 9.81, 0, 0]), np.array([9.81, 0, 0]),
+        (3, 3, 3, 3), status,
+    )  # fmt: skip
+    return Inputs(cycle, stamp.t_ns, imu=(sample,))
+
+
+def test_a_robot_that_feels_no_weight_has_lost_its_hold():
+    supervisor = Supervisor(SafetyLimits(), watched=("imu",))
+    for cycle in range(20):
+        supervisor.check(imu_inputs(cycle, 9.0 + cycle % 3))
+    supervisor.check(imu_inputs(20, 0.2))
+    supervisor.check(imu_inputs(21, 9.8))
+    with pytest.raises(SafetyStop, match="adhesion"):
+        for cycle in range(22, 25):
+            supervisor.check(imu_inputs(cycle, 0.2))
+    supervisor.reset()
+    for cycle in range(5):
+        supervisor.check(imu_inputs(cycle, 0.2, Status.PROTOCOL))
+
+
+def test_a_robot_faster_than_it_can_drive_is_sliding():
+    supervisor = Supervisor(SafetyLimits(), watched=("tracker",))
+
+    def seen(cycle, speed):
+        stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
+        sample = TrackerSample(
+            stamp, np.zeros(3), np.array([1.0, 0, 0, 0]), np.array([0, -speed, 0]), np.zeros(3), 3
+        )
+        return supervisor.check(Inputs(cycle, stamp.t_ns, tracker=(sample,)))
+
+    for cycle in range(20):
+        seen(cycle, 0.4)
+    with pytest.raises(SafetyStop, match="sliding"):
+        for cycle in range(20, 23):
+            seen(cycle, 0.9)
