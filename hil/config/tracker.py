@@ -1,0 +1,80 @@
+"""Configuration of the T265 tracking camera (`[tracker]` of the bench file) and its emulated feed.
+
+The feed carries the poses of an emulated camera between processes; its datagrams are laid out here,
+where both ends can see them. Little endian, each datagram starts with `FEED_MAGIC` and a kind byte:
+`FEED_SUBSCRIBE` and `FEED_LEAVE` (client to camera, nothing more), `FEED_INFO` (`INFO_RECORD`) and
+`FEED_POSE` (`POSE_RECORD`), in the camera's own axes and on its own clock.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+FEED_MAGIC = b"HP1"
+FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE = 1, 2, 3, 4
+FEED_HEAD = struct.Struct("<3sB")
+INFO_RECORD = struct.Struct("<3sB32s32s32s")
+"""Magic, kind, name, serial number, firmware: UTF-8, padded with zeros."""
+POSE_RECORD = struct.Struct("<3sBQd13dB")
+"""Magic, kind, frame number, timestamp ms, translation m, velocity m/s, rotation x y z w,
+angular velocity rad/s, tracker confidence."""
+
+
+class FeedEndpoint(BaseModel):
+    """Where an emulated camera streams its poses (`hil emulate` prints it)."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    host: str = Field("127.0.0.1", min_length=1)
+    port: int = Field(ge=1, le=65535)
+
+
+class TrackerConfig(BaseModel):
+    """How the camera is found and its poses are judged.
+
+    Attributes:
+        serial: serial number of the camera to use; any T265 when None.
+        endpoint: poses come from an emulated camera in another process instead of the USB library.
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (`facts/robot.md`);
+            applied by the alignment.
+        latency_s: smallest time from exposure to the host, which no host clock can see.
+        jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and
+            `max_rate_rad_s` explain; anything larger is a relocalisation.
+        reaccept_after: consistent poses after a jump before they are trusted again.
+        stale_after_s: poses that come later than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        fail_after_s: uninterrupted silence (or garbage) that raises.
+        queue_length: poses kept between two reads; the oldest are dropped and counted.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    backend: Literal["real", "emulated"] = "real"
+    serial: str | None = None
+    endpoint: FeedEndpoint | None = None
+    mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
+    mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    latency_s: float = Field(0.020, ge=0, le=0.5)
+    jump_distance_m: float = Field(0.03, gt=0)
+    jump_angle_rad: float = Field(0.05, gt=0)
+    max_speed_m_s: float = Field(0.5, gt=0)
+    max_rate_rad_s: float = Field(2.0, gt=0)
+    reaccept_after: int = Field(20, ge=1, le=10_000)
+    stale_after_s: float = Field(0.5, gt=0)
+    stuck_after_s: float = Field(0.5, gt=0)
+    open_timeout_s: float = Field(5.0, gt=0, le=60)
+    fail_after_s: float = Field(2.0, gt=0)
+    queue_length: int = Field(1024, ge=8, le=100_000)
+
+    @field_validator("mount_rotation_wxyz")
+    @classmethod
+    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
+        norm = math.sqrt(sum(v * v for v in value))
+        if not 0.99 < norm < 1.01:
+            raise ValueError(f"mount_rotation_wxyz has norm {norm:.3g}, not 1")
+        w, x, y, z = value
+        return (w / norm, x / norm, y / norm, z / norm)

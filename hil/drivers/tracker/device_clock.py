@@ -1,0 +1,56 @@
+"""Maps a device's own time stamps to the bench clock.
+
+Transport only ever delays, so the smallest difference of arrival and device time seen so far is the
+best estimate of their offset. It is let go by 100 ppm so that a slow device clock is followed; with
+200 samples per second and 2 ms of jitter that keeps it within a tenth of a millisecond.
+"""
+
+from __future__ import annotations
+
+_LEAK = 100e-6
+_EARLIEST_NS = 250_000_000
+_LATEST_NS = 5_000_000_000
+_NEW_AXIS_AFTER = 20
+
+
+class DeviceClock:
+    """Offset between one device clock and the bench clock.
+
+    Args:
+        latency_ns: smallest delay from measurement to arrival; no arrival can tell it.
+    """
+
+    def __init__(self, latency_ns: int) -> None:
+        self._latency_ns = latency_ns
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the device's time axis."""
+        self._known = False
+        self._offset_ns = 0.0
+        self._seen_ns = 0
+        self._strange = 0
+
+    def map(self, device_ns: int, host_ns: int) -> tuple[int, bool]:
+        """Bench time of a measurement stamped `device_ns` that arrived at `host_ns`.
+
+        Returns:
+            (bench time ns, whether the device's stamp was credible). A stamp far from the known
+            axis is not used; when several in a row are, the device has begun a new axis.
+        """
+        offset_ns = host_ns - device_ns
+        if not self._known:
+            self._known, self._offset_ns = True, float(offset_ns)
+        late_ns = offset_ns - self._offset_ns
+        if not -_EARLIEST_NS < late_ns < _LATEST_NS:
+            self._strange += 1
+            if self._strange < _NEW_AXIS_AFTER:
+                return host_ns - self._latency_ns, False
+            self._offset_ns = float(offset_ns)
+        else:
+            leaked_ns = self._offset_ns + _LEAK * max(host_ns - self._seen_ns, 0)
+            self._offset_ns = min(float(offset_ns), leaked_ns)
+        self._strange = 0
+        self._seen_ns = host_ns
+        t_ns = device_ns + round(self._offset_ns) - self._latency_ns
+        return min(t_ns, host_ns), True

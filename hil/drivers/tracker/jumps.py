@@ -1,0 +1,63 @@
+"""Tells motion from relocalisation: a pose stream is continuous, a corrected map is not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+
+class JumpTest:
+    """Holds every pose against the last one that was believed.
+
+    A pose that no plausible motion explains is a jump. Poses go on being jumps until either they are
+    back where motion explains them (an outlier), or `reaccept_after` of them in a row agree with
+    each other: then the stream goes on from the new place.
+
+    Args:
+        distance_m, angle_rad: step that is allowed at any time.
+        speed_m_s, rate_rad_s: motion that is allowed beside it.
+    """
+
+    def __init__(
+        self, *, distance_m: float, angle_rad: float, speed_m_s: float, rate_rad_s: float, reaccept_after: int
+    ) -> None:
+        self._distance_m, self._speed_m_s = distance_m, speed_m_s
+        self._angle_rad, self._rate_rad_s = angle_rad, rate_rad_s
+        self._reaccept_after = reaccept_after
+        self.reset()
+
+    def reset(self) -> None:
+        """Believe the next pose."""
+        self._believed: tuple[float, Sequence[float], Sequence[float]] | None = None
+        self._candidate: tuple[float, Sequence[float], Sequence[float]] | None = None
+        self._agreeing = 0
+
+    def jumped(self, t_s: float, position_m: Sequence[float], quaternion_wxyz: Sequence[float]) -> bool:
+        """Whether this pose cannot follow from the last believed one."""
+        pose = (t_s, position_m, quaternion_wxyz)
+        if self._believed is None or self._continues(self._believed, pose):
+            self._believe(pose)
+            return False
+        agrees = self._candidate is not None and self._continues(self._candidate, pose)
+        self._agreeing = self._agreeing + 1 if agrees else 1
+        self._candidate = pose
+        if self._agreeing > self._reaccept_after:
+            self._believe(pose)
+            return False
+        return True
+
+    def _believe(self, pose: tuple[float, Sequence[float], Sequence[float]]) -> None:
+        self._believed, self._candidate, self._agreeing = pose, None, 0
+
+    def _continues(
+        self,
+        before: tuple[float, Sequence[float], Sequence[float]],
+        after: tuple[float, Sequence[float], Sequence[float]],
+    ) -> bool:
+        dt_s = abs(after[0] - before[0])
+        if math.dist(after[1], before[1]) > self._distance_m + self._speed_m_s * dt_s:
+            return False
+        (aw, ax, ay, az), (bw, bx, by, bz) = after[2], before[2]
+        overlap = abs(aw * bw + ax * bx + ay * by + az * bz)
+        turn_rad = 2.0 * math.acos(min(1.0, overlap))
+        return turn_rad <= self._angle_rad + self._rate_rad_s * dt_s

@@ -1,0 +1,98 @@
+"""The part of librealsense that the driver uses, as protocols, and where it comes from.
+
+A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last wheels are for CPython
+3.10: newer versions have lost the T265 (`facts/devices.md` sections 5 and 7).
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Callable
+from typing import Any, Protocol
+
+from hil.errors import DeviceError
+
+LAST_VERSION = "2.53.1"
+
+
+class Frame(Protocol):
+    """A frame as the library hands it to a callback."""
+
+    def is_pose_frame(self) -> bool:
+        """Whether it carries a pose."""
+
+    def as_pose_frame(self) -> Any:
+        """The same frame with `get_pose_data` (SI units, confidence 0 failed to 3 high)."""
+
+    def get_timestamp(self) -> float:
+        """Milliseconds on the device's time axis."""
+
+    def get_frame_number(self) -> int:
+        """Counts the frames of the stream."""
+
+
+class Pipeline(Protocol):
+    """What is used of `pyrealsense2.pipeline`.
+
+    Poses are taken by callback: polling delivers the latest frame only and drops the others.
+    """
+
+    def start(self, config: Any, callback: Callable[[Frame], None]) -> Any:
+        """Begin to stream; returns the profile, whose device knows its name and serial number."""
+
+    def stop(self) -> None:
+        """End the stream."""
+
+
+class StreamRequest:
+    """Stands in for `pyrealsense2.config` where a pipeline needs no library."""
+
+    def __init__(self) -> None:
+        self.streams: list[str] = []
+        self.serial: str | None = None
+
+    def enable_stream(self, stream: str) -> None:
+        """Ask for a stream by name."""
+        self.streams.append(stream)
+
+    def enable_device(self, serial: str) -> None:
+        """Ask for one camera by its serial number."""
+        self.serial = serial
+
+
+class _Streams:
+    pose = "pose"
+
+
+class _CameraInfo:
+    name = "name"
+    serial_number = "serial_number"
+    firmware_version = "firmware_version"
+
+
+class PlainLibrary:
+    """The names of the library that go with a pipeline that is not librealsense's own."""
+
+    config = StreamRequest
+    stream = _Streams
+    camera_info = _CameraInfo
+
+
+def realsense(device: str) -> Any:
+    """The module pyrealsense2; raises `DeviceError` with what to do when it cannot be imported."""
+    try:
+        return importlib.import_module("pyrealsense2")
+    except ImportError as error:
+        raise DeviceError(
+            device,
+            f"pyrealsense2 cannot be imported ({error})",
+            expected=f"the extra t265 with pyrealsense2 {LAST_VERSION} on CPython 3.10 or older",
+            remedy="install hil-4wis4wid[t265] and libusb-1.0-0, or emulate the tracker",
+        ) from None
+
+
+def library_version(library: Any) -> str:
+    """Which library and interpreter this is, for error messages."""
+    version = getattr(library, "__version__", "unknown version")
+    return f"pyrealsense2 {version} on CPython {sys.version_info[0]}.{sys.version_info[1]}"

@@ -1,0 +1,306 @@
+"""The T265 as a sensor: poses taken from the library's thread, put on the bench clock, judged.
+
+Camera axes are x right, y up, z back; robot axes are x forward, y left, z up, so that
+(x, y, z) = (-z, -x, y) of the camera, for vectors and for the vector part of a quaternion, both of
+the pose and of the world it is given in (`facts/devices.md` section 5 for the camera's axes).
+Velocities are in the axes of that world, as the library gives them.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.config.tracker import TrackerConfig
+from hil.drivers.tracker.device_clock import DeviceClock
+from hil.drivers.tracker.feed import FeedPipeline
+from hil.drivers.tracker.jumps import JumpTest
+from hil.drivers.tracker.library import (
+    LAST_VERSION,
+    Frame,
+    Pipeline,
+    PlainLibrary,
+    library_version,
+    realsense,
+)
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.interfaces import Sensor
+from hil.signals import Stamp, Status, TrackerSample
+
+_LOG = logging.getLogger(__name__)
+
+_MODEL = "T265"
+_WAIT_NS = 5_000_000
+_NS_PER_MS = 1e6
+_USABLE_CONFIDENCE = 2
+_FARTHEST_M = 1000.0
+_NORM_LOW, _NORM_HIGH = 0.98, 1.02
+_RESTART_FRAMES = 200
+_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
+_VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
+
+_Raw = tuple[float, ...]
+
+
+class T265Tracker(Sensor[TrackerSample]):
+    """One T265.
+
+    Args:
+        config: which camera, and how its poses are judged.
+        clock: the bench clock; the library's thread reads it too.
+        name: device name in errors and logs.
+        pipeline: an object with the shape of `pyrealsense2.pipeline`; by default the configured
+            feed of an emulated camera, else the library's own pipeline.
+        library: the module that the pipeline belongs to, where that is librealsense.
+
+    Attributes:
+        overflowed: poses lost between two reads since `open`.
+        repeated: poses passed over because their number was not new.
+        malformed: frames that carried no pose or could not be read.
+    """
+
+    def __init__(
+        self,
+        config: TrackerConfig,
+        clock: Clock,
+        name: str = "tracker",
+        pipeline: Pipeline | None = None,
+        library: Any = None,
+    ) -> None:
+        self.name = name
+        self._config, self._clock = config, clock
+        self._given, self._library = pipeline, library
+        self._running: Pipeline | None = None
+        self._identity: dict[str, str] = {}
+        self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
+        self._clock_map = DeviceClock(nanoseconds(config.latency_s))
+        self._jumps = JumpTest(
+            distance_m=config.jump_distance_m,
+            angle_rad=config.jump_angle_rad,
+            speed_m_s=config.max_speed_m_s,
+            rate_rad_s=config.max_rate_rad_s,
+            reaccept_after=config.reaccept_after,
+        )
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._stale_ns = nanoseconds(config.stale_after_s)
+        self._stuck_ns = nanoseconds(config.stuck_after_s)
+        self.overflowed = self.repeated = self.malformed = 0
+
+    def open(self) -> None:
+        """Start the pose stream, check identity and wait for the first pose.
+
+        Raises:
+            DeviceTimeoutError: the camera sends no poses.
+            DeviceError: the library is missing, no T265 is connected, or it is another camera.
+        """
+        self.close()
+        self._forget()
+        pipeline, library = self._choose()
+        self._running = pipeline
+        try:
+            self._identity = self._start(pipeline, library)
+            self._await_first()
+        except BaseException:
+            self.close()
+            raise
+        self._good_ns = self._clock.now_ns()
+
+    def close(self) -> None:
+        """Stop the stream. Idempotent; never raises."""
+        self._identity = {}
+        if self._running is not None:
+            pipeline, self._running = self._running, None
+            try:
+                pipeline.stop()
+            except _VENDOR_ERRORS as error:
+                _LOG.debug("%s: the pipeline did not stop cleanly (%s)", self.name, error)
+
+    def identity(self) -> Mapping[str, str]:
+        """Model, serial number and firmware of the camera; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[TrackerSample, ...]:
+        """All poses since the last call, oldest first.
+
+        Raises:
+            DeviceTimeoutError: no usable pose for `fail_after_s`.
+        """
+        if self._running is None:
+            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+        queue = self._queue
+        samples: list[TrackerSample] = []
+        for _ in range(len(queue)):
+            sample = self._sample(queue.popleft())
+            if sample is not None:
+                samples.append(sample)
+        now_ns = self._clock.now_ns()
+        if any(sample.status not in _USELESS for sample in samples):
+            self._good_ns = now_ns
+        elif now_ns - self._good_ns > self._fail_ns:
+            raise self._silent((now_ns - self._good_ns) / NS_PER_S, samples)
+        return tuple(samples)
+
+    @property
+    def _port(self) -> str:
+        endpoint = self._config.endpoint
+        return self._config.serial or "" if endpoint is None else f"{endpoint.host}:{endpoint.port}"
+
+    def _forget(self) -> None:
+        self._queue.clear()
+        self._clock_map.reset()
+        self._jumps.reset()
+        self.overflowed = self.repeated = self.malformed = 0
+        self._number = -1
+        self._seq_base = 0
+        self._timestamp_ms = -math.inf
+        self._changed_ns = self._clock.now_ns()
+        self._last_pose: tuple[float, ...] = ()
+
+    def _choose(self) -> tuple[Pipeline, Any]:
+        """The pipeline to run and the library whose names it understands."""
+        if self._given is not None:
+            return self._given, PlainLibrary if self._library is None else self._library
+        if self._config.endpoint is not None:
+            endpoint = self._config.endpoint
+            return FeedPipeline(endpoint.host, endpoint.port), PlainLibrary
+        library = realsense(self.name)
+        try:
+            return library.pipeline(), library
+        except _VENDOR_ERRORS as error:
+            raise DeviceError(
+                self.name,
+                f"librealsense cannot be used ({error})",
+                expected="access to USB devices",
+                remedy="check libusb and the udev rules of librealsense",
+            ) from None
+
+    def _start(self, pipeline: Pipeline, library: Any) -> dict[str, str]:
+        serial = self._config.serial
+        try:
+            request = library.config()
+            request.enable_stream(library.stream.pose)
+            if serial is not None:
+                request.enable_device(serial)
+            device = pipeline.start(request, self._take).get_device()
+            info = library.camera_info
+            model, found, firmware = (
+                str(device.get_info(key)) if device.supports(key) else "unknown"
+                for key in (info.name, info.serial_number, info.firmware_version)
+            )
+        except _VENDOR_ERRORS as error:
+            hint = ""
+            if library is not PlainLibrary:
+                hint = f"; a real T265 needs pyrealsense2 {LAST_VERSION}, this is {library_version(library)}"
+            raise DeviceError(
+                self.name,
+                f"the pose stream cannot be started ({error})",
+                port=self._port,
+                expected="a T265" if serial is None else f"a T265 with serial number {serial}",
+                remedy="check the USB 3 cable and that no other program uses the camera" + hint,
+            ) from None
+        if _MODEL not in model:
+            raise DeviceError(
+                self.name,
+                f"the camera is a {model}",
+                port=found,
+                expected="a T265",
+                remedy="set tracker.serial to the T265's serial number",
+            )
+        return {"model": model, "serial": found, "firmware": firmware, "port": self._port or "USB"}
+
+    def _await_first(self) -> None:
+        start_ns = self._clock.now_ns()
+        while not self._queue:
+            now_ns = self._clock.now_ns()
+            if now_ns - start_ns > nanoseconds(self._config.open_timeout_s):
+                raise self._silent((now_ns - start_ns) / NS_PER_S, [])
+            self._clock.sleep_until_ns(now_ns + _WAIT_NS)
+
+    def _silent(self, duration_s: float, samples: list[TrackerSample]) -> DeviceTimeoutError:
+        last = f" (last status {samples[-1].status.value})" if samples else ""
+        return DeviceTimeoutError(
+            self.name,
+            f"no usable pose for {duration_s:.1f} s{last}",
+            port=self._port,
+            expected="200 poses per second",
+            remedy="check the USB 3 cable and power; close and open the tracker to start it again",
+        )
+
+    def _take(self, frame: Frame) -> None:
+        """Called by the library's thread with every frame: keep the numbers, let the frame go."""
+        host_ns = self._clock.now_ns()
+        try:
+            if not frame.is_pose_frame():
+                self.malformed += 1
+                return
+            data = frame.as_pose_frame().get_pose_data()
+            p, v, q, w = data.translation, data.velocity, data.rotation, data.angular_velocity
+            raw = (
+                host_ns, frame.get_frame_number(), frame.get_timestamp(), data.tracker_confidence,
+                -p.z, -p.x, p.y, q.w, -q.z, -q.x, q.y, -v.z, -v.x, v.y, -w.z, -w.x, w.y,
+            )  # fmt: skip
+        except _VENDOR_ERRORS:
+            self.malformed += 1
+            return
+        if len(self._queue) == self._config.queue_length:
+            self.overflowed += 1
+        self._queue.append(raw)
+
+    def _sample(self, raw: _Raw) -> TrackerSample | None:
+        """The sample of one pose; None when its number is not new."""
+        host_ns, number, timestamp_ms, confidence = int(raw[0]), int(raw[1]), raw[2], int(raw[3])
+        restarted = False
+        if number <= self._number:
+            restarted = timestamp_ms > self._timestamp_ms or self._number - number > _RESTART_FRAMES
+            if not restarted:
+                self.repeated += 1
+                return None
+            self._seq_base += self._number + 1 - number
+        self._number, self._timestamp_ms = number, timestamp_ms
+        device_ns, t_ns, credible = None, host_ns, math.isfinite(timestamp_ms)
+        if credible:
+            device_ns = round(timestamp_ms * _NS_PER_MS)
+            t_ns, credible = self._clock_map.map(device_ns, host_ns)
+        status = self._status(raw, confidence, t_ns)
+        if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
+            status = Status.STALE
+        values = np.array(raw[4:17])
+        if restarted:
+            _LOG.warning("%s has started again", self.name)
+            status = Status.RESET
+        if status in (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED):
+            values[:] = np.nan
+        return TrackerSample(
+            stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._seq_base + number, device_ns=device_ns),
+            position_m=values[0:3],
+            quaternion_wxyz=values[3:7],
+            velocity_m_s=values[7:10],
+            angular_velocity_rad_s=values[10:13],
+            confidence=confidence,
+            status=status,
+        )
+
+    def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
+        if not math.isfinite(math.fsum(raw[4:17]) if max(map(abs, raw[4:17])) < 1e300 else math.nan):
+            return Status.NOT_FINITE
+        pose = raw[4:11]
+        norm = math.hypot(*pose[3:])
+        if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
+            return Status.IMPLAUSIBLE
+        if confidence <= 0:
+            return Status.NOT_TRACKED
+        if pose != self._last_pose:
+            self._last_pose, self._changed_ns = pose, int(raw[0])
+        elif int(raw[0]) - self._changed_ns > self._stuck_ns:
+            return Status.STALE
+        if confidence < _USABLE_CONFIDENCE:
+            return Status.LOW_CONFIDENCE
+        if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
+            return Status.JUMP
+        return Status.OK

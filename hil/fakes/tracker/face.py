@@ -1,0 +1,145 @@
+"""Streams the emulated camera's poses over loopback UDP to any client that subscribes.
+
+The datagrams are laid out in `hil.config.tracker`; the driver's `FeedPipeline` is one client.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import socket
+
+from hil.clock import nanoseconds
+from hil.config.tracker import (
+    FEED_HEAD,
+    FEED_INFO,
+    FEED_LEAVE,
+    FEED_MAGIC,
+    FEED_POSE,
+    FEED_SUBSCRIBE,
+    INFO_RECORD,
+    POSE_RECORD,
+)
+from hil.errors import DeviceError
+from hil.fakes.server import Face
+from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
+from hil.fakes.tracker.t265 import T265
+from hil.fakes.world import NEVER_NS
+
+_FORGET_NS = nanoseconds(5.0)
+_LARGEST = 2048
+_HEAD_SUBSCRIBE = FEED_HEAD.pack(FEED_MAGIC, FEED_SUBSCRIBE)
+_HEAD_LEAVE = FEED_HEAD.pack(FEED_MAGIC, FEED_LEAVE)
+
+
+class TrackerFace(Face):
+    """One camera on one UDP port.
+
+    Args:
+        camera: the emulated camera.
+        host, port: where to listen; port 0 takes a free one.
+
+    Attributes:
+        strange: datagrams of another layout.
+
+    Raises:
+        DeviceError: the port cannot be used.
+    """
+
+    def __init__(self, camera: T265, *, host: str = "127.0.0.1", port: int = 0) -> None:
+        self._camera = camera
+        self._clients: dict[tuple[str, int], int] = {}
+        self.strange = 0
+        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, port))
+        except OSError as error:
+            self._socket.close()
+            raise DeviceError(
+                camera.name,
+                f"the emulated camera cannot be served ({error})",
+                port=f"{host}:{port}",
+                expected="a free UDP port",
+                remedy="choose another one",
+            ) from None
+        self._socket.setblocking(False)
+        self._host, self._port = self._socket.getsockname()[:2]
+
+    def next_due_ns(self) -> int:
+        """Nothing is planned here: the camera's poses are passed on as they arrive."""
+        return NEVER_NS
+
+    def on_due(self, t_ns: int) -> None:
+        """Nothing is ever due."""
+
+    def filenos(self) -> list[int]:
+        """The socket, while open."""
+        return [] if self._socket is None else [self._socket.fileno()]
+
+    def on_readable(self, fd: int, t_ns: int) -> None:
+        """Take one request: subscribe (answered with the camera's identity) or leave."""
+        if self._socket is None:
+            return
+        try:
+            data, client = self._socket.recvfrom(_LARGEST)
+        except OSError:
+            return
+        if data == _HEAD_LEAVE:
+            self._forget(client)
+        elif data == _HEAD_SUBSCRIBE:
+            self._subscribe(client, t_ns)
+        else:
+            self.strange += 1
+
+    def endpoint(self) -> dict[str, object]:
+        """Address of the feed."""
+        return {"host": self._host, "port": self._port, "serial": self._camera.serial}
+
+    def close(self) -> None:
+        """Stop streaming. Idempotent."""
+        self._camera.stop_stream(self._pass_on)
+        self._clients.clear()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+    def _subscribe(self, client: tuple[str, int], t_ns: int) -> None:
+        if client not in self._clients and not self._camera.streams_to(self._pass_on):
+            try:
+                self._camera.start_stream(self._pass_on)
+            except RuntimeError:
+                return
+        self._clients[client] = t_ns
+        texts = (self._camera.model, self._camera.serial, FIRMWARE)
+        record = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, *(text.encode()[:32] for text in texts))
+        self._send(record, client)
+
+    def _pass_on(self, frame: PoseFrame) -> None:
+        pose = frame.pose
+        record = POSE_RECORD.pack(
+            FEED_MAGIC,
+            FEED_POSE,
+            frame.number,
+            frame.timestamp_ms,
+            *pose.translation,
+            *pose.velocity,
+            *pose.rotation_xyzw,
+            *pose.angular_velocity,
+            frame.confidence,
+        )
+        now_ns = self._camera.now_ns
+        for client, seen_ns in tuple(self._clients.items()):
+            if now_ns - seen_ns > _FORGET_NS:
+                self._forget(client)
+            else:
+                self._send(record, client)
+
+    def _forget(self, client: tuple[str, int]) -> None:
+        """A camera without clients rests."""
+        self._clients.pop(client, None)
+        if not self._clients:
+            self._camera.stop_stream(self._pass_on)
+
+    def _send(self, data: bytes, client: tuple[str, int]) -> None:
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, client)

@@ -1,0 +1,126 @@
+"""Faults of the emulated T265."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from hil.clock import nanoseconds
+from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.tracker.frames import PoseFrame
+from hil.fakes.tracker.odometry import CameraPose
+
+SUPPORTED_FAULTS = (
+    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drop", "duplicate", "unplug",
+    "jump", "reset",
+)  # fmt: skip
+
+_SLOWNESS, _DELAY_S, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.1, 0.5, 0.5, 0.1
+_WRONG_SCALE, _JUMP_M = 1.2, 0.1
+_NAN = math.nan
+_NOT_A_POSE = CameraPose((_NAN,) * 3, (_NAN,) * 3, (_NAN,) * 4, (_NAN,) * 3)
+
+
+class TrackerFaults:
+    """Asks the plan what is wrong now.
+
+    Options: `wrong,scale=` on every step, or `wrong,confidence=`; `jump,distance_m=` once;
+    `slow,factor=`; `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop` and `duplicate` with
+    `probability=`; `garbage,nan=1` for poses of NaN instead of random numbers, `garbage,clock=1` for
+    random time stamps. `off` is silence, after which tracking starts anew; `unplug` ends the stream.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        self._plan, self._name, self._rng = plan, name, rng
+        self._done: set[tuple[str, int]] = set()
+        self._frozen: PoseFrame | None = None
+        self._dead = False
+        plan.declare(name, SUPPORTED_FAULTS)
+
+    def find(self, kind: str, t_ns: int) -> Fault | None:
+        """The active fault of that kind."""
+        return None if self._plan.empty else self._plan.find(self._name, kind, t_ns)
+
+    def restarted(self, t_ns: int) -> bool:
+        """Whether the camera has just come back from a reset or from being off."""
+        was_dead, self._dead = self._dead, self.find("off", t_ns) is not None
+        return (was_dead and not self._dead) or self.news("reset", t_ns) is not None
+
+    def silent(self, t_ns: int) -> bool:
+        """Whether no pose is made now."""
+        if self._dead:
+            return True
+        fault = self.find("intermittent", t_ns)
+        if fault is None:
+            return False
+        period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
+        on_ns = (1.0 - fault.option("duty", _DUTY)) * period_ns
+        return (t_ns - fault.start_ns) % period_ns >= on_ns
+
+    def news(self, kind: str, t_ns: int) -> Fault | None:
+        """A fault of that kind that has not been asked about before."""
+        fault = self.find(kind, t_ns)
+        if fault is None or (kind, fault.start_ns) in self._done:
+            return None
+        self._done.add((kind, fault.start_ns))
+        return fault
+
+    def slowness(self, t_ns: int) -> float:
+        """Factor on the frame period."""
+        fault = self.find("slow", t_ns)
+        return 1.0 if fault is None else max(1.0, fault.option("factor", _SLOWNESS))
+
+    def delay_ns(self, t_ns: int) -> int:
+        """Extra latency."""
+        fault = self.find("delayed", t_ns)
+        return 0 if fault is None else nanoseconds(fault.option("delay_s", _DELAY_S))
+
+    def jump_m(self, t_ns: int) -> float:
+        """Distance of a jump that is due, once per fault."""
+        fault = self.news("jump", t_ns)
+        return 0.0 if fault is None else fault.option("distance_m", _JUMP_M)
+
+    def scale(self, t_ns: int) -> float:
+        """Factor on the steps seen."""
+        fault = self.find("wrong", t_ns)
+        if fault is None or "confidence" in fault.options:
+            return 1.0
+        return fault.option("scale", _WRONG_SCALE)
+
+    def spoil(self, frame: PoseFrame, t_ns: int) -> tuple[PoseFrame, ...]:
+        """The frame as it arrives: not at all, once or twice."""
+        if self._hit("drop", t_ns):
+            return ()
+        if self.find("stuck", t_ns) is None:
+            self._frozen = None
+        else:
+            self._frozen = self._frozen or frame
+            frame = dataclasses.replace(frame, pose=self._frozen.pose, confidence=self._frozen.confidence)
+        wrong = self.find("wrong", t_ns)
+        if wrong is not None and "confidence" in wrong.options:
+            frame = dataclasses.replace(frame, confidence=int(wrong.options["confidence"]))
+        garbage = self.find("garbage", t_ns)
+        if garbage is not None:
+            frame = self._garbage(frame, garbage)
+        return (frame, frame) if self._hit("duplicate", t_ns) else (frame,)
+
+    def _hit(self, kind: str, t_ns: int) -> bool:
+        fault = self.find(kind, t_ns)
+        return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+
+    def _garbage(self, frame: PoseFrame, fault: Fault) -> PoseFrame:
+        if fault.option("clock", 0.0):
+            return dataclasses.replace(frame, timestamp_ms=float(self._rng.uniform(0.0, 1e13)))
+        if fault.option("nan", 0.0):
+            return dataclasses.replace(frame, pose=_NOT_A_POSE)
+        bits = self._rng.integers(0, 256, 52, dtype=np.uint8)
+        values = [float(v) for v in bits.view(np.float32)]
+        pose = CameraPose(
+            (values[0], values[1], values[2]),
+            (values[3], values[4], values[5]),
+            (values[6], values[7], values[8], values[9]),
+            (values[10], values[11], values[12]),
+        )
+        return dataclasses.replace(frame, pose=pose, confidence=int(self._rng.integers(0, 4)))

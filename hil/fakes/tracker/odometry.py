@@ -1,0 +1,166 @@
+"""Visual odometry of the emulated camera: true body poses in, erring camera poses out.
+
+The pose is kept in a levelled world (x where the camera looked at the start, z against gravity) and
+given out in the T265's axes, where that world is x right, y up, z back. On a wall gravity lies in the
+motion plane, so the drift about gravity tilts the path out of the wall (`facts/estimation.md`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.fakes.plant_api import PlantState
+from hil.fakes.tracker.options import TrackerTruthOptions
+from hil.geometry import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
+
+_BLOCK = 512
+_DRAWS = 16
+_NEAR_VERTICAL = 0.2
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """One pose in the T265's axes: m, m/s, quaternion x y z w, rad/s."""
+
+    translation: Vector
+    velocity: Vector
+    rotation_xyzw: tuple[float, float, float, float]
+    angular_velocity: Vector
+
+
+def camera_axes(x: float, y: float, z: float) -> Vector:
+    """A vector in robot axes (forward, left, up) in the camera's axes (right, up, back)."""
+    return -y, z, -x
+
+
+class VisualOdometry:
+    """Follows one camera on the body.
+
+    Args:
+        options: true imperfections.
+        rng: random stream of the device.
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, as it truly is.
+    """
+
+    def __init__(
+        self,
+        options: TrackerTruthOptions,
+        rng: np.random.Generator,
+        *,
+        mount_position_m: Vector,
+        mount_rotation_wxyz: tuple[float, float, float, float],
+    ) -> None:
+        self._options, self._rng = options, rng
+        self._mount_m, self._mount_wxyz = mount_position_m, mount_rotation_wxyz
+        self.scale = 1.0 + options.scale_sigma * float(rng.standard_normal())
+        self._yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
+        self._draws: list[list[float]] = []
+        self._started = False
+        self._position = [0.0, 0.0, 0.0]
+        self._last = (0.0, 0.0)
+        self._yaw_rad = 0.0
+
+    def restart(self) -> None:
+        """Lose the map: the next pose is the origin of a new world."""
+        self._started = False
+
+    def jump(self, distance_m: float) -> None:
+        """Correct the position at once, as a relocalisation does: translation only."""
+        direction = self._rng.standard_normal(3)
+        step = distance_m * direction / float(np.linalg.norm(direction))
+        self._position = [p + s for p, s in zip(self._position, step.tolist(), strict=True)]
+
+    def observe(self, state: PlantState, dt_s: float, scale: float = 1.0) -> CameraPose:
+        """The camera's pose for the body's true state, `dt_s` after the last one."""
+        x, y, theta = state.pose_body_in_wall.tolist()
+        vx, vy, omega = state.twist_body.tolist()
+        c, s = math.cos(theta), math.sin(theta)
+        mx, my, _ = self._mount_m
+        arm = c * mx - s * my, s * mx + c * my
+        in_wall = x + arm[0], y + arm[1]
+        speed = c * vx - s * vy - omega * arm[1], s * vx + c * vy + omega * arm[0]
+        if not self._started:
+            self._start(theta, state.tilt_rad, in_wall)
+        noise = self._noise()
+        self._move(in_wall, math.hypot(*speed), dt_s, scale, noise)
+        return self._pose(theta, speed, omega, noise)
+
+    def _noise(self) -> list[float]:
+        if not self._draws:
+            self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
+        return self._draws.pop()
+
+    def _start(self, theta_rad: float, tilt_rad: float, in_wall: tuple[float, float]) -> None:
+        """Fix the levelled world by gravity and the direction the camera looks."""
+        level = quat_from_rotvec([0.0, -tilt_rad, 0.0])
+        body = quat_multiply(level, quat_from_yaw(theta_rad))
+        forward = quat_rotate(quat_multiply(body, self._mount_wxyz), [1.0, 0.0, 0.0])
+        heading = math.atan2(forward[1], forward[0])
+        if math.hypot(forward[0], forward[1]) < _NEAR_VERTICAL:
+            heading = float(self._rng.uniform(-math.pi, math.pi))
+        world = quat_multiply(quat_from_yaw(-heading), level)
+        self._along_x, self._along_y, self._along_z = (
+            tuple(quat_rotate(world, axis).tolist()) for axis in np.eye(3)
+        )
+        turned = quat_multiply(world, [0.0, 0.0, 0.0, 1.0])
+        self._cosine_part = quat_multiply(world, self._mount_wxyz).tolist()
+        self._sine_part = quat_multiply(turned, self._mount_wxyz).tolist()
+        self._last, self._position, self._yaw_rad = in_wall, [0.0, 0.0, 0.0], 0.0
+        self._started = True
+
+    def _move(
+        self, in_wall: tuple[float, float], speed_m_s: float, dt_s: float, scale: float, noise: list[float]
+    ) -> None:
+        """Integrate the step as the odometry sees it: scaled, turned by its heading error, walking."""
+        options, root = self._options, math.sqrt(dt_s)
+        self._yaw_rad += self._yaw_rate_rad_s * dt_s + options.yaw_walk_rad_sqrt_s * root * noise[0]
+        scale *= self.scale
+        du, dv = scale * (in_wall[0] - self._last[0]), scale * (in_wall[1] - self._last[1])
+        self._last = in_wall
+        ax, ay = self._along_x, self._along_y
+        dx, dy, dz = (ax[k] * du + ay[k] * dv for k in range(3))
+        c, s = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
+        walk = options.position_walk_m_sqrt_m * math.sqrt(speed_m_s) * root
+        x, y, z = self._position
+        self._position = [
+            x + c * dx - s * dy + walk * noise[1],
+            y + s * dx + c * dy + walk * noise[2],
+            z + dz + walk * noise[3],
+        ]
+
+    def _pose(
+        self, theta_rad: float, speed: tuple[float, float], omega_rad_s: float, noise: list[float]
+    ) -> CameraPose:
+        options = self._options
+        sp, sv, sw = options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s
+        ax, ay, az = self._along_x, self._along_y, self._along_z
+        x, y, z = self._position
+        vx, vy, vz = (ax[k] * speed[0] + ay[k] * speed[1] + sv * noise[7 + k] for k in range(3))
+        wx, wy, wz = (az[k] * omega_rad_s + sw * noise[10 + k] for k in range(3))
+        qx, qy, qz, qw = self._rotation(theta_rad, noise)
+        return CameraPose(
+            translation=camera_axes(x + sp * noise[4], y + sp * noise[5], z + sp * noise[6]),
+            velocity=camera_axes(vx, vy, vz),
+            rotation_xyzw=(*camera_axes(qx, qy, qz), qw),
+            angular_velocity=camera_axes(wx, wy, wz),
+        )
+
+    def _rotation(self, theta_rad: float, noise: list[float]) -> tuple[float, float, float, float]:
+        """Camera in the levelled world (x, y, z, w): heading error and noise on the left."""
+        c, s = math.cos(0.5 * theta_rad), math.sin(0.5 * theta_rad)
+        bw, bx, by, bz = (c * a + s * b for a, b in zip(self._cosine_part, self._sine_part, strict=True))
+        half = 0.5 * self._options.angle_noise_rad
+        ex, ey = half * noise[13], half * noise[14]
+        yaw = 0.5 * self._yaw_rad + half * noise[15]
+        ew, ez = math.cos(yaw), math.sin(yaw)
+        w = ew * bw - ex * bx - ey * by - ez * bz
+        x = ew * bx + ex * bw + ey * bz - ez * by
+        y = ew * by - ex * bz + ey * bw + ez * bx
+        z = ew * bz + ex * by - ey * bx + ez * bw
+        norm = math.sqrt(w * w + x * x + y * y + z * z)
+        return x / norm, y / norm, z / norm, w / norm

@@ -1,0 +1,63 @@
+"""True imperfections of the emulated T265."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class TrackerTruthOptions:
+    """What one camera does wrong; individual values are drawn once per seed.
+
+    Attributes:
+        scale_sigma: relative scale error of the visual odometry, standard deviation over cameras.
+        yaw_rate_sigma_rad_s: constant heading drift about gravity, standard deviation over cameras.
+        yaw_walk_rad_sqrt_s: random walk of that heading.
+        position_walk_m_sqrt_m: random walk of the position per square root of the travelled metre.
+        position_noise_m, angle_noise_rad: white noise of a pose, per axis.
+        velocity_noise_m_s, rate_noise_rad_s: white noise of the velocities.
+        latency_s: exposure to host, the smallest; jitter_s: mean of the exponential jitter beside it.
+        clock_ppm: error of the time stamps' clock, standard deviation over cameras.
+        drop_probability: poses that USB loses.
+        settle_s: time with confidence 0, then 1, then 2, before it is 3.
+        fast_m_s, fast_rad_s: motion that costs confidence for `shaken_s`.
+        relocalisations_per_s: mean rate of spontaneous jumps, `relocalisation_m` far.
+        boot_s: silence after a reset.
+    """
+
+    scale_sigma: float = 0.005
+    yaw_rate_sigma_rad_s: float = 5e-5
+    yaw_walk_rad_sqrt_s: float = 2e-4
+    position_walk_m_sqrt_m: float = 0.002
+    position_noise_m: float = 0.0003
+    angle_noise_rad: float = 0.0005
+    velocity_noise_m_s: float = 0.005
+    rate_noise_rad_s: float = 0.005
+    latency_s: float = 0.020
+    jitter_s: float = 0.002
+    clock_ppm: float = 20.0
+    drop_probability: float = 0.001
+    settle_s: tuple[float, float, float] = (0.05, 0.15, 0.5)
+    fast_m_s: float = 1.0
+    fast_rad_s: float = 2.5
+    shaken_s: float = 0.5
+    relocalisations_per_s: float = 0.0
+    relocalisation_m: float = 0.1
+    boot_s: float = 0.3
+
+
+IDEAL = TrackerTruthOptions(
+    scale_sigma=0.0,
+    yaw_rate_sigma_rad_s=0.0,
+    yaw_walk_rad_sqrt_s=0.0,
+    position_walk_m_sqrt_m=0.0,
+    position_noise_m=0.0,
+    angle_noise_rad=0.0,
+    velocity_noise_m_s=0.0,
+    rate_noise_rad_s=0.0,
+    jitter_s=0.0,
+    clock_ppm=0.0,
+    drop_probability=0.0,
+    settle_s=(0.0, 0.0, 0.0),
+)
+"""A camera without errors: 20 ms late, otherwise true."""
