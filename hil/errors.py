@@ -122,3 +122,13 @@ class Aborted(HilError, RuntimeError):
     """The operator or a signal ended the work; the robot is held."""
 
     exit_code = EXIT_ABORTED
+
+
+class StepTimeoutError(HilError, TimeoutError):
+    """A step or a teardown took longer than it may; the robot is held."""
+
+    exit_code = EXIT_DEVICE
+
+    def __init__(self, what: str, limit_s: float) -> None:
+        self.what, self.limit_s = what, limit_s
+        super().__init__(f"{what} took longer than {limit_s:g} s", remedy="the robot is held")

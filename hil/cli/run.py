@@ -1,0 +1,134 @@
+"""`hil run`: a procedure on a bench, to its verdict, results folder and report."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.progress import reporting
+
+if TYPE_CHECKING:
+    from hil.procedure.declaration import Procedure
+    from hil.procedure.results import Result
+
+
+@click.command()
+@click.argument("script")
+@click.option("--bench", default="emulated", show_default=True, help="Bench file, or a shipped profile.")
+@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
+              help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
+@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
+@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="Fault, e.g. imu:stuck@2+3.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
+@click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/NAME/TIME].")
+@click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
+@click.option(
+    "--dry-run", "dry", is_flag=True, help="Print steps, check limits and trajectories, move nothing."
+)
+@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    script: str, bench: str, emulate: str | None, settings: tuple[str, ...], seed: int, realtime: bool,
+    faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
+    answers: Path | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Run a procedure: a path to a Python file, or the name of a shipped one."""
+    from hil.procedure.bench_source import BenchSource
+    from hil.procedure.parameters import split_settings
+    from hil.procedure.scripts import load_procedure
+
+    proc = load_procedure(script)
+    parameters, overrides = split_settings(settings)
+    source = BenchSource(
+        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, overrides=overrides,
+        calibration=calibration,
+    )  # fmt: skip
+    if dry:
+        from hil.procedure.dry_run import dry_run
+
+        plan = dry_run(proc, source, parameters)
+        click.echo(json.dumps(plan) if as_json else _plan_text(plan))
+        return 0
+    result = _run(proc, source, _folder(proc, out, resume), parameters, answers, resume)
+    report = _write_report(result)
+    if as_json:
+        tree = result.to_json() | {"folder": str(result.folder), "report": str(report)}
+        click.echo(json.dumps(tree, allow_nan=False))
+    else:
+        click.echo(_text(result))
+        click.echo(f"report: {report}")
+    return result.exit_code
+
+
+def _run(
+    proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None, resume: bool
+) -> Result:
+    from hil.clock import MonotonicClock
+    from hil.procedure.operator import Answers, Terminal
+    from hil.procedure.runner import RunOptions, run_procedure
+
+    operator = Terminal() if answers is None else Answers(answers)
+    with reporting() as report:
+        return run_procedure(
+            proc, source,
+            RunOptions(
+                folder=folder, clock=MonotonicClock(),
+                started=datetime.now().astimezone().isoformat(timespec="seconds"), parameters=parameters,
+                operator=operator, report=report, tell=lambda text: click.echo(f"hil: {text}", err=True),
+                resume=resume,
+            ),
+        )  # fmt: skip
+
+
+def _folder(proc: Procedure, out: Path | None, resume: bool) -> Path:
+    from hil.errors import UsageError
+
+    if out is not None:
+        return out
+    base = Path("out") / proc.name
+    if not resume:
+        return base / datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    found = sorted(p.parent for p in base.glob("*/journal.jsonl"))
+    if not found:
+        raise UsageError(f"nothing to resume in {base}", remedy="name the results folder with --out")
+    return found[-1]
+
+
+def _write_report(result: Result) -> Path:
+    from hil.report.run_page import write_run_page
+
+    return write_run_page(result.folder)
+
+
+def _plan_text(plan: dict[str, Any]) -> str:
+    lines = [f"{plan['procedure']}: {plan['summary']}", f"bench {plan['bench']}", "parameters:"]
+    lines += [f"  {key} = {value}" for key, value in plan["parameters"].items()]
+    lines.append("steps:")
+    for step in plan["steps"]:
+        driven = ", ".join(f"{t['name']} {t['duration_s']:.1f} s" for t in step["trajectories"])
+        lines.append(f"  {step['title']}" + (f"  [{driven}]" if driven else ""))
+    lines.append("measurements:")
+    for row in plan["measurements"]:
+        limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        lines.append(f"  {row['name']} ({row['unit']}) {' and '.join(limits) or 'reported only'}")
+    lines.append(f"{plan['trajectories_checked']} trajectories checked; nothing was moved")
+    return "\n".join(lines)
+
+
+def _text(result: Result) -> str:
+    lines = []
+    for row in result.measurements:
+        value = "-" if row["value"] is None else f"{row['value']:.4g}"
+        limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
+    for problem in (result.error, *result.teardown_errors):
+        if problem is not None:
+            lines.append(f"{problem.kind} in {problem.step!r}: {problem.message}")
+    lines.append(f"{result.verdict.value}: {result.procedure}, results in {result.folder}")
+    return "\n".join(lines)

@@ -1,0 +1,98 @@
+"""Which bench a procedure runs on, as data: can be opened again and again, and sent to another process."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hil.calibration.artefact import read_calibration
+from hil.config.bench import BenchConfig, load_bench
+from hil.interfaces import Sink
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+
+
+@dataclass(frozen=True)
+class BenchSource:
+    """Arguments of `hil.bench.open_bench`, checked when the configuration is first asked for.
+
+    Attributes:
+        bench: file, profile name or configuration.
+        emulate: devices to emulate, `all`, or None for what the file says.
+        seed: of the emulated world.
+        realtime: emulated devices at the wire, in real time.
+        faults: fault specs.
+        overrides: dotted key -> value.
+        calibration: file to apply.
+    """
+
+    bench: str | Path | BenchConfig = "emulated"
+    emulate: str | None = None
+    seed: int = 0
+    realtime: bool = False
+    faults: tuple[str, ...] = ()
+    overrides: Mapping[str, object] = field(default_factory=dict)
+    calibration: Path | None = None
+
+    @cached_property
+    def config(self) -> BenchConfig:
+        """The checked configuration; raises `ConfigError`."""
+        return load_bench(self.bench, emulate=self.emulate, overrides=self.overrides)
+
+    @property
+    def virtual(self) -> bool:
+        """Whether it runs in virtual time: everything emulated and nothing at the wire."""
+        return not self.realtime and len(self.config.emulated()) == len(self.config.devices())
+
+    @property
+    def real(self) -> tuple[str, ...]:
+        """Names of the devices that are real."""
+        return tuple(n for n in self.config.devices() if n not in self.config.emulated())
+
+    def open(self, sinks: Sequence[Sink] = ()) -> Bench:
+        """A bench, to be used as a context manager; nothing is opened before it is entered."""
+        from hil.bench import open_bench
+
+        return open_bench(
+            self.bench, emulate=self.emulate, seed=self.seed, realtime=self.realtime, faults=self.faults,
+            overrides=self.overrides, sinks=tuple(sinks), calibration=self.calibration,
+        )  # fmt: skip
+
+    def changed(
+        self,
+        *,
+        seed: int | None = None,
+        calibration: Path | None = None,
+        overrides: Mapping[str, object] | None = None,
+    ) -> BenchSource:
+        """The same bench with another seed, another calibration or further overrides."""
+        return replace(
+            self,
+            seed=self.seed if seed is None else seed,
+            calibration=self.calibration if calibration is None else calibration,
+            overrides={**self.overrides, **(overrides or {})},
+        )
+
+    def describe_calibration(self) -> dict[str, Any] | None:
+        """File, version and SHA-256 of the calibration in use; None without one."""
+        path = self.calibration or (Path(self.config.calibration) if self.config.calibration else None)
+        if path is None:
+            return None
+        file = read_calibration(path)
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        return {"path": str(path), "version": file.version, "created": file.created, "sha256": digest}
+
+    def header(self) -> dict[str, Any]:
+        """What results and recordings say about it."""
+        return {
+            "config": self.config.model_dump(mode="json", by_alias=True),
+            "calibration": self.describe_calibration(),
+            "seed": self.seed,
+            "realtime": self.realtime,
+            "faults": list(self.faults),
+        }

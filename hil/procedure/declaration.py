@@ -1,0 +1,125 @@
+"""The declaration of a procedure: name, devices it needs, parameters, measurements, plan.
+
+A procedure is a plain function of one argument, its `Context`:
+
+    @procedure(name="short_line", needs=("servos",), measurements=(Measurement("end", "mm", high=30),))
+    def run(ctx: Context) -> None:
+        ...
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError, UsageError
+from hil.procedure.measurements import Measurement, check_unique
+from hil.trajectories import Trajectory
+
+if TYPE_CHECKING:
+    from hil.procedure.context import Context
+
+Body = Callable[["Context"], None]
+Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
+Measurements = Sequence[Measurement] | Callable[[Any], Iterable[Measurement]]
+
+DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
+_NAME = re.compile(r"[a-z][a-z0-9_]*")
+_STEP_CALL = re.compile(r"\.(?:step|checkpoint)\(\s*(?P<f>f?)[\"'](?P<title>[^\"']+)[\"']")
+
+
+@dataclass(frozen=True)
+class NoParameters:
+    """Parameters of a procedure that has none."""
+
+
+@dataclass(frozen=True)
+class PlannedStep:
+    """One step as announced before the run, with the trajectories that it drives."""
+
+    title: str
+    trajectories: tuple[Trajectory, ...] = ()
+
+
+@dataclass(frozen=True)
+class Procedure:
+    """A declared procedure.
+
+    Attributes:
+        name: of the procedure, as in results.
+        body: the function.
+        needs: devices without which it cannot run.
+        parameters: dataclass or pydantic model with defaults.
+        measurements: what it measures, or a function of the parameters that says so.
+        plan: steps and trajectories from parameters and bench configuration, for a dry run.
+        teardown_s: time limit of each teardown action.
+        summary: first line of the function's docstring.
+    """
+
+    name: str
+    body: Body
+    needs: tuple[str, ...] = ()
+    parameters: type[Any] = NoParameters
+    measurements: Measurements = ()
+    plan: Plan | None = None
+    teardown_s: float = 30.0
+    summary: str = ""
+
+    def declared(self, parameters: Any) -> tuple[Measurement, ...]:
+        """The measurements that these parameters call for."""
+        found = self.measurements(parameters) if callable(self.measurements) else self.measurements
+        return check_unique(found)
+
+    def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
+        """The plan; without one, the titles written in the function's source."""
+        if self.plan is not None:
+            return tuple(self.plan(parameters, config))
+        try:
+            source = inspect.getsource(self.body)
+        except (OSError, TypeError):
+            return ()
+        return tuple(PlannedStep(m["title"]) for m in _STEP_CALL.finditer(source))
+
+    def check_needs(self, config: BenchConfig) -> None:
+        """Raise `ConfigError` naming the devices that the bench lacks."""
+        missing = [n for n in self.needs if getattr(config, n, None) is None]
+        if missing:
+            raise ConfigError(
+                f"procedure {self.name} needs {', '.join(missing)}, which the bench {config.name!r} lacks",
+                remedy="add the section(s) to the bench file, or choose another bench",
+            )
+
+
+def procedure(
+    *,
+    name: str,
+    needs: Sequence[str] = (),
+    parameters: type[Any] = NoParameters,
+    measurements: Measurements = (),
+    plan: Plan | None = None,
+    teardown_s: float = 30.0,
+) -> Callable[[Body], Procedure]:
+    """Declare a function as a procedure.
+
+    Raises:
+        UsageError: a name or device that does not exist, or measurements that contradict themselves.
+    """
+    if not _NAME.fullmatch(name):
+        raise UsageError(f"procedure name {name!r}", expected="lower case letters, digits and _")
+    for device in needs:
+        if device not in DEVICES:
+            raise UsageError(f"procedure {name} needs {device!r}", expected="some of " + ", ".join(DEVICES))
+    if not callable(measurements):
+        check_unique(measurements)
+
+    def declare(body: Body) -> Procedure:
+        summary = (inspect.getdoc(body) or "").partition("\n")[0]
+        return Procedure(
+            name, body, tuple(needs), parameters, measurements, plan, teardown_s, summary
+        )  # fmt: skip
+
+    return declare

@@ -1,0 +1,58 @@
+"""What a procedure would do, without moving anything: its steps, its limits, its trajectories checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hil.config.bench import BenchConfig
+from hil.kinematics import WheelGeometry
+from hil.motion_limits import MotionLimits, check
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.declaration import Procedure
+from hil.procedure.parameters import as_dict, make_parameters
+
+
+def motion_limits(config: BenchConfig) -> MotionLimits:
+    """What the configured bench can follow."""
+    control, safety = config.control, config.safety
+    return MotionLimits(
+        wheel_speed_m_s=control.wheel_speed_m_s,
+        wheel_acceleration_m_s2=control.acceleration_m_s2,
+        heading_limit_rad=safety.heading_limit_rad if config.surface == "wall" else None,
+        x_range_m=safety.x_range_m,
+        y_range_m=safety.y_range_m,
+    )
+
+
+def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Check everything that can be checked beforehand.
+
+    Returns:
+        JSON values: procedure, parameters, measurements with limits, steps with their trajectories.
+
+    Raises:
+        ConfigError, TrajectoryError: the first thing that would go wrong.
+    """
+    parameters = make_parameters(proc.parameters, settings, proc.name)
+    config = source.config
+    proc.check_needs(config)
+    source.describe_calibration()
+    steps = []
+    for step in proc.steps(parameters, config):
+        for trajectory in step.trajectories:
+            check(trajectory, WheelGeometry.nominal().projection(), motion_limits(config))
+        driven = [{"name": t.name, "duration_s": t.duration_s} for t in step.trajectories]
+        steps.append({"title": step.title, "trajectories": driven})
+    return {
+        "procedure": proc.name,
+        "summary": proc.summary,
+        "bench": config.name,
+        "parameters": as_dict(parameters),
+        "measurements": [
+            {"name": m.name, "unit": m.unit, "low": m.low, "high": m.high, "rationale": m.rationale}
+            for m in proc.declared(parameters)
+        ],
+        "steps": steps,
+        "trajectories_checked": sum(len(s["trajectories"]) for s in steps),
+    }

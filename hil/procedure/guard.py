@@ -1,0 +1,80 @@
+"""Sinks that a run puts on its bench: the recording, and a guard that ends a step in time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hil.clock import nanoseconds, seconds
+from hil.errors import StepTimeoutError
+from hil.interfaces import Sink
+from hil.procedure.interrupts import Interrupts
+from hil.recording.mcap_writer import McapRecorder
+from hil.signals import CycleRecord
+
+_GAP_NS = nanoseconds(10.0)
+
+
+class LoopGuard(Sink):
+    """Ends the loop from within: when a step's time is over, or when a stop was asked for.
+
+    Unlike other sinks its `write` raises, on purpose: the loop holds the robot and lets the error out.
+
+    Attributes:
+        driven_ns: bench time that the loop has run, over all benches of the run.
+    """
+
+    def __init__(self, interrupts: Interrupts) -> None:
+        self._interrupts = interrupts
+        self._last_ns: int | None = None
+        self._limits: list[tuple[str, float, int]] = []
+        self.driven_ns = 0
+
+    def push_limit(self, what: str, limit_s: float) -> None:
+        """From now on allow `limit_s` of bench time, within the limits that already hold."""
+        self._limits.append((what, limit_s, self.driven_ns + nanoseconds(limit_s)))
+
+    def pop_limit(self) -> None:
+        """Take back the last limit."""
+        self._limits.pop()
+
+    @property
+    def driven_s(self) -> float:
+        """Bench time that the loop has run, s."""
+        return seconds(self.driven_ns)
+
+    def write(self, record: CycleRecord) -> None:
+        """Count the time of one cycle; raises `StepTimeoutError` or `Aborted`."""
+        if self._last_ns is not None:
+            self.driven_ns += min(max(0, record.start_ns - self._last_ns), _GAP_NS)
+        self._last_ns = record.start_ns
+        self._interrupts.stop_here()
+        for what, limit_s, end_ns in self._limits:
+            if self.driven_ns > end_ns:
+                raise StepTimeoutError(what, limit_s)
+
+    def close(self) -> None:
+        """Forget the last bench's time axis."""
+        self._last_ns = None
+
+
+class RunRecorder(McapRecorder):
+    """A recorder that no signal interrupts in the middle of a record."""
+
+    def __init__(self, path: str, header: Mapping[str, object], interrupts: Interrupts, *, lossless: bool):
+        self._interrupts = interrupts
+        super().__init__(path, header, lossless=lossless)
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one record."""
+        with self._interrupts.deferred():
+            super().write(record)
+
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Keep a note."""
+        with self._interrupts.deferred():
+            super().note(t_ns, kind, data)
+
+    def close(self) -> None:
+        """Write the rest."""
+        with self._interrupts.deferred():
+            super().close()

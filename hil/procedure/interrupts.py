@@ -1,0 +1,102 @@
+"""Signals during a run: finish the step, or stop now.
+
+SIGINT once asks for an orderly end at the next step; SIGINT again, or SIGTERM, ends the work at
+once: `Aborted` is raised in the main thread, on whose way out the robot is held. Inside `deferred()`
+(writing a record, tearing down) a signal waits for the end of the block.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from hil.errors import Aborted, StepTimeoutError
+
+
+class Interrupts:
+    """State of the signals of one run.
+
+    Args:
+        tell: called with a line for the operator.
+    """
+
+    def __init__(self, tell: Callable[[str], None] = lambda text: None) -> None:
+        self._tell = tell
+        self._asked = 0
+        self._stop: str | None = None
+        self._deferred = 0
+
+    @property
+    def asked_to_finish(self) -> bool:
+        """Whether the run should end after the current step."""
+        return self._asked > 0 or self._stop is not None
+
+    def finish_here(self) -> None:
+        """At a boundary between steps: raise `Aborted` if that was asked for."""
+        if self.asked_to_finish:
+            raise Aborted(f"ended by {self._stop or 'SIGINT'} between two steps")
+
+    def stop_here(self) -> None:
+        """Within a step: raise `Aborted` if an immediate stop was asked for."""
+        if self._stop is not None:
+            raise Aborted(f"stopped at once by {self._stop}")
+
+    def handle(self, number: int, _frame: FrameType | None = None) -> None:
+        """Take a signal."""
+        name = signal.Signals(number).name
+        if number == signal.SIGINT:
+            self._asked += 1
+            if self._asked == 1:
+                self._tell("finishing the step; press Ctrl-C again to stop now")
+                return
+            name = "a second SIGINT"
+        self._stop = name
+        if not self._deferred:
+            self.stop_here()
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Let a whole piece of work happen before a stop is taken."""
+        self._deferred += 1
+        try:
+            yield
+        finally:
+            self._deferred -= 1
+
+    @contextmanager
+    def installed(self) -> Iterator[None]:
+        """Handle the signals of this process; only possible in the main thread, elsewhere nothing."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {n: signal.signal(n, self.handle) for n in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+@contextmanager
+def time_limit(limit_s: float, what: str) -> Iterator[None]:
+    """Raise `StepTimeoutError` in a block that takes longer than the operating system's timer allows.
+
+    The last resort for work that hangs without running the loop; only in the main thread.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def expired(_number: int, _frame: FrameType | None) -> None:
+        raise StepTimeoutError(what, limit_s)
+
+    before = signal.signal(signal.SIGALRM, expired)
+    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)

@@ -1,0 +1,147 @@
+"""The journal of a run: what has happened so far, one JSON line each, on disk before the run goes on.
+
+A run that was killed is continued from it. A line that was cut off in the middle of writing is
+dropped; any other damage is named and refused, because a run continued from it would mix up facts.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hil.errors import ConfigError
+
+SCHEMA = 1
+NAME = "journal.jsonl"
+_KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
+                    "figure", "note", "recording", "answer", "end"})  # fmt: skip
+
+Entry = dict[str, Any]
+
+
+class Journal:
+    """Appends entries; each is on disk when `add` returns.
+
+    Args:
+        path: the file; created if it does not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+        except OSError as error:
+            raise ConfigError(
+                f"{path}: cannot be written ({error.strerror})",
+                remedy="choose a folder that exists and has room",
+            ) from None
+
+    def add(self, kind: str, data: Mapping[str, Any]) -> None:
+        """Append one entry; `data` holds JSON values.
+
+        Raises:
+            ConfigError: the disk does not take it.
+        """
+        line = json.dumps({"kind": kind, **data}, default=str) + "\n"
+        try:
+            left = memoryview(line.encode())
+            while left:
+                left = left[os.write(self._fd, left) :]
+            os.fsync(self._fd)
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be written ({error.strerror})") from None
+
+    def close(self) -> None:
+        """Let go of the file. Idempotent."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+@dataclass
+class PastRun:
+    """What the journal of an interrupted run says.
+
+    Attributes:
+        header: first entry: procedure, parameters, seed, bench.
+        checkpoints: entries made inside each finished checkpoint, by title; its value comes last.
+        recordings: files written so far.
+        resumed: how often the run was resumed before.
+    """
+
+    header: Entry
+    checkpoints: dict[str, list[Entry]] = field(default_factory=dict)
+    recordings: list[str] = field(default_factory=list)
+    resumed: int = 0
+
+
+def read_journal(path: Path) -> PastRun:
+    """Read the journal of a run that did not finish.
+
+    Raises:
+        ConfigError: missing, damaged (with the line), of another schema, or of a finished run.
+    """
+    entries = _entries(path)
+    if not entries or entries[0]["kind"] != "run":
+        raise ConfigError(f"{path}: line 1 does not start a run", remedy="start the run anew")
+    header = entries[0]
+    if header.get("schema") != SCHEMA:
+        raise ConfigError(f"{path}: schema {header.get('schema')!r}", expected=str(SCHEMA))
+    past = PastRun(header)
+    pending: dict[str, list[Entry]] = {}
+    for number, entry in enumerate(entries[1:], start=2):
+        kind = entry["kind"]
+        try:
+            if kind == "end":
+                raise ConfigError(
+                    f"{path}: the run is finished ({entry['verdict']})", remedy="nothing is left to resume"
+                )
+            if kind == "resume":
+                past.resumed += 1
+                pending.clear()
+            elif kind == "recording":
+                past.recordings.append(entry["path"])
+            elif kind == "checkpoint":
+                pending[entry["title"]] = []
+            elif kind == "value":
+                past.checkpoints[entry["title"]] = [*pending.pop(entry["title"]), entry]
+            for open_entries in pending.values():
+                if kind not in ("checkpoint", "recording"):
+                    open_entries.append(entry)
+        except KeyError as error:
+            raise ConfigError(f"{path}: line {number} lacks {error}", remedy="start the run anew") from None
+    return past
+
+
+def _entries(path: Path) -> list[Entry]:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ConfigError(
+            f"{path}: no journal to resume from ({error.strerror})", remedy="run without --resume"
+        ) from None
+    whole, _, _ = data.rpartition(b"\n")
+    entries: list[Entry] = []
+    for number, line in enumerate(whole.split(b"\n") if whole else [], start=1):
+        try:
+            entry = json.loads(line)
+            if not isinstance(entry, dict) or entry.get("kind") not in _KINDS:
+                raise ValueError("no entry of a journal")
+        except ValueError as error:
+            raise ConfigError(
+                f"{path}: line {number} is damaged ({error})", remedy="start the run anew; nothing was moved"
+            ) from None
+        entries.append(entry)
+    return entries
+
+
+def drop_torn_line(path: Path) -> None:
+    """Cut off what follows the last whole line, so that the next entry starts on a line of its own."""
+    data = path.read_bytes()
+    whole, newline, torn = data.rpartition(b"\n")
+    if torn:
+        os.truncate(path, len(whole) + len(newline))

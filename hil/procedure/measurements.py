@@ -1,0 +1,113 @@
+"""What a procedure measures, within which limits, and what a value is worth: pass or fail as data.
+
+Limits are declared before anything is measured. A declared measurement that was never set fails.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from hil.errors import UsageError
+
+
+class Verdict(str, enum.Enum):
+    """Outcome of one measurement, or of a whole run."""
+
+    PASS = "PASS"
+    MARGINAL = "MARGINAL"
+    FAIL = "FAIL"
+    ABORTED = "ABORTED"
+    ERROR = "ERROR"
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One declared measurement.
+
+    Attributes:
+        name: short word or path, unique in the procedure.
+        unit: SI or the unit in which people read it; `1` for ratios, counts and yes/no.
+        low, high: limits, both inclusive; None where there is none.
+        marginal: width of the band inside a limit in which a value passes as MARGINAL, in `unit`.
+        rationale: why these limits.
+
+    Raises:
+        UsageError: a limit without unit, limits that no value can meet, or a band that is wider than them.
+    """
+
+    name: str
+    unit: str = ""
+    low: float | None = None
+    high: float | None = None
+    marginal: float = 0.0
+    rationale: str = ""
+
+    def __post_init__(self) -> None:
+        where = f"measurement {self.name!r}"
+        limits = [v for v in (self.low, self.high) if v is not None]
+        if not self.name:
+            raise UsageError("a measurement without name")
+        if limits and not self.unit:
+            raise UsageError(f"{where} has a limit without unit", expected="a unit, `1` for a plain number")
+        if not all(math.isfinite(v) for v in limits):
+            raise UsageError(f"{where} has limits {limits}", expected="finite numbers, or none")
+        width = math.inf
+        if self.low is not None and self.high is not None:
+            width = self.high - self.low
+            if width < 0:
+                raise UsageError(f"{where}: low {self.low} is above high {self.high}")
+        if not 0.0 <= self.marginal <= width / 2 or (self.marginal and not limits):
+            raise UsageError(
+                f"{where} has a marginal band of {self.marginal}",
+                expected="at least 0, at most half of the distance between the limits",
+            )
+
+    @property
+    def limited(self) -> bool:
+        """Whether it decides anything; one without limits is only reported."""
+        return self.low is not None or self.high is not None
+
+    def margin(self, value: float) -> float:
+        """Distance to the nearest limit, positive inside; infinite without limits, NaN for NaN."""
+        sides = [math.inf]
+        if self.low is not None:
+            sides.append(value - self.low)
+        if self.high is not None:
+            sides.append(self.high - value)
+        return math.nan if math.isnan(value) else min(sides)
+
+    def judge(self, value: float | None) -> Verdict:
+        """What a value is worth; None stands for never set."""
+        if value is None or not math.isfinite(value):
+            return Verdict.FAIL
+        margin = self.margin(value)
+        if margin < 0:
+            return Verdict.FAIL
+        return Verdict.MARGINAL if self.limited and margin < self.marginal else Verdict.PASS
+
+    def limits_text(self) -> str:
+        """The limits as a person writes them."""
+        if self.low is not None and self.high is not None:
+            return f"{self.low:g} to {self.high:g}"
+        if self.high is not None:
+            return f"at most {self.high:g}"
+        return f"at least {self.low:g}" if self.low is not None else ""
+
+
+def worst(verdicts: Iterable[Verdict]) -> Verdict:
+    """The verdict of a run from those of its measurements; PASS when there are none."""
+    order = list(Verdict)
+    return max(verdicts, key=order.index, default=Verdict.PASS)
+
+
+def check_unique(measurements: Iterable[Measurement]) -> tuple[Measurement, ...]:
+    """The measurements as a tuple; `UsageError` for a name declared twice."""
+    found = tuple(measurements)
+    names = [m.name for m in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise UsageError(f"measurement {name!r} is declared twice")
+    return found

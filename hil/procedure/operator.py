@@ -1,0 +1,65 @@
+"""Questions to the person at the bench: asked at the terminal, or answered from a file.
+
+The file holds one answer per line in the order of the questions, or `text of the question: answer`.
+Empty lines and lines that start with `#` are left out. With a file every procedure runs unattended.
+"""
+
+from __future__ import annotations
+
+import sys
+from abc import abstractmethod
+from pathlib import Path
+from typing import Protocol
+
+from hil.errors import Aborted, ConfigError
+
+
+class Operator(Protocol):
+    """Whoever answers."""
+
+    @abstractmethod
+    def ask(self, question: str) -> str:
+        """The answer; raises `Aborted` when there is nobody."""
+
+
+class Terminal(Operator):
+    """Asks on stderr and reads stdin, so that stdout stays free for results."""
+
+    def ask(self, question: str) -> str:
+        """Print the question and wait for a line."""
+        if not sys.stdin.isatty():
+            raise Aborted(
+                f"nobody is there to answer {question!r}", remedy="give --answers FILE to run unattended"
+            )
+        sys.stderr.write(f"{question} ")
+        sys.stderr.flush()
+        line = sys.stdin.readline()
+        if not line:
+            raise Aborted(f"no answer to {question!r}")
+        return line.strip()
+
+
+class Answers(Operator):
+    """Answers from a file.
+
+    Raises:
+        ConfigError: the file cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ConfigError(f"{path}: cannot be read ({error})") from None
+        self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
+
+    def ask(self, question: str) -> str:
+        """The line that names the question, else the next one; `Aborted` when none is left."""
+        for number, line in enumerate(self._lines):
+            if line.startswith(question) and line[len(question) :].lstrip().startswith(":"):
+                del self._lines[number]
+                return line[len(question) :].lstrip()[1:].strip()
+        if not self._lines:
+            raise Aborted(f"{self._path} has no answer left for {question!r}")
+        return self._lines.pop(0)

@@ -1,0 +1,100 @@
+"""Parameters of a procedure from `--set key=value`: typed, every problem named at once."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Mapping
+from typing import Any, get_type_hints
+
+from pydantic import BaseModel, TypeAdapter, ValidationError
+
+from hil.errors import ConfigError, UsageError
+
+BENCH_PREFIX = "bench."
+
+
+def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, object]]:
+    """`key=value` texts as parameters and, for keys that start with `bench.`, as bench overrides.
+
+    Raises:
+        UsageError: a text without `=`.
+    """
+    parameters: dict[str, str] = {}
+    bench: dict[str, object] = {}
+    for text in settings:
+        key, equals, value = text.partition("=")
+        if not equals or not key.strip():
+            raise UsageError(f"--set {text!r} cannot be read", expected="key=value")
+        key = key.strip()
+        if key.startswith(BENCH_PREFIX):
+            bench[key.removeprefix(BENCH_PREFIX)] = _plain(value)
+        else:
+            parameters[key] = value
+    return parameters, bench
+
+
+def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> Any:
+    """An instance of the parameter model.
+
+    Args:
+        model: dataclass or pydantic model.
+        values: texts (converted by the field's type; sequences may be written `a,b`) or typed values.
+        owner: procedure, for messages.
+
+    Raises:
+        ConfigError: unknown keys and unfit values, all of them.
+    """
+    hints = field_types(model)
+    problems = []
+    typed: dict[str, Any] = {}
+    for key, value in values.items():
+        if key not in hints:
+            problems.append(f"{key}: unknown parameter; known are {', '.join(hints) or 'none'}")
+            continue
+        try:
+            typed[key] = _convert(hints[key], value)
+        except ValidationError as error:
+            problems.append(f"{key}: {error.errors()[0]['msg']} (found {value!r})")
+    if not problems:
+        try:
+            return TypeAdapter(model).validate_python(typed)
+        except ValidationError as error:
+            problems = [f"{'.'.join(map(str, e['loc'])) or 'all'}: {e['msg']}" for e in error.errors()]
+    raise ConfigError(f"procedure {owner}: {len(problems)} wrong parameter(s)", problems=tuple(problems))
+
+
+def field_types(model: type[Any]) -> dict[str, Any]:
+    """Names and types of a parameter model's fields."""
+    if issubclass(model, BaseModel):
+        return {name: field.annotation for name, field in model.model_fields.items()}
+    if dataclasses.is_dataclass(model):
+        hints = get_type_hints(model)
+        return {f.name: hints[f.name] for f in dataclasses.fields(model)}
+    raise UsageError(f"parameters {model!r}", expected="a dataclass or a pydantic model")
+
+
+def as_dict(parameters: Any) -> dict[str, Any]:
+    """Parameters as JSON values."""
+    found = TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
+    return dict(found)
+
+
+def _convert(kind: Any, value: Any) -> Any:
+    adapter = TypeAdapter(kind)
+    if not isinstance(value, str):
+        return adapter.validate_python(value)
+    attempts = [value, _plain(value), [part.strip() for part in value.split(",") if part.strip()]]
+    for attempt in attempts[1:]:
+        try:
+            return adapter.validate_python(value)
+        except ValidationError:
+            value = attempt
+    return adapter.validate_python(value)
+
+
+def _plain(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,216 @@
+"""Runs a procedure: checks first, then the function, then the teardown, then the verdict on disk.
+
+Whatever happens in between, the robot ends held, the first error is the one that is reported, and
+the results folder is complete.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hil.clock import NS_PER_S, Clock
+from hil.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, ConfigError, HilError
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.context import Context, Report
+from hil.procedure.declaration import Procedure
+from hil.procedure.interrupts import Interrupts, time_limit
+from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
+from hil.procedure.measurements import Measurement, Verdict, worst
+from hil.procedure.operator import Operator, Terminal
+from hil.procedure.parameters import as_dict, make_parameters
+from hil.procedure.results import RESULT, Failure, Result, git_revision, judge, write_result
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """How to run.
+
+    Attributes:
+        folder: results folder; new, or with an interrupted run's journal when `resume` is set.
+        clock: for durations.
+        started: date and time, ISO 8601.
+        parameters: texts of `--set` or typed values.
+        operator: who answers prompts.
+        report: progress (what, done, total).
+        tell: receives lines for the operator.
+        resume: continue from the journal in `folder`.
+    """
+
+    folder: Path
+    clock: Clock
+    started: str
+    parameters: dict[str, Any]
+    operator: Operator = field(default_factory=Terminal)
+    report: Report = lambda what, done, total: None
+    tell: Callable[[str], None] = lambda text: None
+    resume: bool = False
+
+
+def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
+    """Run a procedure to its verdict.
+
+    Raises:
+        HilError: something was wrong before anything could move (configuration, parameters, journal).
+    """
+    parameters = make_parameters(proc.parameters, options.parameters, proc.name)
+    declared = proc.declared(parameters)
+    proc.check_needs(source.config)
+    header = _header(proc, parameters, source)
+    past = _past(options, header)
+    interrupts = Interrupts(options.tell)
+    journal = Journal(options.folder / NAME)
+    try:
+        if past is None:
+            journal.add("run", {**header, "started": options.started})
+        else:
+            journal.add("resume", {"started": options.started})
+        context = Context(
+            parameters, source, options.folder, declared=declared, journal=journal, clock=options.clock,
+            operator=options.operator, report=options.report, interrupts=interrupts,
+            past=past.checkpoints if past else {},
+        )  # fmt: skip
+        begin_ns = options.clock.now_ns()
+        with interrupts.installed():
+            error, late, statistics = _execute(proc, context, interrupts)
+        wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
+        facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics}
+        result = conclude(proc, context, declared, error, late, facts)
+        write_result(result)
+        journal.add("end", {"verdict": result.verdict.value})
+    finally:
+        journal.close()
+    return result
+
+
+def _header(proc: Procedure, parameters: Any, source: BenchSource) -> Entry:
+    return {
+        "schema": SCHEMA,
+        "procedure": proc.name,
+        "parameters": as_dict(parameters),
+        **source.header(),
+    }
+
+
+def _past(options: RunOptions, header: Entry) -> PastRun | None:
+    folder = options.folder
+    if not options.resume:
+        if (folder / NAME).exists() or (folder / RESULT).exists():
+            raise ConfigError(
+                f"{folder}: holds the results of another run", remedy="choose another --out, or --resume"
+            )
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from None
+        return None
+    past = read_journal(folder / NAME)
+    different = [k for k in header if past.header.get(k) != header[k]]
+    if different:
+        raise ConfigError(
+            f"{folder / NAME}: the interrupted run had another {', '.join(different)}",
+            remedy="resume with the same options, or start anew",
+        )
+    drop_torn_line(folder / NAME)
+    return past
+
+
+def _execute(
+    proc: Procedure, context: Context, interrupts: Interrupts
+) -> tuple[Failure | None, list[Failure], dict[str, float] | None]:
+    """The function and the teardown; returns the first error, the teardown's, and loop statistics."""
+    error: Failure | None = None
+    try:
+        proc.body(context)
+    except Exception as problem:
+        error = _failure(problem, context)
+    late: list[Failure] = []
+    statistics = None
+    with interrupts.deferred():
+        for title, action in context.take_teardown():
+            _attempt(title, action, proc.teardown_s, context, late)
+        if context.opened is not None:
+            statistics = context.opened.statistics.summary()
+        _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
+    return error, late, statistics
+
+
+def _attempt(
+    title: str, action: Callable[[], None], limit_s: float, context: Context, late: list[Failure]
+) -> None:
+    context.guard.push_limit(title, limit_s)
+    try:
+        with time_limit(limit_s, title):
+            action()
+    except Exception as problem:
+        late.append(_failure(problem, context, title))
+    finally:
+        context.guard.pop_limit()
+
+
+def _failure(problem: Exception, context: Context, where: str = "") -> Failure:
+    step = where or _failed_step(context)
+    if isinstance(problem, HilError):
+        code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
+        return Failure(type(problem).__name__, str(problem), step, code)
+    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, EXIT_USAGE)
+
+
+def _failed_step(context: Context) -> str:
+    failed = [s["title"] for s in context.findings.steps if s["outcome"] == "failed"]
+    return failed[-1] if failed else context.where
+
+
+def _origin(problem: Exception) -> str:
+    trace = problem.__traceback__
+    frames = inspect.getinnerframes(trace) if trace is not None else []
+    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
+
+
+def conclude(
+    proc: Procedure,
+    context: Context,
+    declared: tuple[Measurement, ...],
+    error: Failure | None,
+    late: list[Failure],
+    facts: dict[str, Any],
+) -> Result:
+    """The verdict: an abort or an error before everything, else the worst measurement."""
+    rows = judge(declared, context.findings.values, context.findings.measured_in, error is None)
+    verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
+    if late:
+        verdict = Verdict.ERROR
+    if error is not None:
+        verdict = Verdict.ABORTED if error.exit_code == EXIT_ABORTED else Verdict.ERROR
+    return Result(proc.name, verdict, context.folder, rows, facts, error, tuple(late))
+
+
+def _facts(
+    proc: Procedure, context: Context, options: RunOptions, past: PastRun | None, wall_s: float
+) -> dict[str, Any]:
+    from hil.procedure.software import versions
+
+    findings, source = context.findings, context.source
+    return {
+        "summary": proc.summary,
+        "bench": source.config.name,
+        "emulated": list(source.config.emulated()),
+        "virtual_time": source.virtual,
+        "parameters": as_dict(context.parameters),
+        **source.header(),
+        "versions": versions(),
+        "git_revision": git_revision(Path(inspect.getsourcefile(proc.body) or ".").resolve().parent),
+        "started": options.started,
+        "duration_s": wall_s,
+        "bench_duration_s": context.guard.driven_s,
+        "resumed": 0 if past is None else past.resumed + 1,
+        "steps": findings.steps,
+        "tables": findings.tables,
+        "figures": findings.figures,
+        "attachments": findings.attachments,
+        "recordings": (past.recordings if past else []) + findings.recordings,
+        "notes": findings.notes,
+    }

@@ -1,0 +1,109 @@
+"""Several runs of one procedure side by side: which measurement changed, and by how much."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.errors import DataError, UsageError
+from hil.report.run_page import environment, number, read_result
+
+_FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
+
+
+def compare(folders: Sequence[Path]) -> dict[str, Any]:
+    """Measurements of several runs.
+
+    Returns:
+        JSON values: `procedure`, `runs` (facts by run), `measurements` (name, unit, values, outcomes,
+        change from the first run to the last), `parameters` and `config` that differ.
+
+    Raises:
+        DataError: a folder that holds no result.
+        UsageError: results of different procedures.
+    """
+    trees = [read_result(f) for f in folders]
+    names = sorted({t["procedure"] for t in trees})
+    if len(names) > 1:
+        raise UsageError(
+            f"runs of different procedures: {', '.join(names)}", expected="runs of one procedure"
+        )
+    runs = [{"folder": str(f), **{k: t.get(k) for k in _FACTS}} for f, t in zip(folders, trees, strict=True)]
+    for run, tree in zip(runs, trees, strict=True):
+        run["calibration"] = (tree.get("calibration") or {}).get("version")
+    return {
+        "procedure": names[0],
+        "runs": runs,
+        "measurements": _measurements(trees),
+        "differences": _differences(trees),
+    }
+
+
+def _measurements(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    by_run = [{row["name"]: row for row in tree["measurements"]} for tree in trees]
+    rows = []
+    for name in dict.fromkeys(n for found in by_run for n in found):
+        own = [found.get(name) for found in by_run]
+        values = [row["value"] if row else None for row in own]
+        first, last = values[0], values[-1]
+        rows.append(
+            {
+                "name": name,
+                "unit": next(row["unit"] for row in own if row),
+                "values": values,
+                "outcomes": [row["outcome"] if row else "absent" for row in own],
+                "change": None if first is None or last is None else last - first,
+                "ratio": last / first if first and last is not None else None,
+            }
+        )
+    return rows
+
+
+def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    flat = [
+        {
+            f"{part}.{k}": v
+            for part in ("parameters", "config", "versions")
+            for k, v in _leaves(t.get(part) or {})
+        }
+        for t in trees
+    ]
+    keys = dict.fromkeys(k for tree in flat for k in tree)
+    found = [{"key": k, "values": [str(tree.get(k, "–")) for tree in flat]} for k in keys]
+    return [row for row in found if len(set(row["values"])) > 1]
+
+
+def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
+    out: list[tuple[str, Any]] = []
+    for key, value in tree.items():
+        out += _leaves(value, f"{prefix}{key}.") if isinstance(value, Mapping) else [(prefix + key, value)]
+    return out
+
+
+def comparison_text(table: Mapping[str, Any]) -> str:
+    """The comparison for a terminal."""
+    lines = [f"{table['procedure']}: {len(table['runs'])} runs"]
+    lines += [f"  [{k}] {r['verdict']:9} {r['folder']}" for k, r in enumerate(table["runs"], start=1)]
+    for row in table["measurements"]:
+        values = "".join(f"{number(v):>12}" for v in row["values"])
+        lines.append(f"{row['name']:44}{values} {row['unit']:8}{_change(row)}")
+    return "\n".join(lines)
+
+
+def _change(row: Mapping[str, Any]) -> str:
+    return "" if row["change"] is None else f"{row['change']:+.4g}"
+
+
+def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:
+    """Write the page.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    page = environment().get_template("run_compare.html").render(table=table, change=_change)
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
+    return path

@@ -1,0 +1,182 @@
+"""The report of one run: a single HTML file made from its results folder, readable anywhere.
+
+Verdict first, then the measurements with their limits drawn, then what the procedure left: figures,
+tables, notes; last what is needed to repeat it. No network, no script, dark and light, phone and desk.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
+
+from hil.errors import DataError
+from hil.report.run_plots import PALETTE
+
+SCHEMA = 1
+PAGE = "report.html"
+_BAR = 100.0
+_NEEDED = ("schema", "procedure", "verdict", "measurements")
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """`result.json` of a run.
+
+    Raises:
+        DataError: missing, damaged, or of another schema.
+    """
+    path = folder / "result.json"
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(
+            str(path), f"cannot be read ({error})", remedy="name a results folder of hil run"
+        ) from None
+    except ValueError as error:
+        raise DataError(str(path), f"is not JSON ({error})") from None
+    missing = [k for k in _NEEDED if not isinstance(tree, dict) or k not in tree]
+    if missing or tree["schema"] != SCHEMA:
+        raise DataError(str(path), "is not the result of a run", expected=f"schema {SCHEMA}")
+    return dict(tree)
+
+
+def write_run_page(folder: Path) -> Path:
+    """Write `report.html` beside `result.json`; returns its path.
+
+    Raises:
+        DataError: the result cannot be read, or the page not written.
+    """
+    tree = read_result(folder)
+    figures = [f | {"svg": inline_svg(folder / f["path"])} for f in tree.get("figures", [])]
+    page = (
+        environment()
+        .get_template("run.html")
+        .render(
+            run=tree,
+            title=tree["procedure"].replace("_", " "),
+            rows=[row | {"bar": bar(row)} | outcome_words(row) for row in tree["measurements"]],
+            counts=counts(tree),
+            figures=figures,
+            parameters=_flat(tree.get("parameters", {})),
+            config=_flat(tree.get("config", {})),
+            duration=duration(tree.get("duration_s")),
+            driven=duration(tree.get("bench_duration_s")),
+        )
+    )
+    path = folder / PAGE
+    try:
+        path.write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
+    return path
+
+
+def environment() -> Environment:
+    """Templates of the pages of runs."""
+    env = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True, trim_blocks=True)
+    env.filters["number"] = number
+    return env
+
+
+def number(value: object) -> str:
+    """A figure with four significant digits, a dash for none."""
+    if value is None:
+        return "–"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return str(value)
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as people say them."""
+    if seconds is None:
+        return "–"
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{int(seconds // 60)} min {int(seconds % 60)} s"
+
+
+def outcome_words(row: Mapping[str, Any]) -> dict[str, str]:
+    """How an outcome is called and coloured; a value without limits is only reported."""
+    if row["outcome"] == "PASS" and not row.get("limited", True):
+        return {"word": "reported", "tone": "reported"}
+    return {"word": row["outcome"], "tone": row["outcome"]}
+
+
+def counts(tree: Mapping[str, Any]) -> dict[str, int]:
+    """How many limited measurements came out how."""
+    found: dict[str, int] = {}
+    for row in tree["measurements"]:
+        if row.get("limited", True) or row["outcome"] == "FAIL":
+            found[row["outcome"]] = found.get(row["outcome"], 0) + 1
+    order = ("FAIL", "MARGINAL", "PASS", "NOT MEASURED")
+    return {name: found[name] for name in order if name in found}
+
+
+def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
+    """Where a value stands between its limits, in percent of a bar; None without limits or value.
+
+    The bar shows the allowed range with a quarter of it on either open side; a value beyond is
+    drawn at the end.
+    """
+    low, high, value = row["low"], row["high"], row["value"]
+    if value is None or (low is None and high is None):
+        return None
+    if low is None:
+        first, last = min(0.0, high * 1.25, high - 1e-12), max(high * 1.25, 0.0)
+    elif high is None:
+        reach = max(abs(low), abs(value - low), 1e-12) * 1.25
+        first, last = min(0.0, low - 0.25 * reach), low + reach
+    else:
+        room = 0.2 * max(high - low, 1e-12)
+        first, last = low - room, high + room
+    span = max(last - first, 1e-12)
+
+    def at(v: float) -> float:
+        return float(round(min(max((v - first) / span, 0.0), 1.0) * _BAR, 2))
+
+    start = 0.0 if low is None else at(low)
+    end = _BAR if high is None else at(high)
+    return {"start": start, "width": round(end - start, 2), "value": at(value)}
+
+
+def inline_svg(path: Path) -> Markup:
+    """An SVG file as part of a page: no prolog, no fixed size, colours that follow the page's theme.
+
+    Raises:
+        DataError: the file is missing or no SVG.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(str(path), f"cannot be read ({error})") from None
+    start = text.find("<svg")
+    if start < 0:
+        raise DataError(str(path), "is not an SVG file")
+    text = re.sub(r"<metadata>.*?</metadata>", "", text[start:], flags=re.S)
+    head, rest = text.split(">", 1)
+    width = re.search(r'\bwidth="([\d.]+)pt"', head)
+    head = re.sub(r'\s(width|height)="[^"]*"', "", head, count=2)
+    limit = f' style="max-width:{float(width[1]) * 1.35:.0f}px"' if width else ""
+    for name, colour in PALETTE.items():
+        rest = re.sub(re.escape(colour), f"var(--{name})", rest, flags=re.I)
+    rest = re.sub(r"#000000|(?<=fill: )black", "currentColor", rest)
+    rest = rest.replace("<text ", '<text fill="currentColor" ')
+    identity = path.stem.split("_")[0]
+    rest = re.sub(r'id="(?=[a-z]+_\d)', f'id="{identity}-', rest)
+    return Markup(f'{head}{limit} role="img">{rest}')
+
+
+def _flat(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
+    rows: list[tuple[str, str]] = []
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            rows += _flat(value, f"{prefix}{key}.")
+        elif value is not None:
+            rows.append((prefix + key, json.dumps(value) if isinstance(value, list) else str(value)))
+    return rows
