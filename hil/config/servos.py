@@ -1,0 +1,121 @@
+"""Configuration of the eight XH430 servos on their bus (`[servos]` of the bench file)."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from hil.config.xh430 import (
+    BAUD_CODES,
+    CURRENT_POSITION,
+    EXTENDED,
+    MODEL_NUMBER,
+    POSITION,
+    TABLE,
+    WATCHDOG_STEP_S,
+)
+
+Ids = tuple[int, int, int, int]
+
+STEER_MODES = {"position": POSITION, "extended": EXTENDED, "current_position": CURRENT_POSITION}
+_OWNED = (
+    "torque_enable", "status_return_level", "bus_watchdog", "goal_velocity", "goal_position",
+)  # fmt: skip
+
+
+class ServosConfig(BaseModel):
+    """How the servo bus is reached, checked, set up and judged.
+
+    Attributes:
+        port: any pyserial URL or device path.
+        baud: of the bus; the codes of the servo's Baud Rate register.
+        drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.
+        steer_mode: operating mode that the steering servos must have; drives must be in velocity mode.
+        fast_sync_read: `auto` uses the fast reads when every firmware has them (45 on).
+        usb_latency_s: latency timer of the USB adapter.
+        return_delay_s: Return Delay Time that the servos are expected to have; larger is reported.
+        reply_slack_s: silence beyond the computed time of a reply before it counts as lost.
+        retry_budget_s: extra time that one `read` may take for lost replies and their repetition.
+        dead_poll_s: how often a servo that has fallen silent is asked again.
+        fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
+        watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s; 0 leaves it off.
+        health_period_s: how often voltage, temperature, torque and watchdog are looked at.
+        model_number, min_firmware: what the servos must be.
+        velocity_limit_rad_s: wheel rate goals are clipped to it.
+        steer_limit_rad: steering goals are clipped to +- it about the servo's centre (2048 counts).
+        drive_registers, steer_registers: RAM registers (gains, profiles, goal current and PWM) by name
+            in the control table, raw counts, written at open and after a servo's restart.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    backend: Literal["real", "emulated"] = "real"
+    port: str = Field("/dev/ttyUSB0", min_length=1)
+    baud: int = 1_000_000
+    drive_ids: Ids = (1, 2, 3, 4)
+    steer_ids: Ids = (5, 6, 7, 8)
+    steer_mode: Literal["position", "extended", "current_position"] = "position"
+    fast_sync_read: Literal["auto"] | bool = "auto"
+    usb_latency_s: float = Field(0.001, ge=0, le=0.1)
+    return_delay_s: float = Field(0.0, ge=0, le=508e-6)
+    reply_slack_s: float = Field(0.0015, gt=0, le=0.1)
+    retry_budget_s: float = Field(0.003, ge=0, le=0.1)
+    dead_poll_s: float = Field(0.25, gt=0)
+    fail_after_s: float = Field(2.0, gt=0)
+    watchdog_s: float = Field(0.2, ge=0, le=2.54)
+    health_period_s: float = Field(1.0, gt=0)
+    model_number: int = Field(MODEL_NUMBER, ge=0, le=0xFFFF)
+    min_firmware: int = Field(38, ge=0, le=255)
+    velocity_limit_rad_s: float = Field(4.9, gt=0, le=24.5)
+    steer_limit_rad: float = Field(2.0944, gt=0)
+    drive_registers: dict[str, int] = {}
+    steer_registers: dict[str, int] = {}
+
+    @property
+    def ids(self) -> tuple[int, ...]:
+        """All eight IDs in the order of `hil.signals.SERVOS`."""
+        return self.drive_ids + self.steer_ids
+
+    @property
+    def watchdog_count(self) -> int:
+        """Value of the Bus Watchdog register."""
+        return round(self.watchdog_s / WATCHDOG_STEP_S)
+
+    @field_validator("baud")
+    @classmethod
+    def _known_baud(cls, value: int) -> int:
+        if value not in BAUD_CODES:
+            raise ValueError("baud must be one of " + ", ".join(str(b) for b in BAUD_CODES))
+        return value
+
+    @field_validator("watchdog_s")
+    @classmethod
+    def _whole_steps(cls, value: float) -> float:
+        steps = value / WATCHDOG_STEP_S
+        if abs(steps - round(steps)) > 1e-6:
+            raise ValueError(f"watchdog_s {value} is not a multiple of {WATCHDOG_STEP_S} s")
+        return value
+
+    @field_validator("drive_registers", "steer_registers")
+    @classmethod
+    def _ram_only(cls, value: dict[str, int]) -> dict[str, int]:
+        for name, raw in value.items():
+            register = TABLE.get(name)
+            if register is None or name.startswith("indirect"):
+                raise ValueError(f"{name} is not a register that can be set here; see hil/config/xh430.toml")
+            if register.eeprom:
+                raise ValueError(f"{name} is in the EEPROM: write it with `hil setup`")
+            if not register.writable or name in _OWNED:
+                raise ValueError(f"{name} is read-only or belongs to the driver")
+            if not register.permits(raw):
+                raise ValueError(f"{name} = {raw}, expected {register.range_text()}")
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> ServosConfig:
+        if len(set(self.ids)) != 8 or not all(0 <= i <= 252 for i in self.ids):
+            raise ValueError("drive_ids and steer_ids must be eight different IDs in 0..252")
+        if self.steer_mode == "position" and self.steer_limit_rad > 3.14:
+            raise ValueError("steer_limit_rad beyond 3.14 needs steer_mode extended")
+        return self

@@ -1,0 +1,109 @@
+"""Faults of emulated servos that arise in the servo itself; the serial line adds those of the wire.
+
+Names: the bus (`servos`), a servo by joint (`servo.drive_FL`) or by ID (`servo.3`).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.clock import nanoseconds
+from hil.config.xh430 import RAD_PER_COUNT
+from hil.fakes.faults import Fault, FaultPlan
+from hil.signals import SERVOS
+
+BUS_FAULTS = (
+    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "reset", "brownout", "jump",
+)  # fmt: skip
+SERVO_FAULTS = (*BUS_FAULTS, "drop", "corrupt")
+
+_WRONG_RAD, _JUMP_RAD = 0.1, 0.5
+_DELAY_S, _SLOW_S = 0.1, 0.002
+_PERIOD_S, _DUTY = 0.5, 0.5
+_PROBABILITY = 0.1
+
+Measured = tuple[int, int, int]
+
+
+class ServoFaults:
+    """Asks the plan what is wrong with each joint's servo now.
+
+    Options: `wrong,angle_rad=` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
+    `delayed,delay_s=` shows old measurements, `intermittent,period_s=,duty=` is silent for that part of
+    each period, `drop` and `corrupt` per reply with `probability=`.
+    """
+
+    def __init__(self, plan: FaultPlan, bus: str, ids: tuple[int, ...], rng: np.random.Generator) -> None:
+        self._plan, self._rng = plan, rng
+        self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
+        self._done: set[tuple[int, str, int]] = set()
+        self._frozen: dict[int, Measured] = {}
+        for names in self._names:
+            for name in names[1:]:
+                plan.declare(name, SERVO_FAULTS)
+
+    def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
+        """The active fault of that kind on a servo under any of its names."""
+        for name in self._names[joint]:
+            fault = self._plan.find(name, kind, t_ns)
+            if fault is not None:
+                return fault
+        return None
+
+    def unpowered(self, joint: int, t_ns: int) -> bool:
+        """Whether the servo has no supply."""
+        return any(self.find(joint, kind, t_ns) is not None for kind in ("off", "brownout"))
+
+    def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
+        """A fault that acts once (`reset`, `jump`) and has not acted yet."""
+        fault = self.find(joint, kind, t_ns)
+        if fault is None or (joint, kind, fault.start_ns) in self._done:
+            return None
+        self._done.add((joint, kind, fault.start_ns))
+        return fault
+
+    def jump_counts(self, joint: int, t_ns: int) -> int:
+        """A slip of the encoder that is due now."""
+        fault = self.due_once(joint, "jump", t_ns)
+        return 0 if fault is None else round(fault.option("angle_rad", _JUMP_RAD) / RAD_PER_COUNT)
+
+    def age_ns(self, joint: int, t_ns: int) -> int:
+        """How old the measurements are that the servo shows."""
+        fault = self.find(joint, "delayed", t_ns)
+        return 0 if fault is None else nanoseconds(fault.option("delay_s", _DELAY_S))
+
+    def measured(self, joint: int, t_ns: int, truth: Measured) -> Measured:
+        """(position, velocity, current) counts as the servo believes them."""
+        if self.find(joint, "stuck", t_ns) is not None:
+            return self._frozen.setdefault(joint, truth)
+        self._frozen.pop(joint, None)
+        fault = self.find(joint, "wrong", t_ns)
+        if fault is None:
+            return truth
+        extra = round(fault.option("angle_rad", _WRONG_RAD) / RAD_PER_COUNT)
+        return (truth[0] + extra, truth[1], truth[2])
+
+    def late_ns(self, joint: int, t_ns: int) -> int:
+        """Extra time before an answer."""
+        fault = self.find(joint, "slow", t_ns)
+        return 0 if fault is None else nanoseconds(fault.option("answer_s", _SLOW_S))
+
+    def silent(self, joint: int, t_ns: int) -> bool:
+        """Whether this reply is not given."""
+        fault = self.find(joint, "intermittent", t_ns)
+        if fault is not None:
+            period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
+            if (t_ns - fault.start_ns) % period_ns >= (1.0 - fault.option("duty", _DUTY)) * period_ns:
+                return True
+        fault = self.find(joint, "drop", t_ns)
+        return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+
+    def spoil(self, joint: int, reply: bytes, t_ns: int) -> bytes:
+        """The reply as it leaves the servo."""
+        if self.find(joint, "garbage", t_ns) is not None:
+            return self._rng.bytes(len(reply))
+        fault = self.find(joint, "corrupt", t_ns)
+        if fault is None or self._rng.random() >= fault.option("probability", _PROBABILITY):
+            return reply
+        place = int(self._rng.integers(len(reply)))
+        return reply[:place] + bytes((reply[place] ^ 1 << int(self._rng.integers(8)),)) + reply[place + 1 :]

@@ -1,0 +1,95 @@
+"""The trajectory that a servo's firmware makes of a goal: step, ramp, rectangle, triangle or trapezoid.
+
+Velocity-based profiles: Profile Velocity is the top speed, Profile Acceleration the slope; time-based:
+the whole time and the time of acceleration, in ms. Zero means without limit (e-manual, profile section).
+"""
+
+from __future__ import annotations
+
+import math
+
+from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
+
+STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0, 1, 2, 3
+
+_SPEED = RAD_S_PER_COUNT / RAD_PER_COUNT
+_SLOPE = TABLE["profile_acceleration"].scale / RAD_PER_COUNT
+_RAMP = TABLE["profile_acceleration"].scale / RAD_S_PER_COUNT
+_MS = 1e-3
+
+
+class Trajectory:
+    """Where position (counts) or velocity (velocity counts) should be now.
+
+    Attributes:
+        position, speed: position counts, and counts per second, of a position trajectory.
+        velocity: velocity counts of a velocity trajectory.
+        shape: `STEP`, `RECTANGLE`, `TRIANGLE` or `TRAPEZOID` of the latest position goal.
+        ongoing: whether `advance` has something to do.
+    """
+
+    def __init__(self) -> None:
+        self.rest(0.0)
+
+    def rest(self, position: float) -> None:
+        """Stand still at a position."""
+        self.position, self.speed, self.velocity = position, 0.0, 0.0
+        self._goal, self._top, self._slope = position, math.inf, math.inf
+        self.shape, self.ongoing, self._turning = STEP, False, False
+
+    def turn(self, goal: int, acceleration: int, *, timed: bool) -> None:
+        """A new velocity goal."""
+        self._goal, self._turning, self.shape = float(goal), True, STEP
+        if not acceleration:
+            self.velocity, self.ongoing = float(goal), False
+            return
+        change = abs(goal - self.velocity)
+        self._slope = change / (acceleration * _MS) if timed else acceleration * _RAMP
+        self.ongoing = change > 0.0
+
+    def move(self, goal: int, acceleration: int, velocity: int, *, timed: bool) -> None:
+        """A new position goal, from wherever the trajectory is."""
+        self._goal, self._turning = float(goal), False
+        distance = abs(goal - self.position)
+        if not velocity or distance == 0.0:
+            self.position, self.speed = float(goal), 0.0
+            self.shape, self.ongoing = STEP, False
+            return
+        if timed:
+            rise = min(acceleration, velocity // 2) * _MS
+            self._top = distance / (velocity * _MS - rise)
+            self._slope = self._top / rise if rise else math.inf
+        else:
+            self._top = velocity * _SPEED
+            self._slope = acceleration * _SLOPE if acceleration else math.inf
+        self.ongoing = True
+        if math.isinf(self._slope):
+            self.shape = RECTANGLE
+        else:
+            self.shape = TRIANGLE if distance * self._slope < self._top**2 else TRAPEZOID
+
+    def advance(self, dt_s: float) -> None:
+        """Follow the profile for `dt_s`."""
+        if self._turning:
+            step = self._slope * dt_s
+            self.velocity += min(max(self._goal - self.velocity, -step), step)
+            self.ongoing = self.velocity != self._goal
+            return
+        left = self._goal - self.position
+        wanted = self._approach(abs(left), dt_s)
+        wanted = math.copysign(min(wanted, self._top), left)
+        step = self._slope * dt_s
+        before = self.speed
+        self.speed += min(max(wanted - before, -step), step)
+        moved = 0.5 * (before + self.speed) * dt_s if math.isfinite(step) else self.speed * dt_s
+        if abs(left) <= 0.5 or (moved * left > 0 and abs(moved) >= abs(left)):
+            self.position, self.speed, self.ongoing = self._goal, 0.0, False
+        else:
+            self.position += moved
+
+    def _approach(self, left: float, dt_s: float) -> float:
+        """Largest speed from which the rest of the way can still be braked, in steps of `dt_s`."""
+        if math.isinf(self._slope):
+            return math.inf
+        half = 0.5 * self._slope * dt_s
+        return math.sqrt(half * half + 2.0 * self._slope * left) - half

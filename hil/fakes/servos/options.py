@@ -1,0 +1,51 @@
+"""What an emulated servo bus is like: IDs, EEPROM as found, supply, temperature, habits of the firmware."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class ServoBusOptions:
+    """Eight servos as the robot's own software left them; the bench must cope with anything else.
+
+    Attributes:
+        ids: by joint: drives FL, BL, BR, FR, then steers.
+        baud: of the whole bus.
+        steer_mode: operating mode of the steering servos (3 position, 4 extended position).
+        return_delay: Return Delay Time, 2 us steps.
+        firmware, model: by joint where they differ from the default.
+        eeprom: further EEPROM registers by joint and name, raw counts.
+        absent: IDs that are not connected.
+        after_absent: what later servos of a sync read do when an earlier one does not answer, which
+            the vendor does not say: `silent` for ever, or `skip` it after its time has passed.
+        processing_s: from the end of a request to the start of the reply with no return delay.
+        ping_slot_s: spacing by ID of the replies to a broadcast ping.
+        boot_s: silence after power-up and reboot.
+        supply_v, supply_ohm: pack voltage and its drop by current.
+        ambient_c: air temperature.
+        drive_start_counts: encoder counts of the drives at joint angle 0.
+        overload_a, overload_s: current that counts as overload, and for how long.
+    """
+
+    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
+    baud: int = 1_000_000
+    steer_mode: int = 3
+    return_delay: int = 0
+    firmware: int = 46
+    firmware_by_joint: Mapping[int, int] = field(default_factory=dict)
+    model_by_joint: Mapping[int, int] = field(default_factory=dict)
+    eeprom: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
+    absent: frozenset[int] = frozenset()
+    after_absent: Literal["silent", "skip"] = "silent"
+    processing_s: float = 25e-6
+    ping_slot_s: float = 1e-3
+    boot_s: float = 0.15
+    supply_v: float = 11.1
+    supply_ohm: float = 0.08
+    ambient_c: float = 27.0
+    drive_start_counts: tuple[int, int, int, int] = (317, 1204, 2911, 3870)
+    overload_a: float = 1.1
+    overload_s: float = 2.0

@@ -1,0 +1,138 @@
+"""Protocol 2.0 as a servo's firmware sees it: finding instruction packets in a byte stream, building replies.
+
+Written from the vendor's description and held to its test vectors (`facts/devices.md` section 2); it
+shares no code with the driver's side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from fastcrc import crc16
+
+HEADER = b"\xff\xff\xfd\x00"
+BROADCAST = 0xFE
+
+PING, READ, WRITE, REG_WRITE, ACTION = 0x01, 0x02, 0x03, 0x04, 0x05
+FACTORY_RESET, REBOOT, CLEAR, BACKUP, STATUS = 0x06, 0x08, 0x10, 0x20, 0x55
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
+BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+
+OK, RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR = 0, 1, 2, 3
+DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 4, 5, 6, 7
+ALERT = 0x80
+
+BYTE_GAP_NS = 1_500_000
+_OVERHEAD = 7
+_SHORTEST, _LONGEST = 3, 1024
+
+
+@dataclass(frozen=True)
+class Instruction:
+    """One instruction packet; `sound` tells whether its checksum was right."""
+
+    servo_id: int
+    code: int
+    parameters: bytes
+    sound: bool = True
+
+
+def checksum(data: bytes, start: int = 0) -> int:
+    """CRC-16 with polynomial 0x8005, continued from `start`."""
+    value: int = crc16.umts(data, start)
+    return value
+
+
+def stuff(body: bytes) -> bytes:
+    """An extra FD after every FF FF FD, so that no header appears inside a packet."""
+    return body.replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Inverse of `stuff`."""
+    return body.replace(b"\xff\xff\xfd\xfd", b"\xff\xff\xfd")
+
+
+def packet(servo_id: int, body: bytes) -> bytes:
+    """Header, ID, length, stuffed body (instruction first) and checksum."""
+    body = stuff(body)
+    data = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    return data + checksum(data).to_bytes(2, "little")
+
+
+def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
+    """A status packet."""
+    return packet(servo_id, bytes((STATUS, error)) + parameters)
+
+
+def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[bytes]:
+    """The pieces of a fast read's reply, one per servo (ID, error, data), the head with the first.
+
+    The pieces are not stuffed, and every checksum covers all bytes before it (`facts/devices.md`).
+
+    Args:
+        parts: servos that answer, in order.
+        declared: bytes of instruction and pieces of all servos asked, which the head announces.
+    """
+    sent = HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
+    crc = checksum(sent)
+    pieces = []
+    head = sent
+    for servo_id, error, data in parts:
+        chunk = bytes((error, servo_id)) + data
+        crc = checksum(chunk, crc)
+        tail = crc.to_bytes(2, "little")
+        crc = checksum(tail, crc)
+        pieces.append(head + chunk + tail)
+        head = b""
+    return pieces
+
+
+class InstructionParser:
+    """Finds instruction packets in a stream that may hold noise and pieces.
+
+    A pause of more than 1.5 ms between bytes makes the servos wait for a new header.
+    """
+
+    def __init__(self) -> None:
+        self._buffer = bytearray()
+        self._last_ns = 0
+
+    def reset(self) -> None:
+        """Forget what has been received so far."""
+        self._buffer.clear()
+
+    def feed(self, data: bytes, first_ns: int, last_ns: int) -> list[Instruction]:
+        """Complete packets in `data`, whose bytes arrived from `first_ns` to `last_ns`."""
+        if first_ns - self._last_ns > BYTE_GAP_NS:
+            self._buffer.clear()
+        self._last_ns = last_ns
+        self._buffer += data
+        found = []
+        while (one := self._next()) is not None:
+            found.append(one)
+        return found
+
+    def _next(self) -> Instruction | None:
+        buffer = self._buffer
+        while True:
+            start = buffer.find(HEADER)
+            if start < 0:
+                del buffer[: max(0, len(buffer) - 3)]
+                return None
+            del buffer[:start]
+            if len(buffer) < _OVERHEAD:
+                return None
+            length = buffer[5] | buffer[6] << 8
+            if not _SHORTEST <= length <= _LONGEST:
+                del buffer[:4]
+                continue
+            end = _OVERHEAD + length
+            if len(buffer) < end:
+                return None
+            data = bytes(buffer[:end])
+            sound = checksum(data[:-2]) == data[-2] | data[-1] << 8
+            del buffer[: end if sound else 4]
+            if data[7] == STATUS:
+                continue
+            return Instruction(data[4], data[7], unstuff(data[8:-2]), sound)

@@ -1,0 +1,365 @@
+"""One XH430: registers with their side effects, operating modes, torque, errors, restart.
+
+The servo turns its registers into commands to the motor (`JointCommand`) and shows what the bus's
+`Sensing` measured, in its own counts, direction and turns.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from hil.config.xh430 import (
+    A_PER_COUNT,
+    BAUD_RATES,
+    COUNTS_PER_TURN,
+    CURRENT,
+    CURRENT_POSITION,
+    MODEL_NUMBER,
+    POSITION,
+    PWM,
+    RAD_PER_COUNT,
+    RAD_S_PER_COUNT,
+    VELOCITY,
+    WATCHDOG_STEP_S,
+    ZERO_COUNTS,
+    Register,
+)
+from hil.fakes.plant_api import JointCommand, Plant
+from hil.fakes.servos import protocol
+from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
+from hil.fakes.servos.motion import STEP, Trajectory
+from hil.fakes.servos.options import ServoBusOptions
+
+OFF = JointCommand()
+_FULL_PWM = 885
+_REVERSE, _TIMED, _TORQUE_ON_BY_GOAL = 1, 4, 8
+_HOMING_IN_POSITION_MODE = 1024
+_IN_POSITION, _FOLLOWING = 12, 100
+_LIVE = struct.Struct("<HBBhhiiiiHB")
+_LIVE_AT = 120
+_CYCLIC = struct.Struct("<hii")
+_CYCLIC_AT = 126
+_POSITION_GAINS = {POSITION: (900, 0, 0), CURRENT_POSITION: (900, 0, 0)}
+
+
+class Servo:
+    """State of one servo without its bus.
+
+    Attributes:
+        joint: index in the plant and in `hil.signals.SERVOS`.
+        table: the control table.
+        dead: without power.
+        busy_until_ns: starting up, deaf until then.
+        tripped: the bus watchdog has stopped it.
+    """
+
+    def __init__(self, joint: int, plant: Plant, options: ServoBusOptions) -> None:
+        self.joint, self._plant, self._options = joint, plant, options
+        self.table = ControlTable()
+        drive = joint < 4
+        for name, raw in {
+            "model_number": options.model_by_joint.get(joint, MODEL_NUMBER),
+            "firmware_version": options.firmware_by_joint.get(joint, options.firmware),
+            "id": options.ids[joint],
+            "baud_rate": next(code for code, rate in BAUD_RATES.items() if rate == options.baud),
+            "return_delay_time": options.return_delay,
+            "operating_mode": VELOCITY if drive else options.steer_mode,
+            **options.eeprom.get(joint, {}),
+        }.items():
+            self.table.put(name, raw)
+        self.zero = options.drive_start_counts[joint] if drive else ZERO_COUNTS
+        self.trajectory = Trajectory()
+        self.dead = False
+        self.busy_until_ns = 0
+        self.pending: tuple[int, bytes] | None = None
+        self._backup: dict[str, int] | None = None
+        self._encoder = 0
+        self._velocity = 0
+        self.boot(0, 0)
+        self.busy_until_ns = 0
+
+    @property
+    def firmware(self) -> int:
+        """Firmware version."""
+        return self.table.get("firmware_version")
+
+    @property
+    def torque(self) -> bool:
+        """Whether the motor is driven."""
+        return self._torque
+
+    @property
+    def present(self) -> int:
+        """Present Position in register counts."""
+        return self._sign * self._encoder + self._base + self._homing()
+
+    def answers_to(self, servo_id: int) -> bool:
+        """Whether an instruction packet to an ID is meant for this servo."""
+        return servo_id in (self.id, protocol.BROADCAST) or (servo_id == self.secondary <= 252)
+
+    def boot(self, t_ns: int, encoder: int) -> None:
+        """Power-up or reboot: RAM at defaults, one turn, errors cleared, deaf for a while."""
+        self._encoder = encoder
+        self.table.reset_ram()
+        startup = self.table.get("startup_configuration")
+        if self._backup is not None:
+            self.table.put("backup_ready", 1)
+            if startup & 2 and self.firmware >= 45:
+                self.table.restore(self._backup, eeprom=False)
+        self.booted_ns = self.busy_until_ns = t_ns
+        self.busy_until_ns += round(self._options.boot_s * 1e9)
+        self.tripped, self.pending = False, None
+        self._torque = self._shut_down = False
+        self._load()
+        self._wrap()
+        self.table.put("goal_position", self.present)
+        self.trajectory.rest(self.present)
+        self._plant.command(self.joint, OFF)
+        if startup & 1 and self.firmware >= 45:
+            self._set_torque(True)
+
+    def lose_power(self) -> None:
+        """No supply: the motor is free."""
+        self.dead, self._torque = True, False
+        self._plant.command(self.joint, OFF)
+
+    def slip(self, counts: int) -> None:
+        """The encoder's magnet turns on its shaft."""
+        self.zero += counts
+        self._base += self._sign * counts
+
+    def sense(self, encoder: int, velocity: int) -> None:
+        """Take what the encoder says (joint direction, counts from joint angle 0)."""
+        self._encoder, self._velocity = encoder, velocity
+
+    def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
+        """Put the live registers 120..146 into the table; `sense` has been called."""
+        sign, present = self._sign, self.present
+        tick = (t_ns - self.booted_ns) // 1_000_000 % 32768
+        moving = self.trajectory.ongoing or abs(velocity) > self._moving_threshold
+        goal_velocity = round(self.trajectory.velocity)
+        values = (
+            tick, moving, self._moving_status(present), round(sign * duty * _FULL_PWM), sign * current,
+            sign * velocity, present, goal_velocity, round(self.trajectory.position), voltage, celsius,
+        )  # fmt: skip
+        _LIVE.pack_into(self.table.data, _LIVE_AT, *values)
+
+    def show_motion(self, velocity: int, current: int) -> None:
+        """Put only current, velocity and position (126..135) into the table: what every cycle reads."""
+        sign = self._sign
+        _CYCLIC.pack_into(self.table.data, _CYCLIC_AT, sign * current, sign * velocity, self.present)
+
+    def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
+        """Write registers with all effects (`dry`: only check); the error number."""
+        try:
+            plan = self.table.plan(address, len(data))
+            values = [(r, r.decode(data[k : k + r.size])) for r, k in plan]
+            for register, raw in values:
+                self._check(register, raw)
+        except WriteRefused as refused:
+            return refused.code
+        if not dry:
+            for register, raw in values:
+                self._store(register, raw)
+        return protocol.OK
+
+    def advance(self, dt_s: float) -> None:
+        """One grid step of a profile."""
+        self.trajectory.advance(dt_s)
+        self._drive()
+
+    def watchdog_ns(self) -> int:
+        """Silence that trips the bus watchdog, 0 when it is off."""
+        return self._watchdog_ns if self._torque and not self.tripped else 0
+
+    def trip(self) -> None:
+        """The bus has been silent for too long: stop, hold, and say so."""
+        self.tripped = True
+        self.table.put("bus_watchdog", -1)
+        self.trajectory.rest(self.present)
+        self._drive(stopped=True)
+
+    def raise_error(self, bits: int) -> None:
+        """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
+        self.table.put("hardware_error_status", self.table.get("hardware_error_status") | bits)
+        self.alert = protocol.ALERT
+        if bits & self.table.get("shutdown"):
+            self._shut_down = True
+            self._set_torque(False)
+
+    def clear_turns(self) -> int:
+        """Forget the turns (instruction 0x10); the error number."""
+        if self.trajectory.ongoing or abs(self._velocity) > self._moving_threshold:
+            return protocol.RESULT_FAIL
+        self._wrap()
+        self.table.put("goal_position", self.present)
+        self.trajectory.rest(self.present)
+        self._drive()
+        return protocol.OK
+
+    def back_up(self, parameters: bytes) -> int:
+        """Control table backup (0x20): keep or restore; the error number. A restore needs a reboot after."""
+        if self.firmware < 45:
+            return protocol.INSTRUCTION_ERROR
+        if parameters not in (b"\x01CTRL", b"\x02CTRL"):
+            return protocol.DATA_RANGE
+        if self._torque or (parameters[0] == 2 and self._backup is None):
+            return protocol.RESULT_FAIL
+        if parameters[0] == 1:
+            self._backup = self.table.snapshot()
+            self.table.put("backup_ready", 1)
+        return protocol.OK
+
+    def restore(self, t_ns: int) -> None:
+        """Second half of a restore: values back, then a reboot that keeps the RAM ones."""
+        backup = dict(self._backup or {})
+        self.table.restore(backup, eeprom=True)
+        self.boot(t_ns, self._encoder)
+        self.table.restore(backup, eeprom=False)
+        self._load()
+
+    def factory_reset(self, level: int, t_ns: int) -> int:
+        """Instruction 0x06: 0xFF everything, 1 keeps the ID, 2 keeps ID and baud rate."""
+        if level not in (0xFF, 1, 2):
+            return protocol.DATA_RANGE
+        kept = {"model_number": 0, "firmware_version": 0}
+        kept |= {"id": 0} if level in (1, 2) else {}
+        kept |= {"baud_rate": 0} if level == 2 else {}
+        kept = {name: self.table.get(name) for name in kept}
+        self.table = ControlTable()
+        for name, raw in kept.items():
+            self.table.put(name, raw)
+        self._backup = None
+        self.boot(t_ns, self._encoder)
+        return protocol.OK
+
+    def _check(self, register: Register, raw: int) -> None:
+        self.table.check(register, raw, self._torque)
+        name = register.name
+        if self.tripped and (name in GOALS or (name == "bus_watchdog" and raw)):
+            raise WriteRefused(protocol.DATA_RANGE)
+        if name == "goal_position" and self.mode == POSITION:
+            low, high = self.table.get("min_position_limit"), self.table.get("max_position_limit")
+            if not low <= raw <= high:
+                raise WriteRefused(protocol.DATA_LIMIT)
+        if name == "secondary_id" and 252 < raw < 255:
+            raise WriteRefused(protocol.DATA_RANGE)
+        if name == "drive_mode" and raw & 2:
+            raise WriteRefused(protocol.DATA_RANGE)
+
+    def _store(self, register: Register, raw: int) -> None:
+        name = register.name
+        self.table.put(name, raw)
+        if name in GOALS:
+            if not self._torque and self._drive_mode & _TORQUE_ON_BY_GOAL and self.firmware >= 45:
+                self._set_torque(True)
+            self._pursue(name, raw)
+        elif name == "torque_enable":
+            self._set_torque(bool(raw))
+        elif name == "bus_watchdog":
+            self.tripped = False
+            self._watchdog_ns = round(raw * WATCHDOG_STEP_S * 1e9)
+        elif name == "operating_mode":
+            self._change_mode(raw)
+        elif register.eeprom:
+            self._load()
+            if name == "drive_mode":
+                self._wrap()
+
+    def _change_mode(self, mode: int) -> None:
+        table = self.table
+        gains = _POSITION_GAINS.get(mode, (0, 0, 0) if mode in (CURRENT, PWM) else (900, 0, 0))
+        for name, raw in zip(("position_p_gain", "position_i_gain", "position_d_gain"), gains, strict=True):
+            table.put(name, raw)
+        table.put("velocity_p_gain", 100)
+        table.put("velocity_i_gain", 1920)
+        table.put("profile_velocity", 0)
+        table.put("profile_acceleration", 0)
+        table.put("goal_pwm", table.get("pwm_limit"))
+        table.put("goal_current", table.get("current_limit"))
+        self._load()
+        if mode == POSITION:
+            self._wrap()
+
+    def _load(self) -> None:
+        """Keep at hand what is looked at often."""
+        table = self.table
+        self.id, self.secondary = table.get("id"), table.get("secondary_id")
+        self.baud = BAUD_RATES[table.get("baud_rate")]
+        self.delay_ns = 2000 * table.get("return_delay_time")
+        self.mode = table.get("operating_mode")
+        self._drive_mode = table.get("drive_mode")
+        self._sign = -1 if self._drive_mode & _REVERSE and self.firmware >= 38 else 1
+        self._moving_threshold = table.get("moving_threshold")
+        self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
+        self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
+
+    def _homing(self) -> int:
+        offset = self.table.get("homing_offset")
+        if self.mode == POSITION:
+            return min(max(offset, -_HOMING_IN_POSITION_MODE), _HOMING_IN_POSITION_MODE)
+        return offset
+
+    def _wrap(self) -> None:
+        """Count from one turn again; a homing offset still applies on top."""
+        base = self._sign * self.zero
+        turns = (self._sign * self._encoder + base) // COUNTS_PER_TURN
+        self._base = base - turns * COUNTS_PER_TURN
+
+    def _set_torque(self, on: bool) -> None:
+        if on and self._shut_down:
+            on = False
+        self.table.put("torque_enable", int(on))
+        was, self._torque = self._torque, on
+        if on and not was:
+            if self.mode == POSITION:
+                self._wrap()
+            self.trajectory.rest(self.present)
+            for name in ("goal_velocity", "goal_position"):
+                self._pursue(name, self.table.get(name))
+        self._drive()
+
+    def _pursue(self, name: str, raw: int) -> None:
+        """Make a trajectory of a goal where the mode uses it, and tell the motor."""
+        if not self._torque:
+            return
+        table, timed = self.table, bool(self._drive_mode & _TIMED) and self.firmware >= 42
+        acceleration = table.get("profile_acceleration")
+        if name == "goal_velocity" and self.mode == VELOCITY:
+            self.trajectory.turn(raw, acceleration, timed=timed)
+        elif name == "goal_position" and self.mode not in (VELOCITY, CURRENT, PWM):
+            self.trajectory.move(raw, acceleration, table.get("profile_velocity"), timed=timed)
+        self._drive()
+
+    def _drive(self, stopped: bool = False) -> None:
+        """Ask the motor for what mode, goals and trajectory mean."""
+        if not self._torque:
+            self._plant.command(self.joint, OFF)
+            return
+        mode, sign = self.mode, self._sign
+        duty = self.table.get("goal_pwm") / _FULL_PWM
+        amperes = self.table.get("goal_current") * A_PER_COUNT
+        if mode == VELOCITY:
+            goal = sign * self.trajectory.velocity * RAD_S_PER_COUNT
+            command = JointCommand("velocity", goal, pwm_limit=abs(duty))
+        elif mode == CURRENT:
+            command = JointCommand("current", 0.0 if stopped else sign * amperes)
+        elif mode == PWM:
+            command = JointCommand("pwm", 0.0 if stopped else sign * duty)
+        else:
+            counts = self.trajectory.position - self._base - self._homing()
+            limit_a = abs(amperes) if mode == CURRENT_POSITION else math.inf
+            command = JointCommand(
+                "position", sign * counts * RAD_PER_COUNT, current_limit_a=limit_a, pwm_limit=abs(duty)
+            )
+        self._plant.command(self.joint, command)
+
+    def _moving_status(self, present: int) -> int:
+        trajectory = self.trajectory
+        if self.mode in (VELOCITY, CURRENT, PWM):
+            return 0
+        arrived = not trajectory.ongoing and abs(present - trajectory.position) <= _IN_POSITION
+        shape = trajectory.shape << 4 if trajectory.ongoing and trajectory.shape != STEP else 0
+        following = abs(present - trajectory.position) > _FOLLOWING
+        return int(arrived) | trajectory.ongoing << 1 | following << 3 | shape
