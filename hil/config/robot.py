@@ -1,0 +1,65 @@
+"""The robot as it is on paper: geometry, masses and forces of the wall robot (`[robot]` of the bench file).
+
+Nominal data only. What a calibration finds lives in `calibration.toml`, what the emulated robot truly
+is in `hil.fakes.plant`; the bench turns the nominal wheels into a `hil.kinematics.WheelGeometry`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Wheels = tuple[Finite, Finite, Finite, Finite]
+
+
+class RobotConfig(BaseModel):
+    """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; sources in `facts/robot.md`.
+
+    Attributes:
+        wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii.
+        mass_kg: with payload.
+        centre_of_mass_m: x, y in the body, height above the surface.
+        yaw_inertia_kg_m2: about the centre of mass (assumed).
+        outline_m: length along x and width along y.
+        edf_force_n: adhesion of the ducted fan, acting at the body's origin towards the surface.
+        thrust_compensation: share of the weight along the surface that the propellers carry.
+        thrust_imbalance: (right - left) / both, of the propeller thrusts.
+        propeller_y_m, propeller_height_m: lateral distance and height of the two propellers.
+        supply_v: servo supply.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
+    wheel_y_m: Wheels = (0.1125, 0.1125, -0.1125, -0.1125)
+    wheel_radius_m: tuple[Positive, Positive, Positive, Positive] = (0.0254, 0.0254, 0.0254, 0.0254)
+    mass_kg: Positive = 3.25
+    centre_of_mass_m: tuple[Finite, Finite, Annotated[float, Field(ge=0, le=1)]] = (-0.049, -0.0065, 0.079)
+    yaw_inertia_kg_m2: Positive = 0.045
+    outline_m: tuple[Positive, Positive] = (0.38, 0.30)
+    edf_force_n: Annotated[float, Field(ge=0, le=1000)] = 45.0
+    thrust_compensation: Annotated[float, Field(ge=0, le=1.5)] = 0.7
+    thrust_imbalance: Annotated[float, Field(ge=-1, le=1)] = 0.0
+    propeller_y_m: Positive = 0.19
+    propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
+    supply_v: Annotated[float, Field(ge=9.5, le=16)] = 11.1
+
+    @field_validator("wheel_radius_m")
+    @classmethod
+    def _plausible_radius(cls, value: tuple[float, ...]) -> tuple[float, ...]:
+        if max(value) > 0.5:
+            raise ValueError(f"wheel_radius_m {value} is in m, for example 0.0254")
+        return value
+
+    @model_validator(mode="after")
+    def _wheels_span_an_area(self) -> RobotConfig:
+        points = list(zip(self.wheel_x_m, self.wheel_y_m, strict=True))
+        x0, y0 = points[0]
+        spans = [abs((xa - x0) * (yb - y0) - (ya - y0) * (xb - x0)) for xa, ya in points for xb, yb in points]
+        if max(spans) < 1e-6 or not math.isfinite(max(spans)):
+            raise ValueError("the wheels of wheel_x_m, wheel_y_m stand on one line: they carry no robot")
+        return self

@@ -1,0 +1,59 @@
+"""Which way the physics runs: compiled by numba where that is installed, interpreted otherwise.
+
+Both run the one `kernel.advance`; interpreted, the arrays are unpacked into lists first, which plain
+Python indexes three times quicker.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from functools import cache
+from typing import cast
+
+from hil.fakes.plant import kernel
+from hil.geometry import Array
+
+Advance = Callable[[int, float, Array, Array, Array], None]
+
+_PARTS = (
+    "clip", "threshold", "demand", "motor", "finish_joint", "steer", "loads", "contacts", "judge",
+    "solve", "move", "origin_velocity",
+)  # fmt: skip
+
+
+def numba_available() -> bool:
+    """Whether the optional extra `fast` is installed."""
+    return importlib.util.find_spec("numba") is not None
+
+
+@cache
+def compiled_advance() -> Advance:
+    """The compiled physics; the first call on a machine compiles, later ones load the cache.
+
+    Raises:
+        ImportError: numba is not installed.
+    """
+    import numba
+    from numba.extending import register_jitable
+
+    for name in _PARTS:
+        register_jitable(getattr(kernel, name))
+    try:
+        return cast(Advance, numba.njit(cache=True)(kernel.advance))
+    except RuntimeError:  # nowhere to write the cache
+        return cast(Advance, numba.njit(kernel.advance))
+
+
+def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:
+    """The same physics in plain Python."""
+    state = s.tolist()
+    kernel.advance(n, adhesion_factor, c.tolist(), state, q.tolist())
+    s[:] = state
+
+
+def choose_advance(compiled: bool | None) -> Advance:
+    """Compiled, interpreted, or (None) compiled if it can be."""
+    if compiled is None:
+        compiled = numba_available()
+    return compiled_advance() if compiled else interpreted_advance

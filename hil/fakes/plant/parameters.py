@@ -1,0 +1,175 @@
+"""What the emulated robot truly is: its own parameters, off the nominal ones by a seeded draw.
+
+Nothing but the plant (and tests that ask how well something was recovered) may look at them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.config.robot import RobotConfig
+from hil.fakes.plant.surfaces import Surface
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+
+_STEERING_SIGMA_RAD = math.radians(1.0)
+
+
+@dataclass(frozen=True)
+class ContactParameters:
+    """Tyre on surface; creep force is stiffness per load times creepage.
+
+    Attributes:
+        friction: coefficient of the cone |F| <= friction N.
+        creep_along, creep_across: per normal load.
+        softening: share of creep stiffness lost as the cone is approached (eta).
+        stiffness_n_m, damping_n_s_m: of the bristles, alike in both directions.
+        rolling_resistance: torque at the axle per load and radius.
+    """
+
+    friction: float
+    creep_along: float
+    creep_across: float
+    softening: float = 0.95
+    stiffness_n_m: float = 25e3
+    damping_n_s_m: float = 30.0
+    rolling_resistance: float = 0.01
+
+
+@dataclass(frozen=True)
+class JointParameters:
+    """Motor, gear and firmware gains of the eight servos, at the output; drives, then steers.
+
+    Attributes:
+        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,), `facts/robot.md`.
+        inertia_kg_m2: (8,) rotor and gear.
+        coulomb_n_m, viscous_n_m_s: (8,) gear friction; together they give the data sheet's no-load rows.
+        velocity_p_v_s_rad, velocity_i_v_rad: velocity loop, tuned to the recorded stops.
+        position_p_v_rad: position loop, volts per angle.
+        play_rad: (4,) half the backlash between steering servo and wheel.
+    """
+
+    torque_constant_n_m_a: Array
+    back_emf_v_s_rad: Array
+    resistance_ohm: Array
+    inertia_kg_m2: Array
+    coulomb_n_m: Array
+    viscous_n_m_s: Array
+    play_rad: Array
+    velocity_p_v_s_rad: float = 0.41
+    velocity_i_v_rad: float = 56.0
+    position_p_v_rad: float = 100.0
+
+
+@dataclass(frozen=True)
+class TrueParameters:
+    """The hidden truth of one emulated robot on one surface.
+
+    Attributes:
+        wheel_x_m, wheel_y_m, wheel_radius_m: (4,).
+        steering_offset_rad: (4,) wheel heading minus servo angle (without play).
+        mass_kg, centre_of_mass_m, yaw_inertia_kg_m2: as `RobotConfig`.
+        adhesion_n: towards the surface, 0 where the fan is off.
+        thrust_n: both propellers, along body x.
+        thrust_torque_n_m: their imbalance, about the body's origin.
+        propeller_height_m, supply_v: as `RobotConfig`.
+    """
+
+    wheel_x_m: Array
+    wheel_y_m: Array
+    wheel_radius_m: Array
+    steering_offset_rad: Array
+    mass_kg: float
+    centre_of_mass_m: tuple[float, float, float]
+    yaw_inertia_kg_m2: float
+    adhesion_n: float
+    thrust_n: float
+    thrust_torque_n_m: float
+    propeller_height_m: float
+    supply_v: float
+    contact: ContactParameters
+    joints: JointParameters
+
+    def geometry(self) -> WheelGeometry:
+        """Wheel geometry that a perfect calibration would find (servo angle minus zero = heading)."""
+        return WheelGeometry(self.wheel_x_m, self.wheel_y_m, self.wheel_radius_m, -self.steering_offset_rad)
+
+
+def nominal_joints() -> JointParameters:
+    """Servos of `facts/robot.md`; friction and inertia are assumptions."""
+    return JointParameters(
+        torque_constant_n_m_a=np.full(8, 1.92),
+        back_emf_v_s_rad=np.full(8, 2.12),
+        resistance_ohm=np.full(8, 9.23),
+        inertia_kg_m2=np.full(8, 4.5e-3),
+        coulomb_n_m=np.array([0.04] * 4 + [0.03] * 4),
+        viscous_n_m_s=np.full(8, 0.02),
+        play_rad=np.full(4, math.radians(0.125)),
+    )
+
+
+def nominal_parameters(
+    robot: RobotConfig, surface: Surface, tilt_rad: float, gravity_m_s2: float
+) -> TrueParameters:
+    """Truth that equals the configuration."""
+    thrust_n = robot.thrust_compensation * robot.mass_kg * gravity_m_s2 * math.sin(tilt_rad)
+    on = 1.0 if surface.adhesive else 0.0
+    return TrueParameters(
+        wheel_x_m=np.array(robot.wheel_x_m),
+        wheel_y_m=np.array(robot.wheel_y_m),
+        wheel_radius_m=np.array(robot.wheel_radius_m),
+        steering_offset_rad=np.zeros(4),
+        mass_kg=robot.mass_kg,
+        centre_of_mass_m=robot.centre_of_mass_m,
+        yaw_inertia_kg_m2=robot.yaw_inertia_kg_m2,
+        adhesion_n=on * robot.edf_force_n,
+        thrust_n=on * thrust_n,
+        thrust_torque_n_m=on * thrust_n * robot.thrust_imbalance * robot.propeller_y_m,
+        propeller_height_m=robot.propeller_height_m,
+        supply_v=robot.supply_v,
+        contact=ContactParameters(surface.friction, surface.creep_along, surface.creep_across),
+        joints=nominal_joints(),
+    )
+
+
+def _spread(rng: np.random.Generator, share: float) -> float:
+    return float(1.0 + rng.uniform(-share, share))
+
+
+def draw(nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator) -> TrueParameters:
+    """One robot of the series: every figure off its nominal value, by amounts a workshop would produce."""
+    x, y, height = nominal.centre_of_mass_m
+    thrust_n = nominal.thrust_n * _spread(rng, 0.015)
+    imbalance = rng.uniform(-0.01, 0.01)
+    steering = np.clip(
+        rng.normal(0.0, _STEERING_SIGMA_RAD, 4), -2.5 * _STEERING_SIGMA_RAD, 2.5 * _STEERING_SIGMA_RAD
+    )
+    return replace(
+        nominal,
+        wheel_x_m=nominal.wheel_x_m * rng.uniform(0.985, 1.015, 4),
+        wheel_y_m=nominal.wheel_y_m * rng.uniform(0.985, 1.015, 4),
+        wheel_radius_m=nominal.wheel_radius_m * rng.uniform(0.99, 1.01, 4),
+        steering_offset_rad=steering,
+        mass_kg=nominal.mass_kg * _spread(rng, 0.01),
+        centre_of_mass_m=(x + rng.uniform(-2e-3, 2e-3), y + rng.uniform(-1e-3, 1e-3), height),
+        yaw_inertia_kg_m2=nominal.yaw_inertia_kg_m2 * _spread(rng, 0.1),
+        adhesion_n=nominal.adhesion_n * _spread(rng, 0.03),
+        thrust_n=thrust_n,
+        thrust_torque_n_m=nominal.thrust_torque_n_m + thrust_n * imbalance * propeller_y_m,
+        supply_v=nominal.supply_v * _spread(rng, 0.01),
+        contact=replace(
+            nominal.contact,
+            friction=nominal.contact.friction * _spread(rng, 0.05),
+            creep_along=nominal.contact.creep_along * _spread(rng, 0.05),
+            creep_across=nominal.contact.creep_across * _spread(rng, 0.05),
+        ),
+        joints=replace(
+            nominal.joints,
+            torque_constant_n_m_a=nominal.joints.torque_constant_n_m_a * rng.uniform(0.99, 1.01, 8),
+            coulomb_n_m=nominal.joints.coulomb_n_m * rng.uniform(0.8, 1.2, 8),
+            play_rad=nominal.joints.play_rad * rng.uniform(0.8, 1.2, 4),
+        ),
+    )
