@@ -24,9 +24,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMANDS = {
     "calibrate": "fit the odometry parameters to recordings, with validation",
     "demo-data": "write a generated data set of the six motions",
+    "doctor": "examine every device of a bench without moving it",
+    "emulate": "serve the emulated devices to any client",
     "evaluate": "odometry error table of recordings",
     "export": "a recording as CSV or Parquet",
     "info": "versions for a bug report",
+    "report": "the HTML page of a run, or a comparison of several",
+    "run": "run a procedure on a bench",
 }
 
 
