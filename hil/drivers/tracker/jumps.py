@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TypeAlias
+
+_Pose: TypeAlias = tuple[float, Sequence[float], Sequence[float]]
 
 
 class JumpTest:
@@ -28,14 +31,21 @@ class JumpTest:
 
     def reset(self) -> None:
         """Believe the next pose."""
-        self._believed: tuple[float, Sequence[float], Sequence[float]] | None = None
-        self._candidate: tuple[float, Sequence[float], Sequence[float]] | None = None
+        self._believed: _Pose | None = None
+        self._candidate: _Pose | None = None
         self._agreeing = 0
+        self._trusting = True
+
+    def distrust(self) -> None:
+        """The frame of the poses has changed: believe nothing until poses agree with each other."""
+        self.reset()
+        self._trusting = False
 
     def jumped(self, t_s: float, position_m: Sequence[float], quaternion_wxyz: Sequence[float]) -> bool:
         """Whether this pose cannot follow from the last believed one."""
         pose = (t_s, position_m, quaternion_wxyz)
-        if self._believed is None or self._continues(self._believed, pose):
+        known = self._believed
+        if self._trusting if known is None else self._continues(known, pose):
             self._believe(pose)
             return False
         agrees = self._candidate is not None and self._continues(self._candidate, pose)
@@ -46,14 +56,10 @@ class JumpTest:
             return False
         return True
 
-    def _believe(self, pose: tuple[float, Sequence[float], Sequence[float]]) -> None:
+    def _believe(self, pose: _Pose) -> None:
         self._believed, self._candidate, self._agreeing = pose, None, 0
 
-    def _continues(
-        self,
-        before: tuple[float, Sequence[float], Sequence[float]],
-        after: tuple[float, Sequence[float], Sequence[float]],
-    ) -> bool:
+    def _continues(self, before: _Pose, after: _Pose) -> bool:
         dt_s = abs(after[0] - before[0])
         if math.dist(after[1], before[1]) > self._distance_m + self._speed_m_s * dt_s:
             return False

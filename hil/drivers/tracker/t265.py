@@ -37,6 +37,7 @@ _LOG = logging.getLogger(__name__)
 
 _MODEL = "T265"
 _WAIT_NS = 5_000_000
+_LOOK_NS = 200_000_000
 _NS_PER_MS = 1e6
 _USABLE_CONFIDENCE = 2
 _FARTHEST_M = 1000.0
@@ -170,15 +171,27 @@ class T265Tracker(Sensor[TrackerSample]):
             endpoint = self._config.endpoint
             return FeedPipeline(endpoint.host, endpoint.port), PlainLibrary
         library = realsense(self.name)
-        try:
-            return library.pipeline(), library
-        except _VENDOR_ERRORS as error:
-            raise DeviceError(
-                self.name,
-                f"librealsense cannot be used ({error})",
-                expected="access to USB devices",
-                remedy="check libusb and the udev rules of librealsense",
-            ) from None
+        return library.pipeline(self._connected(library)), library
+
+    def _connected(self, library: Any) -> Any:
+        """A librealsense context that sees a device: a T265 first gets its firmware, which takes seconds."""
+        deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
+        reason = "no RealSense device is connected"
+        while self._clock.now_ns() < deadline_ns:
+            try:
+                context = library.context()
+                if len(context.query_devices()) > 0:
+                    return context
+            except _VENDOR_ERRORS as error:
+                reason = f"librealsense cannot be used ({error})"
+            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+        raise DeviceError(
+            self.name,
+            reason,
+            port=self._port,
+            expected=f"a T265 and pyrealsense2 {LAST_VERSION}; this is {library_version(library)}",
+            remedy="check the USB 3 cable and the udev rules of librealsense, or emulate the tracker",
+        )
 
     def _start(self, pipeline: Pipeline, library: Any) -> dict[str, str]:
         serial = self._config.serial
@@ -194,15 +207,12 @@ class T265Tracker(Sensor[TrackerSample]):
                 for key in (info.name, info.serial_number, info.firmware_version)
             )
         except _VENDOR_ERRORS as error:
-            hint = ""
-            if library is not PlainLibrary:
-                hint = f"; a real T265 needs pyrealsense2 {LAST_VERSION}, this is {library_version(library)}"
             raise DeviceError(
                 self.name,
                 f"the pose stream cannot be started ({error})",
                 port=self._port,
                 expected="a T265" if serial is None else f"a T265 with serial number {serial}",
-                remedy="check the USB 3 cable and that no other program uses the camera" + hint,
+                remedy="check the USB 3 cable and that no other program uses the camera",
             ) from None
         if _MODEL not in model:
             raise DeviceError(
@@ -267,13 +277,15 @@ class T265Tracker(Sensor[TrackerSample]):
         if credible:
             device_ns = round(timestamp_ms * _NS_PER_MS)
             t_ns, credible = self._clock_map.map(device_ns, host_ns)
+        if restarted:
+            _LOG.warning("%s has started again", self.name)
+            self._jumps.distrust()
         status = self._status(raw, confidence, t_ns)
         if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
             status = Status.STALE
-        values = np.array(raw[4:17])
-        if restarted:
-            _LOG.warning("%s has started again", self.name)
+        elif restarted and status is Status.JUMP:
             status = Status.RESET
+        values = np.array(raw[4:])
         if status in (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED):
             values[:] = np.nan
         return TrackerSample(
@@ -287,7 +299,7 @@ class T265Tracker(Sensor[TrackerSample]):
         )
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
-        if not math.isfinite(math.fsum(raw[4:17]) if max(map(abs, raw[4:17])) < 1e300 else math.nan):
+        if not all(map(math.isfinite, raw[4:])):
             return Status.NOT_FINITE
         pose = raw[4:11]
         norm = math.hypot(*pose[3:])
