@@ -8,8 +8,7 @@ recording's inputs fed back through it reproduce the recorded setpoints exactly 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from hil.alignment import Alignment
 from hil.clock import NS_PER_S, Clock
 from hil.errors import SafetyStop
 from hil.interfaces import Controller, Estimator, Sink
+from hil.punctuality import Laps, LoopStatistics
 from hil.rig import Rig
 from hil.signals import (
     CycleRecord,
@@ -31,7 +31,10 @@ from hil.signals import (
 )
 from hil.supervisor import Supervisor
 
+__all__ = ["Brain", "ControlLoop", "Decision", "LoopStatistics"]
+
 ReferenceAt = Callable[[float], Reference]
+Lap = Callable[[str], None]
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,10 @@ class Decision:
     events: tuple[Event, ...]
 
 
+def _untimed(section: str) -> None:
+    """Nobody measures how long the sections take."""
+
+
 class Brain:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
@@ -53,6 +60,9 @@ class Brain:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their poses appear in the
             state's diagnostics as `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`.
+
+    Attributes:
+        reference: of the latest cycle, also when that ended in a `SafetyStop`.
     """
 
     def __init__(
@@ -68,6 +78,7 @@ class Brain:
         self.estimator, self.controller = estimator, controller
         self.reference_at = reference_at
         self.observers = dict(observers or {})
+        self.reference: Reference | None = None
         self._t0_ns: int | None = None
         self._steering = np.zeros(4)
 
@@ -82,20 +93,29 @@ class Brain:
         if self.controller is not None:
             self.controller.reset()
 
-    def decide(self, inputs: Inputs) -> Decision:
-        """Steps 2 to 7; raises `SafetyStop` when the robot must be held."""
+    def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
+        """Steps 2 to 7; raises `SafetyStop` when the robot must be held.
+
+        Args:
+            inputs: what the devices delivered.
+            lap: told when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+        """
+        self.reference = None
         if self._t0_ns is None:
             self._t0_ns = inputs.t_ns
         events = self.supervisor.check(inputs)  # 2
         measurements = self.alignment.measure(inputs)  # 3
         state = self._estimate(measurements)  # 4
-        reference = None
+        lap("estimate")
         if self.reference_at is not None:
-            reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
+            self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
+        reference = self.reference
         self.supervisor.guard(state, reference)
         setpoint = self._control(state, reference, measurements)  # 6
         setpoint = self.supervisor.limit(setpoint)  # 7
-        return Decision(measurements, state, reference, setpoint, self.alignment.to_servos(setpoint), events)
+        command = self.alignment.to_servos(setpoint)
+        lap("control")
+        return Decision(measurements, state, reference, setpoint, command, events)
 
     def _estimate(self, measurements: Measurements) -> RobotState:
         state = self.estimator.update(measurements)
@@ -122,36 +142,18 @@ class Brain:
         return replace(wheels, steering_rad=self._steering.copy())
 
 
-@dataclass
-class LoopStatistics:
-    """Punctuality of a run; times in ns, `sections_ns` holds every cycle's durations by section."""
-
-    cycles: int = 0
-    late: int = 0
-    skipped: int = 0
-    sections_ns: dict[str, list[int]] = field(default_factory=dict)
-
-    def add(self, timing_ns: Mapping[str, int]) -> None:
-        """Note one cycle."""
-        for name, value in timing_ns.items():
-            self.sections_ns.setdefault(name, []).append(value)
-
-    def summary(self) -> dict[str, float]:
-        """Mean, 99th percentile and worst per section (ms), counts of cycles, late and skipped."""
-        out: dict[str, float] = {"cycles": self.cycles, "late": self.late, "skipped": self.skipped}
-        for name, values in self.sections_ns.items():
-            ms = np.asarray(values) / 1e6
-            out[f"{name}_mean_ms"] = float(ms.mean())
-            out[f"{name}_p99_ms"] = float(np.percentile(ms, 99))
-            out[f"{name}_worst_ms"] = float(ms.max())
-        return out
-
-
 class ControlLoop:
     """Runs a brain on a rig at a fixed rate with absolute deadlines.
 
     A missed deadline is counted; deadlines that have passed entirely are skipped on the grid, never
     made up for in a burst. Whatever goes wrong, the actuators are stopped before the error leaves.
+
+    Args:
+        rig, clock, brain: devices, time, and what decides.
+        rate_hz: cycles per second.
+        late_after_s: a start later than this after its deadline counts as late.
+        sinks: receive every cycle.
+        idle: called with the next deadline when a cycle is done; may use the time until then.
     """
 
     def __init__(
@@ -163,13 +165,14 @@ class ControlLoop:
         rate_hz: float = 100.0,
         late_after_s: float = 0.001,
         sinks: tuple[Sink, ...] = (),
+        idle: Callable[[int], None] | None = None,
     ) -> None:
         self.rig, self.clock, self.brain = rig, clock, brain
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
-        self.sinks = sinks
+        self.sinks, self._idle = sinks, idle
         self.statistics = LoopStatistics()
-        self._cycle = 0
+        self._cycle = self._sinks_ns = 0
 
     def run(self, until: Callable[[CycleRecord], bool]) -> None:
         """Cycle until `until(record)` says so; always leaves the robot held."""
@@ -181,45 +184,50 @@ class ControlLoop:
                 if until(record):
                     return
                 deadline_ns = self._next_deadline(deadline_ns)
+                if self._idle is not None:
+                    self._idle(deadline_ns)
         finally:
             if self.rig.servos is not None:
                 self.rig.servos.stop()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
-        """One pass through the ring."""
+        """One pass through the ring; `timing_ns["sinks"]` of a record is the previous cycle's."""
         start_ns = self.clock.now_ns()
-        late = start_ns - deadline_ns > self.late_ns
-        tick = [self.clock.now_ns()]
+        lap = Laps(self.clock, start_ns)
         inputs = self.rig.read(self._cycle)  # 1
-        tick.append(self.clock.now_ns())
+        lap("read")
         try:
-            decision = self.brain.decide(inputs)  # 2 to 7
+            decision = self.brain.decide(inputs, lap)  # 2 to 7
         except SafetyStop as stop:
             self._stopped(inputs, stop)
             raise
-        tick.append(self.clock.now_ns())
         if self.brain.controller is not None and self.rig.servos is not None:
             self.rig.servos.command(decision.command)  # 8
-        tick.append(self.clock.now_ns())
-        names = ("read", "decide", "write")
-        timing = {name: b - a for name, (a, b) in zip(names, pairwise(tick), strict=True)}
-        timing["lateness"] = start_ns - deadline_ns
+        lap("write")
+        timing = {**lap.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
         record = CycleRecord(
             self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
             decision.reference, decision.setpoint, decision.command, decision.events, timing,
         )  # fmt: skip
         for sink in self.sinks:  # 9
             sink.write(record)
-        self.statistics.cycles += 1
-        self.statistics.late += late
-        self.statistics.add({**timing, "sinks": self.clock.now_ns() - tick[-1]})
-        self._cycle += 1
+        lap("sinks")
+        self._count(start_ns, deadline_ns, lap)
         return record
+
+    def _count(self, start_ns: int, deadline_ns: int, lap: Laps) -> None:
+        lateness_ns, durations = start_ns - deadline_ns, lap.timing_ns
+        self.statistics.cycles += 1
+        self.statistics.late += lateness_ns > self.late_ns
+        self.statistics.add({**durations, "work": sum(durations.values()), "lateness": lateness_ns})
+        self._sinks_ns = durations["sinks"]
+        self._cycle += 1
 
     def _next_deadline(self, deadline_ns: int) -> int:
         following = deadline_ns + self.period_ns
         behind_ns = self.clock.now_ns() - following
         if behind_ns > 0:
+            self.statistics.overruns += 1
             missed = behind_ns // self.period_ns
             self.statistics.skipped += missed
             following += missed * self.period_ns
@@ -234,7 +242,7 @@ class ControlLoop:
         nothing = Measurements(inputs.cycle, inputs.t_ns)
         state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
         record = CycleRecord(
-            self._cycle, inputs.t_ns, inputs.t_ns, inputs, nothing, state, None,
+            self._cycle, inputs.t_ns, inputs.t_ns, inputs, nothing, state, self.brain.reference,
             WheelSetpoint(zero, zero), ServoSetpoint(zero, zero), (event,),
         )  # fmt: skip
         for sink in self.sinks:

@@ -1,0 +1,118 @@
+"""Real time on an ordinary kernel: what a loop's thread asks of scheduler, interpreter and collector.
+
+`with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` holds around the loop; the loop calls
+`real_time.idle(deadline_ns)` when a cycle is done. Whatever the system refuses is a warning that says
+what to do, never an error: the loop also runs without.
+"""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import sys
+from collections.abc import Callable
+from types import TracebackType
+
+from hil.clock import Clock, nanoseconds
+
+LOG = logging.getLogger(__name__)
+
+_SWITCH_INTERVAL_S = 0.0005
+_YOUNG_EVERY_NS = nanoseconds(1.0)
+_ALL_EVERY_NS = nanoseconds(20.0)
+_YOUNG_SLACK_NS = nanoseconds(0.002)
+_ALL_SLACK_NS = nanoseconds(0.004)
+
+
+class RealTime:
+    """Scheduling and garbage collection of the calling thread while the context is open.
+
+    Memory that exists at the start is taken out of the collector's sight; from then on it collects
+    only in time that a cycle has left. The interpreter hands its lock over more often, so that a
+    sink's thread delays a cycle by half a millisecond at most.
+
+    Args:
+        clock: the loop's clock.
+        fifo_priority: `SCHED_FIFO` priority 1..99; None leaves the scheduler alone.
+        cpu: processor to stay on; None for any.
+
+    Attributes:
+        warnings: what was refused, and what to do about it.
+        collections: how often the collector ran in idle time.
+    """
+
+    def __init__(self, clock: Clock, *, fifo_priority: int | None = None, cpu: int | None = None) -> None:
+        self._clock, self._fifo_priority, self._cpu = clock, fifo_priority, cpu
+        self._undo: list[Callable[[], None]] = []
+        self._young_ns = self._all_ns = 0
+        self._all_took_ns = _ALL_SLACK_NS
+        self.warnings: list[str] = []
+        self.collections = 0
+
+    def __enter__(self) -> RealTime:
+        self._pin()
+        self._prioritise()
+        before_s = sys.getswitchinterval()
+        sys.setswitchinterval(_SWITCH_INTERVAL_S)
+        self._undo.append(lambda: sys.setswitchinterval(before_s))
+        was_enabled = gc.isenabled()
+        gc.collect()
+        gc.freeze()
+        gc.disable()
+        self._undo += [gc.unfreeze, gc.enable if was_enabled else gc.disable]
+        self._young_ns = self._all_ns = self._clock.now_ns()
+        for warning in self.warnings:
+            LOG.warning("%s", warning)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        while self._undo:
+            self._undo.pop()()
+
+    def idle(self, deadline_ns: int) -> None:
+        """Collect garbage if that is due and fits into the time before the next cycle."""
+        now_ns = self._clock.now_ns()
+        slack_ns = deadline_ns - now_ns
+        if now_ns - self._all_ns >= _ALL_EVERY_NS and slack_ns >= 2 * self._all_took_ns:
+            gc.collect()
+            self._young_ns = self._all_ns = now_ns
+            self._all_took_ns = self._clock.now_ns() - now_ns
+        elif now_ns - self._young_ns >= _YOUNG_EVERY_NS and slack_ns >= _YOUNG_SLACK_NS:
+            gc.collect(1)
+            self._young_ns = now_ns
+        else:
+            return
+        self.collections += 1
+
+    def _pin(self) -> None:
+        if self._cpu is None:
+            return
+        before = os.sched_getaffinity(0)
+        try:
+            os.sched_setaffinity(0, {self._cpu})
+        except OSError as error:
+            self.warnings.append(
+                f"loop.cpu = {self._cpu} was refused ({error.strerror}); "
+                f"this process may use {', '.join(map(str, sorted(before)))}"
+            )
+            return
+        self._undo.append(lambda: os.sched_setaffinity(0, before))
+
+    def _prioritise(self) -> None:
+        if self._fifo_priority is None:
+            return
+        policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
+        try:
+            os.sched_setscheduler(
+                0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(self._fifo_priority)
+            )
+        except OSError as error:
+            self.warnings.append(
+                f"loop.fifo_priority = {self._fifo_priority} was refused ({error.strerror}); allow it with "
+                f"`ulimit -r {self._fifo_priority}` or an rtprio line in /etc/security/limits.conf"
+            )
+            return
+        self._undo.append(lambda: os.sched_setscheduler(0, policy, parameters))
