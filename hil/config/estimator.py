@@ -1,0 +1,248 @@
+"""Estimation: which filter, on which engine, with which noise; units are in the names.
+
+A power density carries the unit of its root: `acceleration_m_s2_sqrt_hz` 0.3 lets the speed wander by
+0.3 m/s in one second. Sources of the defaults: `facts/estimation.md`, `facts/robot.md`, and the
+public recordings (`docs/estimation.md` says how they were fitted).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hil.errors import ConfigError
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class ProcessNoise(_Strict):
+    """How the motion may change between measurements.
+
+    Attributes:
+        acceleration_m_s2_sqrt_hz, angular_acceleration_rad_s2_sqrt_hz: random walk of the body twist.
+    """
+
+    acceleration_m_s2_sqrt_hz: float = Field(0.15, gt=0)
+    angular_acceleration_rad_s2_sqrt_hz: float = Field(0.6, gt=0)
+
+
+class WheelNoise(_Strict):
+    """Wheel displacement between two servo reads, per wheel and component.
+
+    Attributes:
+        model: `equations` takes each wheel's two components with a gate of its own (least squares when
+            none is gated); the others take one body displacement of that forward model
+            (`hil.kinematics`).
+        source: servo `position`, or the truncated and lagging `velocity` register.
+        step_m: noise of one displacement (quantisation, play).
+        per_sqrt_m: random slip, m per square root of rolled metre.
+        per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
+        steering_m_rad: m of noise per radian that the module turned during the step.
+        longest_gap_s: a longer interval is not taken for one displacement.
+        friction_window_s: wheel steps that `dry-friction` looks at together.
+    """
+
+    model: Literal["equations", "paper", "dry-friction"] = "equations"
+    source: Literal["position", "velocity"] = "position"
+    step_m: float = Field(3.0e-5, gt=0)
+    per_sqrt_m: float = Field(1.0e-3, ge=0)
+    per_sqrt_s: float = Field(2.0e-5, ge=0)
+    steering_m_rad: float = Field(5e-3, ge=0)
+    longest_gap_s: float = Field(0.5, gt=0)
+    friction_window_s: float = Field(0.3, gt=0, le=1.0)
+
+
+class SlipModel(_Strict):
+    """What the wheels cannot see; one table for the wall, one for the floor.
+
+    Attributes:
+        slip_m_s: standard deviation of the slip velocity (Ornstein-Uhlenbeck, wall axes); sag.
+        slip_time_s: its time constant.
+        creep: prior standard deviation of the slip per rolled metre (wall axes, m/m).
+        creep_per_sqrt_m: its random walk per square root of rolled metre.
+        yaw_rad_m: prior standard deviation of the turn per rolled metre; `yaw_per_sqrt_m` its walk.
+    """
+
+    slip_m_s: float = Field(ge=0)
+    slip_time_s: float = Field(5.0, ge=0.5, le=60.0)
+    creep: float = Field(ge=0)
+    creep_per_sqrt_m: float = Field(0.01, ge=0)
+    yaw_rad_m: float = Field(0.01, ge=0)
+    yaw_per_sqrt_m: float = Field(0.002, ge=0)
+
+
+class GyroNoise(_Strict):
+    """Inertial unit.
+
+    Attributes:
+        rate_rad_s: noise of one rate sample; `bias_rad_s` prior, `bias_rad_s_sqrt_s` walk of the bias.
+        gravity_rad: noise of one gravity heading; `gravity_per_m_s2` more per body acceleration.
+        gravity_offset_rad: prior of the constant error of the gravity heading.
+        use_gravity: take the gravity heading on the wall.
+    """
+
+    rate_rad_s: float = Field(0.003, gt=0)
+    bias_rad_s: float = Field(0.01, ge=0)
+    bias_rad_s_sqrt_s: float = Field(1e-5, ge=0)
+    gravity_rad: float = Field(0.02, gt=0)
+    gravity_per_m_s2: float = Field(0.1, ge=0)
+    gravity_offset_rad: float = Field(0.005, ge=0)
+    use_gravity: bool = True
+
+
+class TrackerNoise(_Strict):
+    """Tracking camera, as a pose relative to a frame that was cloned from the robot's pose and drifts.
+
+    Attributes:
+        use: `relative` (drifting frame) or `absolute` (the frame stays where it was cloned), or `off`.
+        position_m, heading_rad: white noise of one pose.
+        drift_per_sqrt_m, drift_per_sqrt_s: random walk of the frame's position, m.
+        yaw_drift_per_sqrt_s: random walk of the frame's heading about the robot, rad.
+        scale_sigma: prior of the camera's scale error (free unless 0).
+        baseline_s: the frame is cloned anew after this time; 0 keeps it until a jump.
+        least_quality: confidence below which a pose is dropped; the next one up is trusted half as much.
+        jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
+    """
+
+    use: Literal["relative", "absolute", "off"] = "relative"
+    position_m: float = Field(1.5e-3, gt=0)
+    heading_rad: float = Field(3e-3, gt=0)
+    drift_per_sqrt_m: float = Field(2e-3, ge=0)
+    drift_per_sqrt_s: float = Field(1e-4, ge=0)
+    yaw_drift_per_sqrt_s: float = Field(3e-4, ge=0)
+    scale_sigma: float = Field(0.005, ge=0, lt=0.2)
+    baseline_s: float = Field(0.0, ge=0)
+    least_quality: int = Field(2, ge=0, le=3)
+    jump_m: float = Field(0.02, gt=0)
+    jump_rad: float = Field(0.05, gt=0)
+    fastest_m_s: float = Field(0.5, gt=0)
+    fastest_rad_s: float = Field(3.0, gt=0)
+
+
+class MocapNoise(_Strict):
+    """Motion capture is ground truth and stays out of the estimate unless `use` is set."""
+
+    use: bool = False
+    position_m: float = Field(1e-3, gt=0)
+    heading_rad: float = Field(2e-3, gt=0)
+
+
+class GateConfig(_Strict):
+    """chi-squared gates by degrees of freedom (0.999), and when a locked-out sensor is let in again.
+
+    Attributes:
+        on: whether outliers are rejected at all.
+        one_dof, two_dof, three_dof: thresholds.
+        reanchor_after: consecutive rejections before a sensor is re-anchored.
+    """
+
+    on: bool = True
+    one_dof: float = Field(10.83, gt=0)
+    two_dof: float = Field(13.82, gt=0)
+    three_dof: float = Field(16.27, gt=0)
+    reanchor_after: int = Field(40, ge=2)
+
+
+class TimeConfig(_Strict):
+    """Stamps and history.
+
+    Attributes:
+        history_s: late samples younger than this rewind; older ones are counted and dropped.
+        future_s: a stamp further ahead of the cycle than this is refused.
+        clock: `stamp` trusts each sample's own stamp; `estimated` also follows offset and drift of each
+            sensor's clock against the host's (`hil.estimator.clocks`).
+        nis_samples: length of the running mean of each sensor's normalised innovation.
+    """
+
+    history_s: float = Field(2.0, ge=1.5, le=10.0)
+    future_s: float = Field(0.02, ge=0)
+    clock: Literal["stamp", "estimated"] = "stamp"
+    nis_samples: int = Field(200, ge=10)
+
+
+_WALL = SlipModel(slip_m_s=0.002, creep=0.05)
+_FLOOR = SlipModel(slip_m_s=0.0003, creep=0.0, yaw_rad_m=0.005)
+
+_NO_SLIP = {
+    "slip_m_s": 0.0, "creep": 0.0, "creep_per_sqrt_m": 0.0, "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,
+}  # fmt: skip
+_PAPER: dict[str, dict[str, Any]] = {
+    "wheels": {"model": "paper", "source": "velocity", "step_m": 1e-4, "per_sqrt_m": 3e-3},
+    "wall": _NO_SLIP,
+    "floor": _NO_SLIP,
+    "gyro": {"bias_rad_s": 0.0, "bias_rad_s_sqrt_s": 0.0, "use_gravity": False},
+    "tracker": {
+        "use": "absolute", "position_m": 0.01, "heading_rad": 0.01, "drift_per_sqrt_m": 0.0,
+        "drift_per_sqrt_s": 0.0, "yaw_drift_per_sqrt_s": 0.0, "scale_sigma": 0.0,
+    },
+    "gates": {"on": False},
+}  # fmt: skip
+
+
+class EstimatorConfig(_Strict):
+    """`[estimator]` of the bench file.
+
+    Attributes:
+        kind: `ekf`, `ukf`, or `odometry` (wheels alone, no filter).
+        engine: `compiled` (numba where it is installed, else the same code in plain numpy) or `filterpy`.
+        preset: `paper` fills what is not given with the paper's estimator: velocity register, its forward
+            model, absolute camera pose, no slip, bias or gravity, no gates.
+        alpha, beta, kappa: spread of the sigma points.
+        wheel_scale_sigma: prior of a common wheel-radius error; only with `tracker.scale_sigma` 0, because
+            both scales together cannot be observed.
+        initial_twist: standard deviation given to the twist where a start state brings none.
+    """
+
+    kind: Literal["odometry", "ekf", "ukf"] = "ekf"
+    engine: Literal["compiled", "filterpy"] = "compiled"
+    preset: Literal["recommended", "paper"] = "recommended"
+    alpha: float = Field(1e-3, gt=0, le=1)
+    beta: float = 2.0
+    kappa: float = 0.0
+    wheel_scale_sigma: float = Field(0.0, ge=0, lt=0.2)
+    process: ProcessNoise = ProcessNoise()
+    wheels: WheelNoise = WheelNoise()
+    wall: SlipModel = _WALL
+    floor: SlipModel = _FLOOR
+    gyro: GyroNoise = GyroNoise()
+    tracker: TrackerNoise = TrackerNoise()
+    mocap: MocapNoise = MocapNoise()
+    gates: GateConfig = GateConfig()
+    time: TimeConfig = TimeConfig()
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete(cls, given: Any) -> Any:
+        """Fill slip tables from the surface's defaults and everything else from the preset."""
+        if not isinstance(given, Mapping):
+            return given
+        tree = dict(given)
+        tables: dict[str, dict[str, Any]] = {"wall": _WALL.model_dump(), "floor": _FLOOR.model_dump()}
+        if tree.get("preset") == "paper":
+            tables = {name: {**tables.get(name, {}), **table} for name, table in _PAPER.items()}
+        for name, table in tables.items():
+            section = tree.get(name, {})
+            if isinstance(section, BaseModel):
+                section = section.model_dump(exclude_unset=True)
+            if isinstance(section, Mapping):
+                tree[name] = {**table, **section}
+        return tree
+
+    @model_validator(mode="after")
+    def _observable(self) -> EstimatorConfig:
+        check_scales(self)
+        return self
+
+
+def check_scales(config: EstimatorConfig) -> None:
+    """Refuse two free scales (`facts/estimation.md`: 27 -> 155 mm when both were freed)."""
+    if config.wheel_scale_sigma > 0 and config.tracker.scale_sigma > 0:
+        raise ConfigError(
+            f"estimator: wheel_scale_sigma = {config.wheel_scale_sigma:g} and tracker.scale_sigma = "
+            f"{config.tracker.scale_sigma:g} are both free, which no data can tell apart",
+            expected="one of them 0",
+        )

@@ -1,0 +1,37 @@
+"""Pose estimation: wheel odometry, EKF and UKF behind one interface (`hil.interfaces.Estimator`)."""
+
+from __future__ import annotations
+
+from hil.config.estimator import EstimatorConfig, check_scales
+from hil.errors import ConfigError
+from hil.interfaces import Estimator
+from hil.kinematics import WheelGeometry
+
+SURFACES = ("wall", "floor")
+
+
+def make_estimator(config: EstimatorConfig, geometry: WheelGeometry, *, surface: str) -> Estimator:
+    """Estimator of a configuration.
+
+    Args:
+        config: `[estimator]` of the bench file.
+        geometry: calibrated wheel parameters.
+        surface: `wall` (gravity lies in the motion plane) or `floor`.
+
+    Raises:
+        ConfigError: an unknown surface, or two free scales.
+    """
+    if surface not in SURFACES:
+        raise ConfigError(f"estimator: surface {surface!r}", expected="one of " + ", ".join(SURFACES))
+    check_scales(config)
+    if config.kind == "odometry":
+        from hil.estimator.wheel_odometry import OdometryEstimator
+
+        return OdometryEstimator(config, geometry)
+    from hil.estimator.fusion import CompiledEngine, FusionEstimator
+    from hil.estimator.layout import parameters, wheel_tables
+
+    wheels, rows = wheel_tables(config, geometry)
+    return FusionEstimator(
+        config, geometry, surface, CompiledEngine(parameters(config, surface), wheels, rows)
+    )

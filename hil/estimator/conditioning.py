@@ -1,0 +1,90 @@
+"""Kalman update of a joint Gaussian, one scalar row after the other, each with its gate.
+
+The rows' mean, covariance and cross covariance with the state come from a linearisation (EKF) or from
+sigma points (UKF) at the predicted state. Conditioning on the rows in turn gives the stacked update
+exactly and lets one bad row be left out by itself. The covariance stays symmetric to the bit, because
+only outer products of one vector with itself are subtracted.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.estimator import layout as L
+from hil.estimator.compiled import compiled
+from hil.geometry import Array
+
+
+@compiled
+def joint_nis(innovation: Array, own: Array, var: Array, count: int) -> float:
+    """Normalised innovation squared of all rows together (sum of the sequential ones)."""
+    nu, s = innovation[:count].copy(), own[:count, :count].copy()
+    total = 0.0
+    for i in range(count):
+        size = s[i, i] + var[i]
+        if not size > 0.0:
+            return math.inf
+        total += nu[i] * nu[i] / size
+        for j in range(i + 1, count):
+            gain = s[j, i] / size
+            nu[j] -= gain * nu[i]
+            for k in range(i + 1, count):
+                s[j, k] -= gain * s[i, k]
+    return total
+
+
+@compiled
+def condition(
+    x: Array, p: Array, nu: Array, cross: Array, own: Array, var: Array, count: int, gate: float, nis: Array
+) -> int:
+    """Update state and covariance in place, row by row.
+
+    Args:
+        x: (20,) state.
+        p: (20, 20) covariance.
+        nu: (8,) innovation per row; used up.
+        cross: (20, 8) covariance of the state with the predicted rows; used up.
+        own: (8, 8) covariance of the predicted rows; used up.
+        var: (8,) noise variance per row; a negative one leaves the row out.
+        count: number of rows.
+        gate: largest normalised innovation squared of one row.
+        nis: (8,) set to each row's normalised innovation squared, -1 where it was left out.
+
+    Returns:
+        Number of accepted rows.
+    """
+    used = 0
+    for i in range(count):
+        nis[i] = -1.0
+        size = own[i, i] + var[i]
+        if var[i] < 0.0 or not size > 0.0:
+            continue
+        nis[i] = nu[i] * nu[i] / size
+        if nis[i] > gate:
+            continue
+        used += 1
+        column = cross[:, i].copy()
+        x += column * (nu[i] / size)
+        root = column / math.sqrt(size)
+        p -= np.outer(root, root)
+        for j in range(i + 1, count):
+            gain = own[j, i] / size
+            nu[j] -= gain * nu[i]
+            cross[:, j] -= gain * column
+            for k in range(i + 1, count):
+                own[j, k] -= gain * own[i, k]
+    return used
+
+
+@compiled
+def guard(p: Array) -> int:
+    """Repair variances that rounding made negative: zero them with their correlations; count them."""
+    repaired = 0
+    for i in range(L.STATES):
+        if p[i, i] < 0.0:
+            p[i, :] = 0.0
+            p[:, i] = 0.0
+            repaired += 1
+    return repaired

@@ -1,0 +1,185 @@
+"""`FusionEstimator`: takes a cycle's measurements, rewinds to the oldest new one, replays, reports.
+
+The filter itself is an `Engine`: `compiled` kernels or filterpy. Deterministic; the arrival order of
+samples does not change a bit of the state.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import abstractmethod
+from typing import Protocol
+
+import numpy as np
+
+from hil.clock import NS_PER_S, nanoseconds
+from hil.config.estimator import EstimatorConfig
+from hil.errors import UsageError
+from hil.estimator import layout as L
+from hil.estimator.history import History
+from hil.estimator.intake import Intake
+from hil.estimator.replay import advance, run
+from hil.geometry import Array
+from hil.interfaces import Estimator
+from hil.kinematics import WheelGeometry
+from hil.signals import Measurements, RobotState
+
+_TWIST_SIGMA = 0.02
+_CHECKED = 6
+
+
+class Engine(Protocol):
+    """How events are run through the filter."""
+
+    @abstractmethod
+    def run(self, history: History, begin: int, zero_ns: int) -> None:
+        """Replay the events of a history from `begin` to its end."""
+
+    @abstractmethod
+    def advance(self, x: Array, p: Array, dt_s: float) -> None:
+        """Predict one state in place."""
+
+
+class CompiledEngine(Engine):
+    """The kernels of `hil.estimator.replay`."""
+
+    def __init__(self, par: Array, wheels: Array, rows: Array) -> None:
+        self._par, self._wheels, self._rows = par, wheels, rows
+
+    def run(self, history: History, begin: int, zero_ns: int) -> None:
+        """One call for the whole stretch."""
+        h = history
+        run(
+            h.first, begin, h.count, zero_ns, h.t_ns, h.kinds, h.data, h.x, h.p, h.m,
+            self._par, self._wheels, self._rows,
+        )  # fmt: skip
+
+    def advance(self, x: Array, p: Array, dt_s: float) -> None:
+        """Kernel prediction."""
+        advance(x, p, dt_s, self._par)
+
+
+class FusionEstimator(Estimator):
+    """EKF or UKF over all sensors."""
+
+    def __init__(
+        self, config: EstimatorConfig, geometry: WheelGeometry, surface: str, engine: Engine
+    ) -> None:
+        self.config, self.geometry, self.surface = config, geometry, surface
+        self.engine = engine
+        self._prior = L.prior_variances(config, surface)
+        self._gates = config.gates
+        self._intake = Intake(config)
+        self.history = History(nanoseconds(config.time.history_s))
+        self._x, self._p = np.zeros(L.STATES), np.zeros((L.STATES, L.STATES))
+        self._ready = False
+
+    def reset(self, state: RobotState) -> None:
+        """Start from a known state; its covariance is that of pose and twist.
+
+        Raises:
+            UsageError: the state is not finite or its covariance is not a covariance.
+        """
+        check_state(state)
+        x, p = np.zeros(L.STATES), np.diag(self._prior)
+        x[:3], x[3:6] = state.pose_body_in_wall, state.twist_body
+        p[:6, :6] = 0.5 * (state.covariance + state.covariance.T)
+        m = np.zeros(L.MEMORY)
+        m[[L.WHEEL_T, L.FRAME_T, L.TRACKER_T, L.GYRO_T, L.MOCAP_T]] = -1.0
+        m[L.NIS_MEAN : L.NIS_MEAN + 6] = 1.0
+        self._zero_ns = state.t_ns
+        self._intake.reset()
+        self.history.reset(state.t_ns, x, p, m)
+        self._ready = True
+
+    def update(self, measurements: Measurements) -> RobotState:
+        """Take one cycle's measurements and return the state at its time."""
+        if not self._ready:
+            covariance = np.diag([1e-6] * 3 + [_TWIST_SIGMA**2] * 3)
+            start_ns = measurements.t_ns - self.history.span_ns
+            self.reset(RobotState(start_ns, np.zeros(3), np.zeros(3), covariance))
+        h = self.history
+        events = self._intake.events(measurements, h.base_ns)
+        h.trim(max(measurements.t_ns, int(h.t_ns[h.newest])), len(events))
+        begin = h.count
+        for t_ns, kind, seq, row in events:
+            if t_ns <= h.base_ns:
+                self._intake.refused["late"] += 1
+                continue
+            place = h.add(t_ns, kind, seq, row)
+            if place < 0:
+                self._intake.refused["duplicate"] += 1
+            else:
+                begin = min(begin, place)
+        if begin < h.count:
+            self.engine.run(h, begin, self._zero_ns)
+        return self._state(measurements.t_ns)
+
+    def _state(self, t_ns: int) -> RobotState:
+        h, last = self.history, self.history.newest
+        x, p = self._x, self._p
+        x[:], p[:] = h.x[last], h.p[last]
+        ahead_ns = t_ns - int(h.t_ns[last])
+        if ahead_ns > 0:
+            self.engine.advance(x, p, ahead_ns / NS_PER_S)
+        return RobotState(
+            t_ns=t_ns,
+            pose_body_in_wall=x[:3].copy(),
+            twist_body=x[3:6].copy(),
+            covariance=p[:6, :6].copy(),
+            diagnostics=self._diagnostics(t_ns, x, p, h.m[last]),
+        )
+
+    def _diagnostics(self, t_ns: int, x: Array, p: Array, m: Array) -> dict[str, float]:
+        v, s = m.tolist(), x.tolist()
+        rejected, row = L.REJECTED, L.NIS
+        out = {
+            "nis_wheels": v[row + L.WHEELS], "nis_gyro": v[row + L.GYRO], "nis_tracker": v[row + L.TRACKER],
+            "nis_gravity": v[row + L.GRAVITY],
+            "nis_mean_wheels": v[L.NIS_MEAN + L.WHEELS], "nis_mean_gyro": v[L.NIS_MEAN + L.GYRO],
+            "nis_mean_tracker": v[L.NIS_MEAN + L.TRACKER], "nis_mean_gravity": v[L.NIS_MEAN + L.GRAVITY],
+            "gate_wheels": self._gates.one_dof, "gate_tracker": self._gates.three_dof,
+            "innovation_wheels_m": v[L.INNOVATION], "innovation_gyro_rad_s": v[L.INNOVATION + 1],
+            "innovation_tracker_m": v[L.INNOVATION + 2],
+            "rejected_wheels": v[rejected + L.WHEELS], "rejected_gyro": v[rejected + L.GYRO],
+            "rejected_tracker": v[rejected + L.TRACKER], "rejected_gravity": v[rejected + L.GRAVITY],
+            "rejected_mocap": v[rejected + L.MOCAP], "rejected_same_stamp": v[L.DUPLICATES],
+            "reanchored_tracker": v[L.REANCHORED + L.TRACKER],
+            "reanchored_wheels": v[L.REANCHORED + L.WHEELS],
+            "guarded": v[L.GUARDED],
+            "gyro_bias_rad_s": s[L.BIAS], "yaw_slip_rad_m": s[L.YAW_SLIP],
+            "slip_up_m_s": s[L.SLIP_X], "slip_left_m_s": s[L.SLIP_Y],
+            "sag_m_s": -s[L.SLIP_X], "creep_up": s[L.CREEP_X], "creep_left": s[L.CREEP_Y],
+            "scale": s[L.SCALE], "scale_sigma": math.sqrt(max(p[L.SCALE, L.SCALE], 0.0)),
+            "sag_sigma_m_s": math.sqrt(max(p[L.SLIP_X, L.SLIP_X], 0.0)),
+            "gravity_offset_rad": s[L.OFFSET],
+        }  # fmt: skip
+        for i, name in enumerate(("fl", "bl", "br", "fr")):
+            out[f"rejected_wheel_{name}"] = v[L.WHEEL_REJECTED + i]
+        for name, count in self._intake.refused.items():
+            out[f"rejected_{name}"] = float(count)
+        for name, last_ns in self._intake.last_ns.items():
+            out[f"age_{name}_s"] = (t_ns - last_ns) / NS_PER_S
+        return out
+
+
+def check_state(state: RobotState) -> None:
+    """Refuse a start state that no filter can run from.
+
+    Raises:
+        UsageError: naming what is wrong.
+    """
+    pose, twist = np.asarray(state.pose_body_in_wall), np.asarray(state.twist_body)
+    if pose.shape != (3,) or twist.shape != (3,) or not np.all(np.isfinite(np.r_[pose, twist])):
+        raise UsageError(f"start state: pose {pose}, twist {twist}", expected="three finite numbers each")
+    covariance = np.asarray(state.covariance)
+    if covariance.shape != (_CHECKED, _CHECKED) or not np.all(np.isfinite(covariance)):
+        raise UsageError("start state: covariance", expected="a finite 6x6 matrix of pose and twist")
+    size = float(np.max(np.abs(covariance)))
+    if np.max(np.abs(covariance - covariance.T)) > 1e-9 * size:
+        raise UsageError("start state: covariance is not symmetric")
+    least = float(np.linalg.eigvalsh(covariance)[0])
+    if least < -1e-9 * size:
+        raise UsageError(
+            f"start state: covariance has the eigenvalue {least:.3g}", expected="none below zero"
+        )

@@ -1,0 +1,100 @@
+"""Odometry as an estimator: wheel displacements integrated on SE(2), nothing else.
+
+The baseline that every filter is compared with, and the bench's fallback. Wheels are differenced by
+position; a wheel that is missing for one read is left out of the least-squares displacement.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hil.clock import NS_PER_S
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.fusion import check_state
+from hil.geometry import Array, compose, se2_exp
+from hil.interfaces import Estimator
+from hil.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
+from hil.signals import Measurements, RobotState, WheelMeasurement
+
+_LEAST_WHEELS = 2
+
+
+class OdometryEstimator(Estimator):
+    """Dead reckoning from the wheels; the covariance grows with rolled distance."""
+
+    def __init__(self, config: EstimatorConfig, geometry: WheelGeometry) -> None:
+        self._geometry, self._noise = geometry, config.wheels
+        self._model = "exact" if config.wheels.model == "equations" else config.wheels.model
+        self._projection = projection(geometry.x_m, geometry.y_m)
+        linear = "paper" if self._model == "paper" else "exact"
+        self._forward = forward_matrix(geometry.x_m, geometry.y_m, linear)
+        self.reset(RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6))))
+
+    def reset(self, state: RobotState) -> None:
+        """Start from a known state."""
+        check_state(state)
+        self._pose = np.array(state.pose_body_in_wall, dtype=np.float64)
+        self._twist = np.array(state.twist_body, dtype=np.float64)
+        self._covariance = np.array(state.covariance, dtype=np.float64)
+        self._last: WheelMeasurement | None = None
+        self._rejected = 0
+
+    def update(self, measurements: Measurements) -> RobotState:
+        """Integrate the servo reads in order of their stamps; older ones than the last are skipped."""
+        for sample in sorted(measurements.wheels, key=lambda w: (w.stamp.t_ns, w.stamp.seq)):
+            self._take(sample)
+        last_ns = self._last.stamp.t_ns if self._last is not None else measurements.t_ns
+        ahead_s = max(0.0, (measurements.t_ns - last_ns) / NS_PER_S)
+        return RobotState(
+            measurements.t_ns,
+            compose(self._pose, se2_exp(self._twist * ahead_s)),
+            self._twist.copy(),
+            self._covariance.copy(),
+            {"rejected_wheels": float(self._rejected)},
+        )
+
+    def _take(self, sample: WheelMeasurement) -> None:
+        usable = np.asarray(sample.valid, dtype=bool)
+        if np.shape(sample.wheel_angle_rad) != (4,) or np.shape(sample.steering_rad) != (4,):
+            self._rejected += 1
+            return
+        usable = usable & np.isfinite(sample.wheel_angle_rad) & np.isfinite(sample.steering_rad)
+        if np.count_nonzero(usable) < _LEAST_WHEELS:
+            self._rejected += 1
+            return
+        last = self._last
+        if last is None:
+            self._last = sample
+            return
+        dt = (sample.stamp.t_ns - last.stamp.t_ns) / NS_PER_S
+        usable &= np.asarray(last.valid, dtype=bool) & np.isfinite(last.wheel_angle_rad)
+        if dt <= 0.0 or np.count_nonzero(usable) < _LEAST_WHEELS:
+            self._rejected += 1
+            self._last = last if dt <= 0.0 else sample
+            return
+        self._integrate(self._displacement(last, sample, usable, dt), dt)
+        self._last = sample
+
+    def _displacement(
+        self, last: WheelMeasurement, now: WheelMeasurement, usable: npt.NDArray[np.bool_], dt: float
+    ) -> Array:
+        turned = now.wheel_angle_rad - last.wheel_angle_rad
+        if self._noise.source == "velocity":
+            turned = np.where(np.isfinite(now.wheel_rate_rad_s), now.wheel_rate_rad_s, 0.0) * dt
+        heading = 0.5 * (now.steering_rad + last.steering_rad) - self._geometry.steering_zero_rad
+        u = wheel_vectors(turned * self._geometry.radius_m, heading)
+        if np.all(usable):
+            if self._model == "dry-friction":
+                return twist_of_vectors(self._geometry.x_m, self._geometry.y_m, u, self._model)
+            return np.asarray(self._forward @ u, dtype=np.float64)
+        rows = np.repeat(usable, 2)
+        return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)
+
+    def _integrate(self, motion: Array, dt: float) -> None:
+        self._pose = compose(self._pose, se2_exp(motion))
+        self._twist = motion / dt
+        spread = self._noise.step_m**2 + self._noise.per_sqrt_m**2 * float(np.hypot(motion[0], motion[1]))
+        arm = 0.25 * float(np.sum(self._geometry.x_m**2 + self._geometry.y_m**2))
+        self._covariance[[0, 1], [0, 1]] += 0.25 * spread
+        self._covariance[2, 2] += 0.25 * spread / arm
