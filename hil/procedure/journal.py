@@ -20,6 +20,8 @@ NAME = "journal.jsonl"
 _KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
                     "figure", "note", "recording", "answer", "end"})  # fmt: skip
 
+_UNFINISHED = ("ABORTED", "ERROR")
+
 Entry = dict[str, Any]
 
 
@@ -96,7 +98,7 @@ def read_journal(path: Path) -> PastRun:
     for number, entry in enumerate(entries[1:], start=2):
         kind = entry["kind"]
         try:
-            if kind == "end":
+            if kind == "end" and entry["verdict"] not in _UNFINISHED:
                 raise ConfigError(
                     f"{path}: the run is finished ({entry['verdict']})", remedy="nothing is left to resume"
                 )
@@ -110,7 +112,7 @@ def read_journal(path: Path) -> PastRun:
             elif kind == "value":
                 past.checkpoints[entry["title"]] = [*pending.pop(entry["title"]), entry]
             for open_entries in pending.values():
-                if kind not in ("checkpoint", "recording"):
+                if kind not in ("checkpoint", "recording", "end"):
                     open_entries.append(entry)
         except KeyError as error:
             raise ConfigError(f"{path}: line {number} lacks {error}", remedy="start the run anew") from None

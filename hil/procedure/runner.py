@@ -125,7 +125,7 @@ def _execute(
     error: Failure | None = None
     try:
         proc.body(context)
-    except Exception as problem:
+    except (Exception, KeyboardInterrupt, SystemExit) as problem:
         error = _failure(problem, context)
     late: list[Failure] = []
     statistics = None
@@ -151,12 +151,13 @@ def _attempt(
         context.guard.pop_limit()
 
 
-def _failure(problem: Exception, context: Context, where: str = "") -> Failure:
+def _failure(problem: BaseException, context: Context, where: str = "") -> Failure:
     step = where or _failed_step(context)
     if isinstance(problem, HilError):
         code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
         return Failure(type(problem).__name__, str(problem), step, code)
-    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, EXIT_USAGE)
+    code = EXIT_ABORTED if isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
+    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code)
 
 
 def _failed_step(context: Context) -> str:
@@ -164,7 +165,7 @@ def _failed_step(context: Context) -> str:
     return failed[-1] if failed else context.where
 
 
-def _origin(problem: Exception) -> str:
+def _origin(problem: BaseException) -> str:
     trace = problem.__traceback__
     frames = inspect.getinnerframes(trace) if trace is not None else []
     return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"

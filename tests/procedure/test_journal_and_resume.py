@@ -1,0 +1,165 @@
+"""A run that was killed goes on where it was; a journal that cannot be trusted is refused by name."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from hil.errors import ConfigError
+from hil.procedure import Measurement, procedure
+from hil.procedure.journal import Journal, read_journal
+
+DONE = []
+
+
+def work(ctx, title, fatal=""):
+    def function():
+        DONE.append(title)
+        ctx.measure(title, float(len(title)))
+        ctx.table(title, ["a"], [[1]])
+        if title == fatal:
+            raise KeyboardInterrupt
+        return {"title": title, "pair": (1, 2)}
+
+    return ctx.checkpoint(title, function)
+
+
+MEASURED = tuple(Measurement(n, "1", high=10) for n in ("alpha", "beta", "gamma"))
+
+
+def make(fatal=""):
+    @procedure(name="resumable", measurements=MEASURED)
+    def resumable(ctx):
+        for title in ("alpha", "beta", "gamma"):
+            assert work(ctx, title, fatal) == {"title": title, "pair": [1, 2]}
+
+    return resumable
+
+
+@pytest.fixture(autouse=True)
+def _fresh():
+    DONE.clear()
+
+
+def interrupted(run_small, folder):
+    assert run_small(make("beta"), folder).verdict.value == "ABORTED"
+    return folder
+
+
+def test_a_resumed_run_takes_finished_checkpoints_from_the_journal(run_small, tmp_path):
+    folder = interrupted(run_small, tmp_path / "r")
+    assert DONE == ["alpha", "beta"]
+    result = run_small(make(), folder, resume=True)
+    assert DONE == ["alpha", "beta", "beta", "gamma"]
+    tree = json.loads((folder / "result.json").read_text())
+    assert (result.verdict.value, tree["resumed"]) == ("PASS", 1)
+    assert [m["value"] for m in tree["measurements"]] == [5.0, 4.0, 5.0]
+    assert [t["title"] for t in tree["tables"]] == ["alpha", "beta", "gamma"]
+    assert [s["outcome"] for s in tree["steps"]] == ["resumed", "done", "done"]
+
+
+def test_a_finished_run_cannot_be_resumed(run_small, tmp_path):
+    run_small(make(), tmp_path / "r")
+    with pytest.raises(ConfigError, match="finished"):
+        run_small(make(), tmp_path / "r", resume=True)
+
+
+@pytest.mark.parametrize("length", range(1, 40, 3))
+def test_a_line_cut_off_by_a_kill_is_dropped(run_small, tmp_path, length):
+    folder = interrupted(run_small, tmp_path / "r")
+    path = folder / "journal.jsonl"
+    path.write_bytes(path.read_bytes() + b'{"kind": "measure", "name": "alpha", "value": 99.0}'[:length])
+    assert run_small(make(), folder, resume=True).exit_code == 0
+    for line in path.read_text().splitlines():
+        json.loads(line)
+
+
+@pytest.mark.parametrize(
+    ("damage", "words"),
+    [
+        (lambda lines: ["", *lines[1:]], "line 1"),
+        (lambda lines: [lines[0], "not json", *lines[1:]], "line 2 is damaged"),
+        (lambda lines: [lines[0], '{"kind": "dance"}', *lines[1:]], "line 2 is damaged"),
+        (lambda lines: [lines[0], '{"kind": "value"}', *lines[1:]], "line 2 lacks"),
+        (lambda lines: lines[1:], "does not start a run"),
+        (lambda lines: [lines[0].replace('"schema": 1', '"schema": 9'), *lines[1:]], "schema 9"),
+        (lambda lines: [lines[0].replace('"seed": 0', '"seed": 5'), *lines[1:]], "another seed"),
+        (lambda lines: [], "does not start a run"),
+    ],
+)
+def test_a_broken_journal_is_named_and_nothing_runs(run_small, tmp_path, damage, words):
+    folder = interrupted(run_small, tmp_path / "r")
+    path = folder / "journal.jsonl"
+    path.write_text("".join(f"{line}\n" for line in damage(path.read_text().splitlines())))
+    before = path.read_bytes()
+    DONE.clear()
+    with pytest.raises(ConfigError, match=words) as caught:
+        run_small(make(), folder, resume=True)
+    assert "journal.jsonl" in str(caught.value)
+    assert caught.value.exit_code == 2
+    assert DONE == []
+    assert path.read_bytes() == before
+
+
+def test_nothing_to_resume_is_said(run_small, tmp_path):
+    with pytest.raises(ConfigError, match="no journal"):
+        run_small(make(), tmp_path / "absent", resume=True)
+
+
+def test_a_checkpoint_title_is_used_once_and_its_result_is_json(run_small):
+    @procedure(name="twice")
+    def twice(ctx):
+        ctx.checkpoint("same", lambda: 1)
+        ctx.checkpoint("same", lambda: 1)
+
+    @procedure(name="opaque")
+    def opaque(ctx):
+        ctx.checkpoint("one", object)
+
+    assert "exists twice" in run_small(twice).error.message
+    assert "JSON" in run_small(opaque).error.message
+
+
+def test_every_entry_is_on_disk_when_add_returns(tmp_path):
+    journal = Journal(tmp_path / "journal.jsonl")
+    journal.add("run", {"schema": 1})
+    journal.add("step", {"title": "a"})
+    assert len((tmp_path / "journal.jsonl").read_text().splitlines()) == 2
+    assert read_journal(tmp_path / "journal.jsonl").header["schema"] == 1
+    journal.close()
+    journal.close()
+
+
+SCRIPT = """
+import os, signal
+from hil.procedure import Measurement, procedure
+
+@procedure(name="killed", measurements=(Measurement("a", "1"), Measurement("b", "1")))
+def run(ctx):
+    def first():
+        ctx.measure("a", 1.0)
+        return os.getpid()
+    pid = ctx.checkpoint("first", first)
+    with ctx.step("second"):
+        if pid == os.getpid():
+            os.kill(pid, signal.SIGKILL)
+        ctx.measure("b", 2.0)
+"""
+
+
+def test_after_kill_9_the_command_line_resumes(tmp_path):
+    script = tmp_path / "killed.py"
+    script.write_text(SCRIPT)
+    command = [sys.executable, "-m", "hil.cli", "run", str(script), "--bench", "sensors", "--out",
+               str(tmp_path / "out"), "--json"]  # fmt: skip
+    environment = {**os.environ, "PYTHONDONTWRITEBYTECODE": "1"}
+    first = subprocess.run(command, capture_output=True, timeout=60, env=environment)
+    assert first.returncode == -signal.SIGKILL
+    second = subprocess.run([*command, "--resume"], capture_output=True, timeout=60, env=environment)
+    assert second.returncode == 0, second.stderr
+    tree = json.loads(second.stdout)
+    assert tree["verdict"] == "PASS"
+    assert [m["value"] for m in tree["measurements"]] == [1.0, 2.0]

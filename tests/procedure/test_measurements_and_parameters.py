@@ -1,0 +1,112 @@
+"""Limits decide, and nothing else; parameters are typed and all their faults are named at once."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import BaseModel, Field
+
+from hil.errors import ConfigError, UsageError
+from hil.procedure import Measurement, Verdict, procedure
+from hil.procedure.measurements import worst
+from hil.procedure.parameters import as_dict, make_parameters, split_settings
+
+
+@pytest.mark.parametrize(
+    ("value", "verdict"),
+    [
+        (-0.001, "FAIL"), (0.0, "MARGINAL"), (0.999, "MARGINAL"), (1.0, "PASS"), (9.0, "PASS"),
+        (9.5, "MARGINAL"), (10.0, "MARGINAL"), (10.001, "FAIL"), (math.nan, "FAIL"), (math.inf, "FAIL"),
+        (None, "FAIL"),
+    ],
+)  # fmt: skip
+def test_a_value_is_judged_by_its_distance_to_the_limits(value, verdict):
+    assert Measurement("m", "mm", low=0.0, high=10.0, marginal=1.0).judge(value) is Verdict(verdict)
+
+
+@given(st.floats(-1e6, 1e6), st.floats(-1e3, 1e3), st.floats(0.0, 1e3))
+def test_inside_the_limits_is_never_a_failure_and_outside_always(value, low, width):
+    m = Measurement("m", "mm", low=low, high=low + width)
+    assert (m.judge(value) is Verdict.FAIL) == (not low <= value <= low + width)
+
+
+def test_without_limits_a_value_is_reported_and_a_missing_one_fails():
+    assert Measurement("m", "s").judge(1e9) is Verdict.PASS
+    assert Measurement("m", "s").judge(None) is Verdict.FAIL
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"high": 1.0}, {"unit": "mm", "low": 2.0, "high": 1.0}, {"unit": "mm", "high": math.inf},
+        {"unit": "mm", "high": 1.0, "marginal": -0.1},
+        {"unit": "mm", "low": 0.0, "high": 1.0, "marginal": 0.6},
+        {"unit": "mm", "marginal": 1.0},
+    ],
+)  # fmt: skip
+def test_a_limit_that_means_nothing_is_refused_at_declaration(wrong):
+    with pytest.raises(UsageError, match="measurement 'm'"):
+        Measurement("m", **wrong)
+
+
+def test_a_run_is_worth_its_worst_measurement():
+    assert worst([]) is Verdict.PASS
+    assert worst([Verdict.PASS, Verdict.MARGINAL]) is Verdict.MARGINAL
+    assert worst([Verdict.FAIL, Verdict.PASS]) is Verdict.FAIL
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"name": "Bad name"}, "lower case"),
+        ({"name": "x", "needs": ("lidar",)}, "lidar"),
+        ({"name": "x", "measurements": (Measurement("a", "s"), Measurement("a", "m"))}, "declared twice"),
+    ],
+)
+def test_a_declaration_that_cannot_be_meant_is_refused(wrong, words):
+    with pytest.raises(UsageError, match=words):
+        procedure(**wrong)
+
+
+@dataclass(frozen=True)
+class Plain:
+    length_m: float = 1.5
+    cases: tuple[str, ...] = ("x", "y")
+    law: Literal["a", "b"] = "a"
+    fast: bool = False
+    name: str = "n"
+
+
+class Strict(BaseModel):
+    seeds: int = Field(1, ge=1, le=20)
+
+
+def test_texts_become_typed_values():
+    found = make_parameters(
+        Plain, {"length_m": "0.3", "cases": "y, z", "law": "b", "fast": "true", "name": "17"}, "p"
+    )
+    assert found == Plain(0.3, ("y", "z"), "b", True, "17")
+    assert make_parameters(Plain, {"cases": '["only"]'}, "p").cases == ("only",)
+    assert make_parameters(Plain, {"cases": "one"}, "p").cases == ("one",)
+    assert make_parameters(Strict, {"seeds": "7"}, "p").seeds == 7
+    assert as_dict(found)["cases"] == ["y", "z"]
+
+
+def test_all_wrong_parameters_are_named_at_once():
+    with pytest.raises(ConfigError) as caught:
+        make_parameters(Plain, {"length_m": "long", "law": "c", "speed": "1"}, "proc")
+    text = str(caught.value)
+    assert all(word in text for word in ("proc", "length_m", "law", "speed", "length_m, cases, law, fast"))
+    with pytest.raises(ConfigError, match="seeds"):
+        make_parameters(Strict, {"seeds": "0"}, "proc")
+
+
+def test_settings_for_the_bench_are_told_apart():
+    parameters, bench = split_settings(["a=1", "bench.loop.rate_hz=50", "b=x=y", "bench.name=it"])
+    assert parameters == {"a": "1", "b": "x=y"}
+    assert bench == {"loop.rate_hz": 50, "name": "it"}
+    with pytest.raises(UsageError, match="key=value"):
+        split_settings(["novalue"])

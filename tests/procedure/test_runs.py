@@ -1,0 +1,254 @@
+"""From the function to the verdict: what every run leaves, whatever happens in it."""
+
+import io
+import json
+import os
+import signal
+from dataclasses import dataclass
+from xml.etree import ElementTree
+
+import pytest
+
+from hil.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
+from hil.procedure import Measurement, procedure
+from hil.procedure.interrupts import Interrupts, time_limit
+from hil.procedure.operator import Answers, Terminal
+
+LIMITS = (Measurement("good", "mm", high=10.0, rationale="because"), Measurement("seen", "s"))
+
+
+@dataclass(frozen=True)
+class Gain:
+    gain: float = 1.0
+
+
+@procedure(name="small", parameters=Gain, measurements=LIMITS)
+def small(ctx):
+    """Measures twice."""
+    with ctx.step("one"):
+        ctx.measure("good", 4.0 * ctx.parameters.gain)
+    with ctx.step("two"):
+        ctx.measure("seen", 1)
+    ctx.table("Table", ["a", "b"], [[1.23456, True]])
+    ctx.note("a sentence")
+
+
+def result_of(result):
+    return json.loads((result.folder / "result.json").read_text())
+
+
+def test_a_run_leaves_its_result_as_json_and_junit(run_small):
+    result = run_small(small)
+    tree = result_of(result)
+    assert (tree["schema"], tree["verdict"], tree["exit_code"]) == (1, "PASS", 0)
+    assert [m["outcome"] for m in tree["measurements"]] == ["PASS", "PASS"]
+    assert tree["measurements"][0] | {} == tree["measurements"][0]
+    assert tree["measurements"][0]["margin"] == 6.0
+    assert tree["measurements"][0]["step"] == "one"
+    assert [s["outcome"] for s in tree["steps"]] == ["done", "done"]
+    assert tree["tables"][0]["rows"] == [["1.235", "yes"]]
+    for key in (
+        "config",
+        "calibration",
+        "seed",
+        "versions",
+        "git_revision",
+        "duration_s",
+        "bench",
+        "started",
+    ):
+        assert key in tree, key
+    suite = ElementTree.parse(result.folder / "junit.xml").getroot()
+    assert (suite.get("tests"), suite.get("failures"), suite.get("errors")) == ("3", "0", "0")
+    assert {p.get("name") for p in suite.iter("property")} >= {"bench", "calibration_version"}
+
+
+def test_a_limit_decides_the_exit_code(run_small):
+    result = run_small(small, parameters={"gain": "3"})
+    assert (result.verdict.value, result.exit_code) == ("FAIL", 1)
+    suite = ElementTree.parse(result.folder / "junit.xml").getroot()
+    assert [f.get("message") for f in suite.iter("failure")] == ["12 mm, expected <= 10 mm"]
+
+
+def test_what_was_declared_and_never_set_fails(run_small):
+    @procedure(name="forgetful", measurements=LIMITS)
+    def forgetful(ctx):
+        ctx.measure("good", 1.0)
+
+    result = run_small(forgetful)
+    assert result.exit_code == 1
+    assert [m["outcome"] for m in result.measurements] == ["PASS", "FAIL"]
+
+
+@pytest.mark.parametrize(
+    ("error", "verdict", "code"),
+    [
+        (DeviceError("imu", "is dead"), "ERROR", 3),
+        (SafetyStop("heading", "turned"), "ERROR", 3),
+        (UsageError("nonsense"), "ERROR", 2),
+        (Aborted("enough"), "ABORTED", 4),
+        (ZeroDivisionError("division by zero"), "ERROR", 2),
+        (KeyboardInterrupt("from a library"), "ABORTED", 4),
+        (SystemExit("the script left"), "ERROR", 2),
+    ],
+)
+def test_an_error_ends_in_a_verdict_that_names_it_and_the_step(run_small, error, verdict, code):
+    @procedure(name="broken", measurements=LIMITS)
+    def broken(ctx):
+        with ctx.step("fine"):
+            ctx.measure("good", 1.0)
+        with ctx.step("outer"), ctx.step("bad"):
+            raise error
+
+    result = run_small(broken)
+    tree = result_of(result)
+    assert (tree["verdict"], result.exit_code) == (verdict, code)
+    assert tree["error"]["step"] == "bad"
+    assert str(error) in tree["error"]["message"]
+    assert [m["outcome"] for m in tree["measurements"]] == ["PASS", "NOT MEASURED"]
+    assert ElementTree.parse(result.folder / "junit.xml").getroot().get("errors") == "1"
+
+
+def test_teardown_runs_backwards_whatever_happened_and_cannot_hide_the_first_error(run_small):
+    order = []
+
+    @procedure(name="careful")
+    def careful(ctx):
+        ctx.on_teardown(lambda: order.append("first"), "first")
+        ctx.on_teardown(lambda: 1 // 0, "bad teardown")
+        ctx.on_teardown(lambda: order.append("last"), "last")
+        raise DeviceError("servos", "lost")
+
+    result = run_small(careful)
+    assert order == ["last", "first"]
+    assert result.error.kind == "DeviceError"
+    assert [(e.kind, e.step) for e in result.teardown_errors] == [("ZeroDivisionError", "bad teardown")]
+    assert result.exit_code == 3
+
+
+def test_a_failing_teardown_alone_is_an_error(run_small):
+    @procedure(name="untidy")
+    def untidy(ctx):
+        ctx.on_teardown(lambda: 1 // 0, "tidy up")
+
+    result = run_small(untidy)
+    assert (result.verdict.value, result.exit_code) == ("ERROR", 2)
+
+
+def test_a_teardown_that_hangs_is_cut_off(run_small):
+    @procedure(name="hanging", teardown_s=0.05)
+    def hanging(ctx):
+        def for_ever():
+            while True:
+                pass
+
+        ctx.on_teardown(for_ever, "for ever")
+
+    result = run_small(hanging)
+    assert [(e.kind, e.step) for e in result.teardown_errors] == [("StepTimeoutError", "for ever")]
+
+
+def test_the_time_limit_is_lifted_after_its_block():
+    with time_limit(30.0, "block"):
+        pass
+    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+
+
+def kill_self(number):
+    os.kill(os.getpid(), number)
+
+
+@procedure(name="three_steps", measurements=(Measurement("last", "1"),))
+def three_steps(ctx):
+    """Raises whatever signals its answers name in its second step."""
+    with ctx.step("one"):
+        pass
+    with ctx.step("two"):
+        for name in ctx.prompt("signals").split():
+            kill_self(getattr(signal, name))
+        ctx.note("finished the step")
+    with ctx.step("three"):
+        ctx.measure("last", 1.0)
+
+
+@pytest.mark.parametrize(
+    ("signals", "finished"), [("SIGINT", True), ("SIGINT SIGINT", False), ("SIGTERM", False)]
+)
+def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signals, finished):
+    before = signal.getsignal(signal.SIGINT)
+    answers = tmp_path / "answers.txt"
+    answers.write_text(f"# for this test\nsignals: {signals}\n")
+    result = run_small(three_steps, operator=Answers(answers))
+    tree = result_of(result)
+    assert (tree["verdict"], result.exit_code) == ("ABORTED", 4)
+    assert ("finished the step" in tree["notes"]) == finished
+    assert [s["title"] for s in tree["steps"]] == ["one", "two"]
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_signal_waits_for_the_end_of_what_must_be_whole():
+    interrupts = Interrupts()
+    with interrupts.deferred():
+        interrupts.handle(signal.SIGTERM)
+    with pytest.raises(Aborted, match="SIGTERM"):
+        interrupts.stop_here()
+
+
+def test_a_prompt_without_anybody_aborts(run_small, tmp_path, monkeypatch):
+    answers = tmp_path / "none.txt"
+    answers.write_text("\n")
+    assert run_small(three_steps, operator=Answers(answers)).exit_code == 4
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    with pytest.raises(Aborted, match="--answers"):
+        Terminal().ask("ready?")
+
+
+def test_answers_are_found_by_question_then_by_order(tmp_path):
+    path = tmp_path / "answers.txt"
+    path.write_text("yes\nsecond question: 42\nno\n")
+    operator = Answers(path)
+    assert [operator.ask(q) for q in ("first?", "second question", "third?")] == ["yes", "42", "no"]
+    with pytest.raises(ConfigError, match=r"missing\.txt"):
+        Answers(tmp_path / "missing.txt")
+
+
+def test_an_undeclared_measurement_is_an_error_that_names_the_declared(run_small):
+    @procedure(name="loose", measurements=LIMITS)
+    def loose(ctx):
+        ctx.measure("godo", 1.0)
+
+    result = run_small(loose)
+    assert result.exit_code == 2
+    assert "good, seen" in result.error.message
+
+
+def test_attachments_are_copied_into_the_folder(run_small, tmp_path):
+    outside = tmp_path / "outside.txt"
+    outside.write_text("content")
+
+    @procedure(name="leaver")
+    def leaver(ctx):
+        ctx.attach("a file", outside)
+
+    result = run_small(leaver)
+    outside.unlink()
+    item = result_of(result)["attachments"][0]
+    assert (result.folder / item["path"]).read_text() == "content"
+
+
+def test_a_device_that_the_bench_lacks_is_named_before_anything_happens(run_small, tmp_path):
+    @procedure(name="needy", needs=("servos", "mocap"))
+    def needy(ctx):
+        raise AssertionError("must not run")
+
+    folder = tmp_path / "needy"
+    with pytest.raises(ConfigError, match="servos, mocap") as caught:
+        run_small(needy, folder)
+    assert caught.value.exit_code == 2
+    assert not folder.exists()
+
+
+def test_results_are_never_overwritten(run_small, tmp_path):
+    run_small(small, tmp_path / "same")
+    with pytest.raises(ConfigError, match="another run"):
+        run_small(small, tmp_path / "same")
