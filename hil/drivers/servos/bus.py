@@ -1,0 +1,171 @@
+"""Requests on a DYNAMIXEL bus: single ones through the SDK, group ones through our own packets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    PacketHandler,
+)
+
+from hil.clock import NS_PER_S, Clock
+from hil.drivers.servos import packets
+from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
+from hil.drivers.servos.port import PortLost, ServoPort
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.signals import Status
+
+T = TypeVar("T")
+
+_ATTEMPTS = 3
+_RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """Bytes of one group read, and when: request handed over, answer complete (or given up)."""
+
+    data: bytes
+    sent_ns: int
+    received_ns: int
+
+
+class Bus:
+    """An open port with the verbs of Protocol 2.0.
+
+    Args:
+        port: opened by the caller.
+        clock: the bench clock.
+        device: name in errors.
+    """
+
+    def __init__(self, port: ServoPort, clock: Clock, device: str) -> None:
+        self.port, self._clock, self._device = port, clock, device
+        self._sdk = PacketHandler(2.0)
+        self.traffic_ns = clock.now_ns()
+
+    def close(self) -> None:
+        """Let go of the port; never raises."""
+        self.port.closePort()
+
+    def ping(self, servo_id: int) -> Answer:
+        """Whether a servo is there, one attempt; the data are its model number."""
+        model, result, error = self._guard(lambda: self._sdk.ping(self.port, servo_id), (0, None, 0))
+        return self._answer(result, error, bytes((model & 0xFF, model >> 8 & 0xFF)))
+
+    def read(self, servo_id: int, address: int, length: int, attempts: int = _ATTEMPTS) -> Answer:
+        """Read registers of one servo; what went wrong last is the answer."""
+        answer = packets.NO_ANSWER
+        nothing: list[int] = []
+        for _ in range(attempts):
+            data, result, error = self._guard(
+                lambda: self._sdk.readTxRx(self.port, servo_id, address, length), (nothing, None, 0)
+            )
+            answer = self._answer(result, error, bytes(data))
+            if answer.status is Status.OK and len(answer.data) != length:
+                answer = Answer(Status.PROTOCOL, error)
+            if answer.status is Status.OK:
+                break
+        return answer
+
+    def write(self, servo_id: int, address: int, data: bytes, attempts: int = _ATTEMPTS) -> Answer:
+        """Write registers of one servo and take its acknowledgement."""
+        answer = packets.NO_ANSWER
+        for _ in range(attempts):
+            result, error = self._guard(
+                lambda: self._sdk.writeTxRx(self.port, servo_id, address, len(data), list(data)), (None, 0)
+            )
+            answer = self._answer(result, error, b"")
+            if answer.status in (Status.OK, Status.PROTOCOL):
+                break
+        return answer
+
+    def reboot(self, servo_id: int) -> Answer:
+        """Restart one servo; it is deaf for a while afterwards."""
+        result, error = self._guard(lambda: self._sdk.reboot(self.port, servo_id), (None, 0))
+        return self._answer(result, error, b"")
+
+    def send(self, packet: bytes) -> bool:
+        """Send a packet that nobody answers; False when the port is lost."""
+        self.traffic_ns = self._clock.now_ns()
+        try:
+            self.port.writePort(packet)
+        except PortLost:
+            return False
+        return True
+
+    def exchange(self, group: GroupRead, timeout_s: float) -> Exchange:
+        """One group read within `timeout_s`; what arrived may be nothing or incomplete."""
+        clock, port = self._clock, self.port
+        sent_ns = self.traffic_ns = clock.now_ns()
+        data = b""
+        try:
+            port.clearPort()
+            port.writePort(group.request)
+            data = port.receive(group.expected, timeout_s)
+            if not group.plausible(data):
+                data = self._more(group, data, sent_ns + round(timeout_s * NS_PER_S))
+        except PortLost:
+            clock.sleep_until_ns(sent_ns + round(timeout_s * NS_PER_S))
+        return Exchange(data, sent_ns, clock.now_ns())
+
+    def _more(self, group: GroupRead, data: bytes, deadline_ns: int) -> bytes:
+        """Go on receiving when noise, an echo or stuffing has made the answer longer."""
+        while not group.complete(data):
+            left_ns = deadline_ns - self._clock.now_ns()
+            if left_ns <= 0:
+                break
+            data += self.port.receive(max(1, group.expected - len(data)), left_ns / NS_PER_S)
+        return data
+
+    def gather(self, duration_s: float, limit: int) -> bytes:
+        """Everything that arrives during `duration_s`."""
+        try:
+            return self.port.receive(limit, duration_s)
+        except PortLost:
+            return b""
+
+    def demand(self, servo_id: int, address: int, data: bytes, what: str) -> None:
+        """Write and insist; raises `DeviceError` that names the servo and what was written."""
+        answer = self.write(servo_id, address, data)
+        if answer.status is not Status.OK:
+            raise self.failure(answer, f"servo {servo_id}: {what} cannot be written")
+
+    def failure(self, answer: Answer, what: str) -> DeviceError:
+        """The error for an answer that was not OK."""
+        kind = DeviceTimeoutError if answer.status is Status.TIMEOUT else DeviceError
+        number = answer.error & ERROR_NUMBER
+        reason = f"the servo {ERROR_TEXT.get(number, f'reports error {number}')}" if number else ""
+        return kind(
+            self._device,
+            f"{what} ({reason or answer.status.value})",
+            port=self.port.port_name,
+            expected=f"an acknowledgement at {self.port.baudrate} baud",
+            remedy="check cable and power" if not number else "switch torque off or check the value",
+        )
+
+    def _guard(self, call: Callable[[], T], lost: T) -> T:
+        """A call into the SDK: lost ports and its own slips over garbage become a failed result."""
+        self.traffic_ns = self._clock.now_ns()
+        try:
+            return call()
+        except PortLost:
+            self._clock.sleep_until_ns(self.traffic_ns + round(self.port.reply_s(16, 16) * NS_PER_S))
+            return lost
+        except (IndexError, TypeError, ValueError):
+            return lost
+        finally:
+            self.port.is_using = False
+
+    @staticmethod
+    def _answer(result: int | None, error: int, data: bytes) -> Answer:
+        if result != COMM_SUCCESS:
+            return Answer(_RESULTS.get(result, Status.TIMEOUT) if result is not None else Status.TIMEOUT)
+        if error & ERROR_NUMBER:
+            return Answer(Status.PROTOCOL, error)
+        return Answer(Status.OK, error & ALERT, data)

@@ -1,0 +1,162 @@
+"""Who is on the bus: what each ID answers at open, held against what the bench expects."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hil.config.servos import STEER_MODES, ServosConfig
+from hil.config.xh430 import BAUD_RATES, MODE_NAMES, TABLE, VELOCITY, hardware_error_text
+from hil.drivers.servos import registers as reg
+from hil.drivers.servos.bus import Bus
+from hil.drivers.servos.packets import Answer
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.signals import SERVOS, Status
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One fact about the bus for `hil doctor`.
+
+    Attributes:
+        check: what was looked at.
+        level: `ok`, `warning` or `failure`.
+        found, expected, remedy: in words.
+    """
+
+    check: str
+    level: str
+    found: str
+    expected: str = ""
+    remedy: str = ""
+
+
+def read_blocks(bus: Bus, config: ServosConfig) -> list[Answer]:
+    """Registers 0..147 of the eight servos; raises nothing."""
+    return [bus.read(i, 0, reg.BLOCK_LENGTH) for i in config.ids]
+
+
+def check_identity(bus: Bus, config: ServosConfig, answers: list[Answer], device: str) -> None:
+    """Raise `DeviceError` with a table of expected and found unless the eight are the right ones."""
+    problems, remedies = [], []
+    for name, servo_id, answer in zip(SERVOS, config.ids, answers, strict=True):
+        found, remedy = _identity_problem(answer, config)
+        if found:
+            problems.append(f"{name} (ID {servo_id}): found {found}")
+            remedies.append(remedy)
+    if not problems:
+        return
+    nobody = all(a.status is Status.TIMEOUT for a in answers)
+    if nobody:
+        remedies = [_other_baud(bus, config)]
+    kind = DeviceTimeoutError if nobody else DeviceError
+    raise kind(
+        device,
+        f"{len(problems)} of 8 servos are not what the bench expects\n  " + "\n  ".join(problems) + "\n ",
+        port=config.port,
+        expected=f"model {config.model_number}, firmware >= {config.min_firmware} at {config.baud} baud",
+        remedy="; ".join(dict.fromkeys(remedies)),
+    )
+
+
+def _identity_problem(answer: Answer, config: ServosConfig) -> tuple[str, str]:
+    """(what was found, remedy), empty when the servo is right."""
+    if answer.status is Status.TIMEOUT:
+        return "nothing", "check cable, power and ID; `hil discover` shows who answers"
+    if answer.status is not Status.OK:
+        return (
+            f"garbled replies ({answer.status.value})",
+            "two servos may share this ID: connect one at a time and give it another with `hil setup`",
+        )
+    model = reg.from_block(answer.data, "model_number")
+    firmware = reg.from_block(answer.data, "firmware_version")
+    if model != config.model_number:
+        return f"model {model}, firmware {firmware}", "check servos.model_number or exchange the servo"
+    if firmware < config.min_firmware:
+        return f"model {model}, firmware {firmware}", "update the firmware with DYNAMIXEL Wizard"
+    return "", ""
+
+
+def _other_baud(bus: Bus, config: ServosConfig) -> str:
+    """Whether the servos listen at another rate, as a remedy."""
+    heard = []
+    for baud in BAUD_RATES.values():
+        if baud == config.baud:
+            continue
+        bus.port.setBaudRate(baud)
+        if any(bus.ping(i).status is Status.OK for i in config.ids[:2]):
+            heard.append(baud)
+    bus.port.setBaudRate(config.baud)
+    if heard:
+        return f"the servos answer at {heard[0]} baud: set servos.baud, or change theirs with `hil setup`"
+    return "check that the bus has power and that port and baud rate are right"
+
+
+def expected_mode(config: ServosConfig, joint: int) -> int:
+    """Operating mode that a joint's servo must have."""
+    return VELOCITY if joint < 4 else STEER_MODES[config.steer_mode]
+
+
+def check_setup(config: ServosConfig, blocks: list[bytes], device: str) -> None:
+    """Raise `DeviceError` where the EEPROM differs from what the bench needs; nothing is written."""
+    problems = [f for j, block in enumerate(blocks) for f in _setup_problems(config, j, block)]
+    if problems:
+        raise DeviceError(
+            device,
+            "servos are not set up for this bench\n  " + "\n  ".join(problems) + "\n ",
+            port=config.port,
+            expected="these registers in the EEPROM",
+            remedy="write them with `hil setup` (never done by itself)",
+        )
+
+
+def _setup_problems(config: ServosConfig, joint: int, block: bytes) -> list[str]:
+    who = f"{SERVOS[joint]} (ID {config.ids[joint]})"
+    mode, want = reg.from_block(block, "operating_mode"), expected_mode(config, joint)
+    problems = []
+    if mode != want:
+        found = f"{mode} ({MODE_NAMES.get(mode, 'unknown')})"
+        problems.append(f"{who}: operating_mode {found}, expected {want} ({MODE_NAMES[want]})")
+    for name, why in (
+        ("drive_mode", "signs belong to the bench file"),
+        ("homing_offset", "zeros belong to the calibration; with a bus watchdog an offset moves the motor"),
+    ):
+        raw = reg.from_block(block, name)
+        if raw != 0:
+            problems.append(f"{who}: {name} {raw}, expected 0 ({why})")
+    return problems
+
+
+def findings(config: ServosConfig, blocks: list[bytes], *, fast: bool, mapped: bool) -> tuple[Finding, ...]:
+    """What a check of the bus tells, beyond that it opened."""
+    firmware = [reg.from_block(b, "firmware_version") for b in blocks]
+    delays = [reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks]
+    errors = {SERVOS[j]: reg.from_block(b, "hardware_error_status") for j, b in enumerate(blocks)}
+    alerts = {k: hardware_error_text(v) for k, v in errors.items() if v}
+    slow = max(delays) > config.return_delay_s + 1e-9
+    shutdown = [reg.from_block(b, "shutdown") for b in blocks]
+    protection = TABLE["shutdown"].default
+    protected = all(s & protection == protection for s in shutdown)
+    return (
+        Finding("identity", "ok", f"8 servos, model {config.model_number}, firmware {sorted(set(firmware))}"),
+        Finding(
+            "return delay", "warning" if slow else "ok", f"up to {max(delays) * 1e6:.0f} us",
+            f"{config.return_delay_s * 1e6:.0f} us", "`hil setup ... --set return_delay_time=0`",
+        ),
+        Finding(
+            "reads", "ok" if fast else "warning", "fast sync read" if fast else "plain sync read",
+            "firmware 45 on all servos", "update the firmware with DYNAMIXEL Wizard",
+        ),
+        Finding(
+            "goals", "ok" if mapped else "warning", "one sync write" if mapped else "one bulk write",
+            "the bench's indirect addresses", "release torque once, then open again",
+        ),
+        Finding(
+            "hardware errors", "failure" if alerts else "ok", str(alerts or "none"), "none",
+            "remove the cause, then reboot the servo",
+        ),
+        Finding(
+            "shutdown", "ok" if protected else "warning",
+            ", ".join(f"0x{s:02X}" for s in sorted(set(shutdown))), f"0x{protection:02X}",
+            "let overload, shock and heat switch the motor off",
+        ),
+    )  # fmt: skip

@@ -1,0 +1,168 @@
+"""The SDK's port on any pyserial URL and on the injected clock.
+
+The stock `PortHandler` opens local devices only, polls with a time-out of zero (one core at 99 %),
+measures on the wall clock and waits 34 ms for a missing servo (`facts/devices.md` section 7). This one
+blocks in the serial read, and computes its time-outs from baud rate, bytes, return delay and latency.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+from typing import Any
+
+import serial
+from dynamixel_sdk import PortHandler
+
+from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.config.xh430 import BAUD_CODES
+from hil.errors import DeviceError
+
+_BITS = 10
+_SMALLEST_TIMEOUT_S = 1e-4
+
+
+class PortLost(Exception):
+    """The port failed under us (unplugged, closed); stays inside this package."""
+
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError, AttributeError)
+    try:
+        import termios
+    except ImportError:
+        return errors
+    return (*errors, termios.error)
+
+
+PORT_ERRORS = _port_errors()
+
+
+class ServoPort(PortHandler):  # type: ignore[misc]
+    """An open serial port with Dynamixel's rates.
+
+    Args:
+        url: any pyserial URL or device path.
+        baud: bits per second.
+        clock: the bench clock.
+        latency_s: of the USB adapter.
+        slack_s: silence beyond the computed time before a reply counts as lost.
+    """
+
+    def __init__(self, url: str, baud: int, clock: Clock, *, latency_s: float, slack_s: float) -> None:
+        super().__init__(url)
+        self.ser: Any = None
+        self.is_open: bool = False
+        self.baudrate: int = baud
+        self.return_delay_s = 508e-6
+        self._clock = clock
+        self._wait_s = latency_s + slack_s
+        self._written = 0
+        self._deadline_ns = 0
+        self._timeout_s = -1.0
+
+    def open(self, device: str) -> None:
+        """Open the port; raises `DeviceError` that says what can be done about it."""
+        try:
+            self.setupPort(self.baudrate)
+        except PORT_ERRORS as error:
+            raise self._cannot_open(device, error) from None
+
+    def _cannot_open(self, device: str, error: Exception) -> DeviceError:
+        number = getattr(error, "errno", None)
+        remedy = "check the cable and the port name; `hil discover` lists ports"
+        if number == errno.EACCES:
+            remedy = "give the user access to the port (group dialout, or a udev rule)"
+        elif number in (errno.EBUSY, errno.EAGAIN):
+            remedy = "close the other program that uses the port"
+        detail = os.strerror(number) if number else str(error)
+        return DeviceError(
+            device,
+            f"port cannot be opened ({detail})",
+            port=self.port_name,
+            expected="a DYNAMIXEL bus at a serial port or pyserial URL",
+            remedy=remedy,
+        )
+
+    def setupPort(self, cflag_baud: int) -> bool:
+        """Open at a rate (called by the SDK too)."""
+        if self.is_open:
+            self.closePort()
+        local: dict[str, Any] = {} if "://" in self.port_name else {"exclusive": True}
+        self.baudrate = cflag_baud
+        self.ser = serial.serial_for_url(
+            self.port_name, baudrate=cflag_baud, timeout=_SMALLEST_TIMEOUT_S, write_timeout=1.0, **local
+        )
+        self.is_open = True
+        self._timeout_s = -1.0
+        self.ser.reset_input_buffer()
+        return True
+
+    def closePort(self) -> None:
+        """Let go; never raises."""
+        ser, self.ser, self.is_open, self.is_using = self.ser, None, False, False
+        try:
+            if ser is not None:
+                ser.close()
+        except PORT_ERRORS:
+            return
+
+    def getCFlagBaud(self, baudrate: int) -> int:
+        """Every rate of the servo, 4.5 Mbit/s too."""
+        return baudrate if baudrate in BAUD_CODES else -1
+
+    def wire_s(self, count: int) -> float:
+        """Time of `count` bytes on the wire."""
+        return count * _BITS / self.baudrate
+
+    def reply_s(self, sent: int, expected: int, delays: int = 1) -> float:
+        """Longest time from a request of `sent` bytes to the end of a reply of `expected`, s."""
+        return self.wire_s(sent + expected) + delays * self.return_delay_s + self._wait_s
+
+    def clearPort(self) -> None:
+        """Throw away what has arrived; raises `PortLost`."""
+        try:
+            self.ser.reset_input_buffer()
+        except PORT_ERRORS as error:
+            raise PortLost(str(error)) from None
+
+    def writePort(self, packet: bytes | list[int]) -> int:
+        """Send; raises `PortLost`."""
+        self._written = len(packet)
+        try:
+            sent: int = self.ser.write(bytes(packet))
+        except PORT_ERRORS as error:
+            raise PortLost(str(error)) from None
+        return sent
+
+    def readPort(self, length: int) -> bytes:
+        """Wait for `length` bytes until the packet's deadline; raises `PortLost`."""
+        left_s = (self._deadline_ns - self._clock.now_ns()) / NS_PER_S
+        return self.receive(length, left_s)
+
+    def receive(self, length: int, timeout_s: float) -> bytes:
+        """Wait for `length` bytes at most `timeout_s`; raises `PortLost`."""
+        try:
+            if timeout_s != self._timeout_s:
+                self._timeout_s = timeout_s
+                self.ser.timeout = max(timeout_s, _SMALLEST_TIMEOUT_S)
+            data: bytes = self.ser.read(length)
+        except PORT_ERRORS as error:
+            raise PortLost(str(error)) from None
+        return data
+
+    def setPacketTimeout(self, packet_length: int) -> None:
+        """Deadline of a reply of that many bytes."""
+        self._deadline_ns = self._clock.now_ns() + nanoseconds(self.reply_s(self._written, packet_length))
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:
+        """Deadline in ms from now."""
+        self._deadline_ns = self._clock.now_ns() + nanoseconds(msec * 1e-3)
+
+    def isPacketTimeout(self) -> bool:
+        """Whether the deadline has passed."""
+        return self._clock.now_ns() >= self._deadline_ns
+
+    def getCurrentTime(self) -> float:
+        """Bench time, ms."""
+        return self._clock.now_ns() * 1e-6

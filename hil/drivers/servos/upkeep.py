@@ -1,0 +1,180 @@
+"""RAM of the servos: what is written at open, checked now and then, and restored after a restart.
+
+A servo that has restarted (brown-out, reboot) is without torque, gains, goal map and watchdog, and
+says so only when asked. A tripped bus watchdog refuses goals in silence. Both are found by the audit,
+a small group read through indirect data, and put right with the robot held where it is.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+from hil.config.servos import ServosConfig
+from hil.config.xh430 import hardware_error_text
+from hil.drivers.servos import packets
+from hil.drivers.servos import registers as reg
+from hil.drivers.servos.bus import Bus
+from hil.drivers.servos.packets import GoalWrite, GroupRead
+from hil.errors import DeviceError
+from hil.signals import SERVOS, Status
+
+_LOG = logging.getLogger(__name__)
+
+TRIPPED = 0xFF
+_FULL_LEVEL = 2
+
+
+class Upkeep:
+    """Knows what RAM should hold, and makes it so.
+
+    Attributes:
+        mapped: whether goals go through indirect data (one sync write) or by bulk write.
+        torque: whether torque should be on.
+        hardware_error: (8,) Hardware Error Status as last read.
+    """
+
+    def __init__(self, bus: Bus, config: ServosConfig, device: str, *, fast: bool) -> None:
+        self._bus, self._config, self._device, self._fast = bus, config, device, fast
+        self._ids = config.ids
+        self._goal_addresses = [reg.GOAL_VELOCITY] * 4 + [reg.GOAL_POSITION] * 4
+        self._registers = [reg.encoded(config.drive_registers)] * 4 + [
+            reg.encoded(config.steer_registers)
+        ] * 4
+        self.mapped = True
+        self.torque = False
+        self.hardware_error = [0] * 8
+
+    def goal_write(self) -> GoalWrite:
+        """The cheapest write that serves drives and steers."""
+        return GoalWrite(self._ids, reg.GOAL_DATA if self.mapped else self._goal_addresses)
+
+    def acknowledge_all(self) -> None:
+        """Have every servo answer reads and writes, whatever Status Return Level it was left with."""
+        level = bytes((_FULL_LEVEL,))
+        self._bus.send(packets.sync_write(reg.RETURN_LEVEL, 1, [(i, level) for i in self._ids]))
+
+    def prepare(self, blocks: Sequence[bytes]) -> None:
+        """Write RAM at open; a robot that is held by torque stays held.
+
+        Raises:
+            DeviceError: a servo refused or did not acknowledge.
+        """
+        torque = [reg.from_block(b, "torque_enable") for b in blocks]
+        self.hardware_error = [reg.from_block(b, "hardware_error_status") for b in blocks]
+        self.mapped = self._map_goals(torque)
+        for joint, servo_id in enumerate(self._ids):
+            self._bus.demand(servo_id, reg.WATCHDOG, b"\x00", "bus watchdog")
+            if joint < 4:
+                self._bus.demand(servo_id, reg.GOAL_VELOCITY, bytes(4), "zero goal velocity")
+            for address, data in self._registers[joint]:
+                self._bus.demand(servo_id, address, data, f"register at {address}")
+
+    def _map_goals(self, torque: Sequence[int]) -> bool:
+        """Set indirect addresses 1..7, which a servo with torque on does not allow."""
+        for joint, servo_id in enumerate(self._ids):
+            wanted = reg.indirect_map(self._goal_addresses[joint])
+            answer = self._bus.read(servo_id, reg.INDIRECT_ADDRESS, len(wanted))
+            if answer.data == wanted:
+                continue
+            if torque[joint]:
+                _LOG.warning("%s: %s has torque on and no goal map: bulk writes", self._device, SERVOS[joint])
+                return False
+            self._bus.demand(servo_id, reg.INDIRECT_ADDRESS, wanted, "indirect addresses")
+        return True
+
+    def arm(self) -> None:
+        """Watchdog armed, then torque on, on all."""
+        count = bytes((self._config.watchdog_count,))
+        self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
+        self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
+        self.torque = True
+
+    def disarm(self) -> None:
+        """Torque off, then the watchdog, on all."""
+        self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
+        self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
+        self.torque = False
+
+    def audit(self, ids: Sequence[int]) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors."""
+        if not ids:
+            return {}
+        address, length = (
+            (reg.AUDIT_DATA, reg.AUDIT_LENGTH) if self.mapped else (reg.DIRECT_AUDIT, reg.DIRECT_AUDIT_LENGTH)
+        )
+        group = GroupRead(ids, address, length, fast=self._fast)
+        delays = 1 if self._fast else len(ids)
+        timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
+        answers = group.answers(self._bus.exchange(group, timeout_s).data)
+        state = {}
+        for servo_id, answer in answers.items():
+            if answer.status is Status.OK:
+                joint = self._ids.index(servo_id)
+                torque, watchdog, self.hardware_error[joint] = reg.audit_values(answer.data)
+                state[joint] = (torque, watchdog)
+        return state
+
+    def repair(self, state: Mapping[int, tuple[int, int]], goals: Sequence[int]) -> tuple[int, ...]:
+        """Put right what an audit found; the joints that had lost torque or were stopped.
+
+        Args:
+            state: of `audit`.
+            goals: (8,) raw goals at which the robot is held.
+        """
+        if not self.torque:
+            return ()
+        armed = self._config.watchdog_count
+        repaired = []
+        for joint, (torque, watchdog) in state.items():
+            if torque and watchdog == armed:
+                continue
+            if self.hardware_error[joint]:
+                continue
+            if torque:
+                _LOG.warning("%s: bus watchdog of %s tripped: armed again", self._device, SERVOS[joint])
+            else:
+                _LOG.warning("%s: %s has restarted: set up again", self._device, SERVOS[joint])
+                self._restore_settings(joint)
+            self._resume(joint, goals[joint])
+            repaired.append(joint)
+        return tuple(repaired)
+
+    def _restore_settings(self, joint: int) -> None:
+        servo_id = self._ids[joint]
+        if self.mapped:
+            wanted = reg.indirect_map(self._goal_addresses[joint])
+            self._bus.send(packets.sync_write(reg.INDIRECT_ADDRESS, len(wanted), [(servo_id, wanted)]))
+        for address, data in self._registers[joint]:
+            self._bus.send(packets.sync_write(address, len(data), [(servo_id, data)]))
+
+    def _resume(self, joint: int, goal: int) -> None:
+        """Clear the watchdog, hold at a goal, arm, torque on."""
+        servo_id = self._ids[joint]
+        data = (goal & 0xFFFFFFFF).to_bytes(4, "little")
+        for address, value in (
+            (reg.WATCHDOG, b"\x00"),
+            (self._goal_addresses[joint], data),
+            (reg.WATCHDOG, bytes((self._config.watchdog_count,))),
+            (reg.TORQUE, b"\x01"),
+        ):
+            self._bus.send(packets.sync_write(address, len(value), [(servo_id, value)]))
+
+    def read_hardware_error(self, joint: int) -> int:
+        """Hardware Error Status of one servo; what was known before if it does not answer."""
+        answer = self._bus.read(self._ids[joint], reg.HARDWARE_ERROR, 1, attempts=1)
+        if answer.status is Status.OK:
+            self.hardware_error[joint] = answer.data[0]
+        return self.hardware_error[joint]
+
+    def refuse_hardware_errors(self) -> None:
+        """Raise `DeviceError` that lists servos with a hardware error."""
+        found = {SERVOS[j]: hardware_error_text(e) for j, e in enumerate(self.hardware_error) if e}
+        if found:
+            raise DeviceError(
+                self._device,
+                "hardware errors: " + ", ".join(f"{k} ({v})" for k, v in found.items()),
+                port=self._config.port,
+                expected="none",
+                remedy="remove the cause, then reboot the servo (power off and on)",
+            )

@@ -1,0 +1,359 @@
+"""Eight XH430 servos as the robot's actuators: four drives in velocity mode, four steers in position mode.
+
+One group read and one group write per cycle; per-servo status, never a number that stands for "no
+data"; positions that count on across restarts. The zero of an angle is the servo's centre, 2048 counts.
+Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
+truncated towards zero (`facts/robot.md`); the stamp is that of the position.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.config.servos import ServosConfig
+from hil.config.xh430 import (
+    A_PER_COUNT,
+    COUNTS_PER_TURN,
+    FAST_READ_FIRMWARE,
+    POSITION,
+    RAD_PER_COUNT,
+    RAD_S_PER_COUNT,
+    ZERO_COUNTS,
+    hardware_error_text,
+)
+from hil.drivers.servos import identity as ident
+from hil.drivers.servos import registers as reg
+from hil.drivers.servos.bus import Bus
+from hil.drivers.servos.cycle import ALL_OK, CycleReader, Reading
+from hil.drivers.servos.health import HealthReader
+from hil.drivers.servos.identity import Finding
+from hil.drivers.servos.port import ServoPort
+from hil.drivers.servos.turns import TurnCounter
+from hil.drivers.servos.upkeep import Upkeep
+from hil.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.interfaces import Actuators
+from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
+
+_LOG = logging.getLogger(__name__)
+
+_NO_ALERT: tuple[int, ...] = (0,) * 8
+_ALL_SEEN = np.ones(8, dtype=bool)
+_SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
+_VERIFY_ATTEMPTS = 3
+
+
+class XH430Servos(Actuators):
+    """The servo bus.
+
+    Args:
+        config: port, IDs, expectations, budgets.
+        clock: the bench clock; every wait and every stamp is on it.
+        name: device name in errors and logs.
+    """
+
+    def __init__(self, config: ServosConfig, clock: Clock, name: str = "servos") -> None:
+        self.name = name
+        self._config, self._clock = config, clock
+        self._bus: Bus | None = None
+        self._identity: dict[str, str] = {}
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._watchdog_ns = nanoseconds(config.watchdog_s)
+        self._sequence = 0
+
+    def open(self) -> None:
+        """Open the port, check who is there and how they are set up, write RAM. Torque is left as it is.
+
+        Raises:
+            DeviceError: port, identity or EEPROM are not as expected; the message has a table.
+        """
+        self.close()
+        config = self._config
+        port = ServoPort(
+            config.port,
+            config.baud,
+            self._clock,
+            latency_s=config.usb_latency_s,
+            slack_s=config.reply_slack_s,
+        )
+        port.open(self.name)
+        self._bus = bus = Bus(port, self._clock, self.name)
+        try:
+            self._set_up(bus)
+        except BaseException:
+            self.close()
+            raise
+
+    def _set_up(self, bus: Bus) -> None:
+        config = self._config
+        Upkeep(bus, config, self.name, fast=False).acknowledge_all()
+        answers = ident.read_blocks(bus, config)
+        ident.check_identity(bus, config, answers, self.name)
+        self._blocks = blocks = [a.data for a in answers]
+        ident.check_setup(config, blocks, self.name)
+        bus.port.return_delay_s = max(reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks)
+        firmware = [reg.from_block(b, "firmware_version") for b in blocks]
+        fast = config.fast_sync_read
+        if fast == "auto":
+            fast = min(firmware) >= FAST_READ_FIRMWARE
+        self._upkeep = Upkeep(bus, config, self.name, fast=fast)
+        self._upkeep.prepare(blocks)
+        self._cycle = CycleReader(bus, config, self._clock, fast=fast)
+        self._health = HealthReader(bus, config, self._clock, fast=fast)
+        self._goal_write = self._upkeep.goal_write()
+        self._limits(blocks)
+        self._turns = TurnCounter()
+        self._registers = np.array([reg.from_block(b, "present_position") for b in blocks], dtype=np.int64)
+        self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._registers[4:]))
+        self._alert = [0] * 8
+        self._good_ns = [self._clock.now_ns()] * 8
+        self._doubtful = False
+        self._unsure: set[int] = set()
+        self._identity = {
+            "model": f"XH430 ({config.model_number})",
+            "firmware": ", ".join(str(f) for f in firmware),
+            "ids": ", ".join(str(i) for i in config.ids),
+            "port": config.port,
+            "baud": str(config.baud),
+        }
+
+    def _limits(self, blocks: list[bytes]) -> None:
+        """Raw limits of the goals: the bench's, and the servos' own, beyond which they ignore a goal."""
+        config = self._config
+        top = np.array([reg.from_block(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
+        top = np.minimum(top, int(config.velocity_limit_rad_s / RAD_S_PER_COUNT))
+        self._one_turn = ident.expected_mode(config, 4) == POSITION
+        self._goal_low = np.concatenate((-top, np.full(4, -1_048_575)))
+        self._goal_high = np.concatenate((top, np.full(4, 1_048_575)))
+        if self._one_turn:
+            self._goal_low[4:] = [reg.from_block(b, "min_position_limit") for b in blocks[4:]]
+            self._goal_high[4:] = [reg.from_block(b, "max_position_limit") for b in blocks[4:]]
+
+    def close(self) -> None:
+        """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
+        if self._bus is None:
+            return
+        if self._identity and self._upkeep.torque:
+            self.stop()
+        self._identity = {}
+        self._bus.close()
+        self._bus = None
+
+    def identity(self) -> Mapping[str, str]:
+        """Models, firmware, IDs and port; empty while closed."""
+        return self._identity
+
+    def _opened(self) -> Bus:
+        if self._bus is None:
+            raise DeviceError(
+                self.name, "used while closed", port=self._config.port, remedy="call open() first"
+            )
+        return self._bus
+
+    def read(self) -> tuple[ServoSample, ...]:
+        """One group read as one sample.
+
+        Raises:
+            DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.
+            DeviceError: a servo has reported a hardware error for `fail_after_s`.
+        """
+        bus = self._opened()
+        silence_ns = self._clock.now_ns() - bus.traffic_ns
+        restarted: tuple[int, ...] = ()
+        if self._doubtful or (self._upkeep.torque and silence_ns > self._watchdog_ns > 0):
+            self._doubtful = False
+            restarted = self._audit()
+        reading = self._cycle.read()
+        if reading.revived:
+            self._doubtful = True
+        return (self._sample(reading, restarted),)
+
+    def _sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
+        self._sequence += 1
+        t_ns = (reading.sent_ns + reading.received_ns) // 2
+        stamp = Stamp(t_ns=t_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
+        rows = reading.registers
+        velocity = rows["velocity"].astype(np.float64)
+        clean = reading.status is ALL_OK
+        seen = _ALL_SEEN if clean else np.array([s is Status.OK for s in reading.status])
+        raw = rows["position"].astype(np.int64)
+        self._registers = raw if clean else np.where(seen, raw, self._registers)
+        counts, jumped = self._turns.follow(raw, velocity * _SPEED_COUNTS, seen, t_ns)
+        position = (counts - ZERO_COUNTS) * RAD_PER_COUNT
+        velocity *= RAD_S_PER_COUNT
+        current = rows["current"] * A_PER_COUNT
+        status = reading.status
+        alert = _NO_ALERT
+        if not clean or restarted or jumped.any() or any(self._alert):
+            status, alert = self._judge(reading, restarted, jumped)
+            bad = np.array([s is not Status.OK for s in status])
+            position[bad] = velocity[bad] = current[bad] = np.nan
+        self._keep_time(status, stamp.host_ns)
+        return ServoSample(stamp, position, velocity, current, status, alert)
+
+    def _judge(
+        self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray
+    ) -> tuple[tuple[Status, ...], tuple[int, ...]]:
+        """Status and alert byte per servo, with restarts and hardware errors looked into."""
+        status = list(reading.status)
+        for j, flag in enumerate(reading.alert):
+            if status[j] is not Status.OK:
+                continue
+            if not flag:
+                self._alert[j] = 0
+            elif not self._alert[j]:
+                self._alert[j] = self._upkeep.read_hardware_error(j) or 0x80
+                _LOG.warning("%s: %s: %s", self.name, SERVOS[j], hardware_error_text(self._alert[j]))
+            if flag:
+                status[j] = Status.HARDWARE_ERROR
+            elif jumped[j] or j in restarted or j in reading.revived:
+                status[j] = Status.RESET
+                self._doubtful = self._doubtful or bool(jumped[j])
+        return tuple(status), tuple(self._alert)
+
+    def _keep_time(self, status: tuple[Status, ...], now_ns: int) -> None:
+        """Raise once a servo has not been usable for too long."""
+        if status is ALL_OK:
+            self._good_ns = [now_ns] * 8
+            return
+        for j, one in enumerate(status):
+            if one is Status.OK:
+                self._good_ns[j] = now_ns
+        late = [j for j in range(8) if now_ns - self._good_ns[j] > self._fail_ns]
+        if not late:
+            return
+        found = ", ".join(
+            f"{SERVOS[j]} (ID {self._config.ids[j]}): {status[j].value}"
+            + (f" {hardware_error_text(self._alert[j])}" if self._alert[j] else "")
+            for j in late
+        )
+        broken = any(status[j] is Status.HARDWARE_ERROR for j in late)
+        raise (DeviceError if broken else DeviceTimeoutError)(
+            self.name,
+            f"nothing usable for {self._fail_ns / NS_PER_S:g} s from {found}",
+            port=self._config.port,
+            expected="an answer in every cycle",
+            remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
+        )
+
+    def _audit(self) -> tuple[int, ...]:
+        """Look whether torque and watchdogs are as they should be; repair, holding still."""
+        state = self._upkeep.audit(self._cycle.live_ids)
+        held = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
+        repaired = self._upkeep.repair(state, held.tolist())
+        for j in repaired:
+            if state[j][0] == 0:
+                self._turns.restarted(j)
+        return repaired
+
+    def _held(self) -> np.ndarray:
+        """Raw steering goals at which nothing moves."""
+        present = self._registers[4:]
+        if self._one_turn:
+            present = np.clip(present % COUNTS_PER_TURN, self._goal_low[4:], self._goal_high[4:])
+        return present
+
+    def read_health(self) -> tuple[ServoHealth, ...]:
+        """Voltage and temperature every `health_period_s`, empty between; torque and watchdog too."""
+        self._opened()
+        found = self._health.read(self._cycle.live_ids)
+        if found:
+            self._doubtful = True
+        return found
+
+    def enable(self) -> None:
+        """Goal := present, watchdog armed, torque on; checked.
+
+        Raises:
+            DeviceError: a servo does not answer, has a hardware error or did not take its torque.
+        """
+        bus = self._opened()
+        sample = self.read()[0]
+        if not all(s in (Status.OK, Status.RESET, Status.HARDWARE_ERROR) for s in sample.status):
+            raise DeviceTimeoutError(
+                self.name,
+                "cannot be enabled: " + ", ".join(
+                    f"{SERVOS[j]} {s.value}" for j, s in enumerate(sample.status) if s is not Status.OK
+                ),
+                port=self._config.port,
+                expected="an answer from all eight servos",
+                remedy="check cable, power and IDs",
+            )  # fmt: skip
+        self._upkeep.audit(self._cycle.live_ids)
+        self._upkeep.refuse_hardware_errors()
+        self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
+        for _ in range(_VERIFY_ATTEMPTS):
+            bus.send(self._goal_write.packet(self._goals))
+            self._upkeep.arm()
+            state = self._upkeep.audit(self._cycle.live_ids)
+            if sum(torque for torque, _ in state.values()) == 8:
+                self.read()
+                return
+        missing = [SERVOS[j] for j in range(8) if not state.get(j, (0, 0))[0]]
+        raise DeviceError(
+            self.name,
+            "torque did not come on: " + ", ".join(missing),
+            port=self._config.port,
+            expected="Torque Enable 1",
+            remedy="look for hardware errors with `hil doctor`",
+        )
+
+    def command(self, setpoint: ServoSetpoint) -> None:
+        """One write of the eight goals, clipped to the limits of bench and servos.
+
+        Raises:
+            UsageError: a goal is not a number.
+        """
+        bus = self._opened()
+        steer = np.clip(
+            setpoint.steer_position_rad, -self._config.steer_limit_rad, self._config.steer_limit_rad
+        )
+        goals = np.concatenate(
+            (
+                setpoint.drive_velocity_rad_s / RAD_S_PER_COUNT,
+                steer / RAD_PER_COUNT + (ZERO_COUNTS - self._turns.offset[4:]),
+            )
+        )
+        if not np.isfinite(goals).all():
+            raise UsageError(f"{self.name}: a goal is not finite: {setpoint}")
+        goals = np.minimum(np.maximum(np.rint(goals), self._goal_low), self._goal_high)
+        self._goals = goals.astype(np.int64)
+        bus.send(self._goal_write.packet(self._goals))
+
+    def stop(self) -> None:
+        """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
+        if self._bus is None or not self._identity:
+            return
+        self._goals[:4] = 0
+        packet = self._goal_write.packet(self._goals)
+        for _ in range(2):
+            self._bus.send(packet)
+
+    def release(self) -> None:
+        """Torque off, checked: on a wall the robot slides.
+
+        Raises:
+            DeviceError: a servo that answers still has torque on.
+        """
+        self._opened()
+        for _ in range(_VERIFY_ATTEMPTS):
+            self._upkeep.disarm()
+            state = self._upkeep.audit(self._cycle.live_ids)
+            still = [SERVOS[j] for j, (torque, _) in state.items() if torque]
+            if state and not still:
+                return
+        raise DeviceError(
+            self.name,
+            "torque is not off: " + (", ".join(still) or "nobody answers"),
+            port=self._config.port,
+            expected="Torque Enable 0",
+            remedy="cut the servos' supply",
+        )
+
+    def diagnose(self) -> tuple[Finding, ...]:
+        """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""
+        self._opened()
+        return ident.findings(self._config, self._blocks, fast=self._cycle.fast, mapped=self._upkeep.mapped)
