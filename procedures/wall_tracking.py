@@ -1,0 +1,270 @@
+"""Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
+
+Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
+are those that the paper's experiments call for (`facts/plant_and_control.md`, closed loop).
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.geometry import ArrayLike
+from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
+from hil.trajectories import Trajectory, line, scan
+from procedures._tracking import path_figure, series, stand, time_figure, tracking_errors
+
+Case = Literal["x_line", "y_line", "scan"]
+Feedback = Literal["odometry", "ekf", "ukf"]
+_REFERENCE_M = 1.5
+_NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
+
+
+class Parameters(BaseModel):
+    """What to drive; `seeds` runs that many worlds, the first with the run's own seed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    cases: tuple[Case, ...] = ("x_line", "y_line")
+    feedbacks: tuple[Feedback, ...] = ("odometry", "ekf", "ukf")
+    optimal: bool = True
+    length_m: float = Field(1.5, gt=0, le=3.0)
+    duration_s: float = Field(30.0, gt=1.0)
+    lanes: int = Field(5, ge=1, le=20)
+    lane_length_m: float = Field(1.0, gt=0)
+    lane_spacing_m: float = Field(0.1, gt=0)
+    scan_speed_m_s: float = Field(0.1, gt=0)
+    hold_s: float = Field(2.0, ge=0.5)
+    seeds: int = Field(1, ge=1, le=100)
+    processes: int = Field(1, ge=1, le=8)
+
+    @model_validator(mode="after")
+    def _something(self) -> Parameters:
+        if not self.cases or not self.feedbacks:
+            raise ValueError("nothing to drive: cases and feedbacks must not be empty")
+        return self
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One closed-loop run."""
+
+    case: str
+    feedback: str
+    law: str
+
+    @property
+    def label(self) -> str:
+        """Short name, also of its recording."""
+        return f"{self.case} {'optimal' if self.law == 'optimal' else self.feedback}"
+
+
+def drives(p: Parameters) -> list[Drive]:
+    """All runs of one seed; the optimal law is held against the non-linear one on the Y line."""
+    found = [Drive(c, f, "nonlinear") for c in p.cases for f in p.feedbacks]
+    if p.optimal and "y_line" in p.cases and "ekf" in p.feedbacks:
+        found.append(Drive("y_line", "ekf", "optimal"))
+    return found
+
+
+def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
+    """The reference of a case from where the robot stands."""
+    pose = np.asarray(start, dtype=np.float64)
+    if case == "scan":
+        return scan(pose, p.lane_length_m, p.lanes, p.lane_spacing_m, speed_m_s=p.scan_speed_m_s)
+    way = np.array([p.length_m, 0, 0]) if case == "x_line" else np.array([0, p.length_m, 0])
+    return line(pose, pose + way, duration_s=p.duration_s, name=case)
+
+
+def measurements(p: Parameters) -> Iterator[Measurement]:
+    """Limits for 1.5 m on melamine; what odometry must show scales with the way."""
+    way = p.length_m / _REFERENCE_M
+    for case in p.cases:
+        for feedback in p.feedbacks:
+            if feedback == "odometry":
+                yield from _of_odometry(case, way)
+            else:
+                yield from _of_filter(case, feedback, "odometry" in p.feedbacks, way)
+    if Drive("y_line", "ekf", "optimal") in drives(p):
+        yield Measurement(
+            "y_line.optimal.cross_track_ratio", "1", high=0.7, marginal=0.05,
+            rationale="cross-track RMSE, optimal law with integral action over non-linear law",
+        )  # fmt: skip
+
+
+def _of_odometry(case: str, way: float) -> Iterator[Measurement]:
+    why = "odometry must fail as in the paper, or slip and sag are not being tested"
+    name = f"{case}.odometry"
+    if case == "scan":
+        yield Measurement(f"{name}.rmse_worse_axis", "mm", low=50.0, rationale=why)
+        return
+    if case == "x_line":
+        yield Measurement(f"{name}.shortfall", "mm", low=30.0 * way, rationale=f"ends short; {why}")
+    else:
+        yield Measurement(f"{name}.sag", "mm", low=20.0 * way, rationale=f"hangs down; {why}")
+    yield Measurement(f"{name}.heading_drift", "deg", low=1.0 * way, rationale=why)
+
+
+def _of_filter(case: str, feedback: str, compared: bool, way: float) -> Iterator[Measurement]:
+    name = f"{case}.{feedback}"
+    high = 6.0 if case == "scan" else 8.0
+    for axis in ("x", "y"):
+        yield Measurement(
+            f"{name}.rmse_{axis}", "mm", high=high, marginal=1.0, rationale="mean over the seeds"
+        )
+        if case != "scan":
+            yield Measurement(f"{name}.rmse_{axis}_worst", "mm", high=15.0, rationale="worst seed")
+    if case == "scan":
+        return
+    yield Measurement(
+        f"{name}.end", "mm", high=25.0, marginal=3.0, rationale="distance at the end, worst seed"
+    )
+    yield Measurement(f"{name}.rmse_heading", "deg", high=0.4, marginal=0.05, rationale="mean over the seeds")
+    if compared and way > 0.5:
+        yield Measurement(
+            f"{name}.improvement", "1", low=6.0,
+            rationale="shortfall (X line) or sag (Y line) of odometry over that of the filter",
+        )  # fmt: skip
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """One step per seed, with its references."""
+    start = config.emulation.start_pose
+    for number in range(p.seeds):
+        references = tuple(reference(d.case, p, start) for d in drives(p)) if number == 0 else ()
+        yield PlannedStep(f"world {number + 1} of {p.seeds}", references)
+    yield PlannedStep("evaluate")
+
+
+def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
+    """Drive one case on a fresh bench; returns its errors and series as JSON values."""
+    start = stand(bench)
+    motion = bench.drive(
+        reference(one.case, p, start), controller=one.law, feedback=one.feedback, hold_s=p.hold_s,
+        start_pose=start,
+    )  # fmt: skip
+    return {"errors": tracking_errors(motion), "series": series(motion)}
+
+
+def _elsewhere(job: tuple[BenchSource, Drive, Parameters]) -> dict[str, Any]:
+    source, one, p = job
+    with source.open() as bench:
+        return drive(bench, one, p)
+
+
+def _ignore_interrupts() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+@procedure(
+    name="wall_tracking", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
+    measurements=measurements, plan=plan,
+)  # fmt: skip
+def run(ctx: Context) -> None:
+    """Wall tracking with feedback from odometry, EKF and UKF."""
+    p: Parameters = ctx.parameters
+    worlds = [
+        ctx.checkpoint(
+            f"world {number + 1} of {p.seeds}", lambda number=number: one_world(ctx, ctx.seed + number)
+        )
+        for number in range(p.seeds)
+    ]
+    with ctx.step("evaluate"):
+        evaluate(ctx, worlds)
+
+
+def one_world(ctx: Context, seed: int) -> dict[str, Any]:
+    """All cases in worlds of one seed; only the first seed's runs are recorded and drawn."""
+    p: Parameters = ctx.parameters
+    jobs = drives(p)
+    if p.processes > 1 and ctx.source.virtual:
+        sources = [(ctx.source.changed(seed=seed), one, p) for one in jobs]
+        with multiprocessing.get_context("spawn").Pool(p.processes, _ignore_interrupts) as pool:
+            results = []
+            for number, result in enumerate(pool.imap(_elsewhere, sources), start=1):
+                results.append(result)
+                ctx.progress(f"seed {seed}", number, len(jobs))
+    else:
+        results = []
+        for number, one in enumerate(jobs, start=1):
+            bench = ctx.reopen(f"{one.label} seed {seed}", seed=seed)
+            results.append(drive(bench, one, p))
+            ctx.progress(f"seed {seed}", number, len(jobs))
+    keep = seed == ctx.seed
+    return {
+        one.label: result if keep else {"errors": result["errors"]}
+        for one, result in zip(jobs, results, strict=True)
+    }
+
+
+def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
+    """Measurements, tables and figures of all worlds."""
+    p: Parameters = ctx.parameters
+    errors = {
+        label: {
+            key: np.array([w[label]["errors"][key] for w in worlds]) for key in worlds[0][label]["errors"]
+        }
+        for label in worlds[0]
+    }
+    for case in p.cases:
+        for feedback in p.feedbacks:
+            _measure(ctx, case, feedback, errors)
+        shown = {
+            label.split()[1]: run["series"]
+            for label, run in worlds[0].items()
+            if label.startswith(case + " ")
+        }
+        ctx.figure(path_figure(shown), f"{_NAMES[case]}: path", "Truth from motion capture, by feedback.")
+        ctx.figure(
+            time_figure(shown), f"{_NAMES[case]}: x, y and heading",
+            "Full lines: truth. Dashed: the estimate that was fed back.",
+        )  # fmt: skip
+    if "y_line optimal" in errors:
+        ratio = errors["y_line optimal"]["rmse_x"].mean() / errors["y_line ekf"]["rmse_x"].mean()
+        ctx.measure("y_line.optimal.cross_track_ratio", ratio)
+    _table(ctx, errors)
+
+
+def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> None:
+    own, name = errors[f"{case} {feedback}"], f"{case}.{feedback}"
+    lost = "end_x"
+    if feedback == "odometry":
+        if case == "scan":
+            ctx.measure(f"{name}.rmse_worse_axis", np.maximum(own["rmse_x"], own["rmse_y"]).min())
+            return
+        ctx.measure(f"{name}.{'shortfall' if case == 'x_line' else 'sag'}", (-own[lost]).min())
+        ctx.measure(f"{name}.heading_drift", np.abs(own["end_heading"]).min())
+        return
+    for axis in ("x", "y"):
+        ctx.measure(f"{name}.rmse_{axis}", own[f"rmse_{axis}"].mean())
+        if case != "scan":
+            ctx.measure(f"{name}.rmse_{axis}_worst", own[f"rmse_{axis}"].max())
+    if case == "scan":
+        return
+    ctx.measure(f"{name}.end", np.hypot(own["end_x"], own["end_y"]).max())
+    ctx.measure(f"{name}.rmse_heading", own["rmse_heading"].mean())
+    if any(m.name == f"{name}.improvement" for m in measurements(ctx.parameters)):
+        before = np.abs(errors[f"{case} odometry"][lost]).mean()
+        ctx.measure(f"{name}.improvement", before / np.abs(own[lost]).mean())
+
+
+def _table(ctx: Context, errors: dict[str, Any]) -> None:
+    keys = ("rmse_x", "rmse_y", "rmse_heading", "end_x", "end_y", "end_heading", "worst")
+    head = ["run", "RMSE x", "RMSE y", "RMSE heading", "end x", "end y", "end heading", "largest"]
+    rows = [
+        [label.replace("_", " "), *(f"{own[k].mean():.2f}" for k in keys)] for label, own in errors.items()
+    ]
+    seeds = ctx.parameters.seeds
+    note = "mm and deg, truth minus reference" + (f"; means over {seeds} seeds" if seeds > 1 else "")
+    ctx.table("Errors of the true pose", head, rows, note)
+    if seeds > 1:
+        spread = [[label.replace("_", " "), *(f"{np.abs(own[k]).max():.2f}" for k in keys)] for label, own in
+                  errors.items()]  # fmt: skip
+        ctx.table("Worst seed", head, spread, "mm and deg, largest size over the seeds")
