@@ -167,8 +167,8 @@ def inline_svg(path: Path) -> Markup:
         rest = re.sub(re.escape(colour), f"var(--{name})", rest, flags=re.I)
     rest = re.sub(r"#000000|(?<=fill: )black", "currentColor", rest)
     rest = rest.replace("<text ", '<text fill="currentColor" ')
-    identity = path.stem.split("_")[0]
-    rest = re.sub(r'id="(?=[a-z]+_\d)', f'id="{identity}-', rest)
+    own = path.stem.split("_")[0]
+    rest = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{own}-", rest)
     return Markup(f'{head}{limit} role="img">{rest}')
 
 
