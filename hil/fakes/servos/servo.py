@@ -15,6 +15,7 @@ from hil.config.xh430 import (
     COUNTS_PER_TURN,
     CURRENT,
     CURRENT_POSITION,
+    EXTENDED,
     MODEL_NUMBER,
     POSITION,
     PWM,
@@ -33,6 +34,7 @@ from hil.fakes.servos.options import ServoBusOptions
 
 OFF = JointCommand()
 _FULL_PWM = 885
+_WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED, _TORQUE_ON_BY_GOAL = 1, 4, 8
 _HOMING_IN_POSITION_MODE = 1024
 _IN_POSITION, _FOLLOWING = 12, 100
@@ -92,7 +94,7 @@ class Servo:
     @property
     def present(self) -> int:
         """Present Position in register counts."""
-        return self._sign * self._encoder + self._base + self._homing()
+        return self._sign * self._encoder + self._base + self._homing
 
     def answers_to(self, servo_id: int) -> bool:
         """Whether an instruction packet to an ID is meant for this servo."""
@@ -292,14 +294,10 @@ class Servo:
         self._drive_mode = table.get("drive_mode")
         self._sign = -1 if self._drive_mode & _REVERSE and self.firmware >= 38 else 1
         self._moving_threshold = table.get("moving_threshold")
+        offset, most = table.get("homing_offset"), _HOMING_IN_POSITION_MODE
+        self._homing = min(max(offset, -most), most) if self.mode == POSITION else offset
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
-
-    def _homing(self) -> int:
-        offset = self.table.get("homing_offset")
-        if self.mode == POSITION:
-            return min(max(offset, -_HOMING_IN_POSITION_MODE), _HOMING_IN_POSITION_MODE)
-        return offset
 
     def _wrap(self) -> None:
         """Count from one turn again; a homing offset still applies on top."""
@@ -322,15 +320,25 @@ class Servo:
 
     def _pursue(self, name: str, raw: int) -> None:
         """Make a trajectory of a goal where the mode uses it, and tell the motor."""
-        if not self._torque:
+        trajectory, mode = self.trajectory, self.mode
+        if not self._torque or self._there_already(name, raw):
             return
         table, timed = self.table, bool(self._drive_mode & _TIMED) and self.firmware >= 42
         acceleration = table.get("profile_acceleration")
-        if name == "goal_velocity" and self.mode == VELOCITY:
-            self.trajectory.turn(raw, acceleration, timed=timed)
-        elif name == "goal_position" and self.mode not in (VELOCITY, CURRENT, PWM):
-            self.trajectory.move(raw, acceleration, table.get("profile_velocity"), timed=timed)
+        if name == "goal_velocity" and mode == VELOCITY:
+            trajectory.turn(raw, acceleration, timed=timed)
+        elif name == "goal_position" and mode in _WITH_POSITION:
+            trajectory.move(raw, acceleration, table.get("profile_velocity"), timed=timed)
         self._drive()
+
+    def _there_already(self, name: str, raw: int) -> bool:
+        """Whether a goal is what the motor is being asked for anyway."""
+        trajectory = self.trajectory
+        if trajectory.ongoing or self.tripped:
+            return False
+        if name == "goal_velocity" and self.mode == VELOCITY:
+            return trajectory.velocity == raw
+        return name == "goal_position" and self.mode in _WITH_POSITION and trajectory.position == raw
 
     def _drive(self, stopped: bool = False) -> None:
         """Ask the motor for what mode, goals and trajectory mean."""
@@ -348,7 +356,7 @@ class Servo:
         elif mode == PWM:
             command = JointCommand("pwm", 0.0 if stopped else sign * duty)
         else:
-            counts = self.trajectory.position - self._base - self._homing()
+            counts = self.trajectory.position - self._base - self._homing
             limit_a = abs(amperes) if mode == CURRENT_POSITION else math.inf
             command = JointCommand(
                 "position", sign * counts * RAD_PER_COUNT, current_limit_a=limit_a, pwm_limit=abs(duty)
@@ -357,7 +365,7 @@ class Servo:
 
     def _moving_status(self, present: int) -> int:
         trajectory = self.trajectory
-        if self.mode in (VELOCITY, CURRENT, PWM):
+        if self.mode not in _WITH_POSITION:
             return 0
         arrived = not trajectory.ongoing and abs(present - trajectory.position) <= _IN_POSITION
         shape = trajectory.shape << 4 if trajectory.ongoing and trajectory.shape != STEP else 0
