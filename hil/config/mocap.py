@@ -1,0 +1,82 @@
+"""Configuration of the OptiTrack motion capture over NatNet (`[mocap]` of the bench file)."""
+
+from __future__ import annotations
+
+import ipaddress
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+Port = Annotated[int, Field(ge=1, le=65535)]
+
+
+class MocapConfig(BaseModel):
+    """How the capture server is reached and its poses are judged.
+
+    Attributes:
+        server: IPv4 address of the computer that runs Motive.
+        command_port, data_port: as set in Motive's streaming pane.
+        multicast: group that Motive streams to; None for unicast.
+        local_address: IPv4 address of the interface to use; any when None.
+        body: name or streaming id of the robot's rigid body.
+        natnet_version: bit stream to ask for (unicast, NatNet 4 servers); the server's own when None.
+        up_axis: Motive's streaming setting; with `y` the axes (x, y, z) become (x, -z, y), so that z
+            points out of the calibrated ground plane: the wall.
+        transit_s: smallest time from the server's sending to the host.
+        jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and
+            `max_rate_rad_s` explain; anything larger is a swapped body.
+        reaccept_after: consistent poses after a jump before they are trusted again.
+        stale_after_s: poses that come later than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        keepalive_s: time between signs of life to a unicast server.
+        reconnect_after_s: silence after which the connection is asked for again.
+        fail_after_s: uninterrupted silence (or garbage) that raises.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    backend: Literal["real", "emulated"] = "real"
+    server: str = "127.0.0.1"
+    command_port: Port = 1510
+    data_port: Port = 1511
+    multicast: str | None = None
+    local_address: str | None = None
+    body: str | int = "robot"
+    natnet_version: str | None = Field(None, pattern=r"^[34]\.\d$")
+    up_axis: Literal["y", "z"] = "y"
+    transit_s: float = Field(0.0002, ge=0, le=0.1)
+    jump_distance_m: float = Field(0.03, gt=0)
+    jump_angle_rad: float = Field(0.1, gt=0)
+    max_speed_m_s: float = Field(0.5, gt=0)
+    max_rate_rad_s: float = Field(2.0, gt=0)
+    reaccept_after: int = Field(10, ge=1, le=10_000)
+    stale_after_s: float = Field(0.5, gt=0)
+    stuck_after_s: float = Field(0.5, gt=0)
+    keepalive_s: float = Field(1.0, gt=0)
+    reconnect_after_s: float = Field(0.5, gt=0)
+    open_timeout_s: float = Field(3.0, gt=0, le=60)
+    fail_after_s: float = Field(2.0, gt=0)
+
+    @field_validator("server", "multicast", "local_address")
+    @classmethod
+    def _address(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                ipaddress.IPv4Address(value)
+            except ValueError:
+                raise ValueError(f"{value!r} is not an IPv4 address") from None
+        return value
+
+    @field_validator("multicast")
+    @classmethod
+    def _group(cls, value: str | None) -> str | None:
+        if value is not None and not ipaddress.IPv4Address(value).is_multicast:
+            raise ValueError(f"{value} is not a multicast group, for example 239.255.42.99")
+        return value
+
+    @field_validator("body")
+    @classmethod
+    def _named(cls, value: str | int) -> str | int:
+        if value == "":
+            raise ValueError("body needs a name or a streaming id")
+        return value

@@ -1,0 +1,250 @@
+"""OptiTrack motion capture as a sensor: one rigid body, on the bench clock, in a z-up frame, judged."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.config.mocap import MocapConfig
+from hil.drivers.mocap.datagrams import DatagramFactory, udp_ports
+from hil.drivers.mocap.frames import BodyPose, Frame
+from hil.drivers.mocap.handshake import Handshake
+from hil.drivers.mocap.session import Session
+from hil.drivers.tracker.device_clock import DeviceClock
+from hil.drivers.tracker.jumps import JumpTest
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.interfaces import Sensor
+from hil.signals import MocapSample, Stamp, Status
+
+_LOG = logging.getLogger(__name__)
+
+_NORM_LOW, _NORM_HIGH = 0.98, 1.02
+_FARTHEST_M = 1000.0
+_NAN7 = (math.nan,) * 7
+_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
+_REMEDY = (
+    "check that Motive streams (rigid bodies on, the right interface, unicast or multicast as configured) "
+    "and that no firewall closes UDP 1510 and 1511"
+)
+
+
+class NatNetMocap(Sensor[MocapSample]):
+    """One rigid body of a capture system.
+
+    Args:
+        config: addresses, body, axes, limits.
+        clock: the bench clock.
+        name: device name in errors and logs.
+        datagrams: opens UDP ports; real ones by default.
+    """
+
+    def __init__(
+        self,
+        config: MocapConfig,
+        clock: Clock,
+        name: str = "mocap",
+        datagrams: DatagramFactory | None = None,
+    ) -> None:
+        self.name = name
+        self._config, self._clock = config, clock
+        self._datagrams = datagrams
+        self._session: Session | None = None
+        self._identity: dict[str, str] = {}
+        self._clock_map = DeviceClock(nanoseconds(config.transit_s))
+        self._jumps = JumpTest(
+            distance_m=config.jump_distance_m,
+            angle_rad=config.jump_angle_rad,
+            speed_m_s=config.max_speed_m_s,
+            rate_rad_s=config.max_rate_rad_s,
+            reaccept_after=config.reaccept_after,
+        )
+        self._reconnect_ns = nanoseconds(config.reconnect_after_s)
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._stale_ns = nanoseconds(config.stale_after_s)
+        self._stuck_ns = nanoseconds(config.stuck_after_s)
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Packets passed over since `open`: malformed, from strangers, repeated."""
+        session = self._session
+        names = ("malformed", "strangers", "repeated")
+        return {name: 0 if session is None else getattr(session, name) for name in names}
+
+    def open(self) -> None:
+        """Find the server, the bit stream and the body, and wait for a first frame.
+
+        Raises:
+            DeviceTimeoutError: no server answers, or it sends no frames.
+            DeviceError: the ports cannot be used, the version is unknown, or the body does not exist.
+        """
+        self.close()
+        self._clock_map.reset()
+        self._jumps.reset()
+        self._seq_base = 0
+        self._number = -1
+        self._last_pose: tuple[float, ...] = ()
+        self._changed_ns = self._clock.now_ns()
+        deadline_ns = self._changed_ns + nanoseconds(self._config.open_timeout_s)
+        try:
+            self._session = session = self._open_session()
+            handshake = Handshake(session, self._config, self._clock, self.name, self._silent)
+            server, first = handshake.run(deadline_ns)
+            self._sample(*first)
+        except BaseException:
+            self.close()
+            raise
+        self._good_ns = self._heard_ns = self._clock.now_ns()
+        self._identity = {
+            "model": server.application,
+            "version": server.application_version,
+            "natnet": "{}.{}".format(*session.version),
+            "body": f"{self._config.body} (id {session.body_id})",
+            "port": self._port,
+        }
+
+    def close(self) -> None:
+        """Let go of the ports. Idempotent; never raises."""
+        self._identity = {}
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    def identity(self) -> Mapping[str, str]:
+        """Server application, NatNet version and body; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[MocapSample, ...]:
+        """One sample per new frame since the last call, oldest first.
+
+        Raises:
+            DeviceTimeoutError: no usable frame for `fail_after_s`.
+        """
+        session = self._session
+        if session is None:
+            raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
+        samples = tuple(self._sample(*found) for found in session.frames())
+        now_ns = self._clock.now_ns()
+        session.keep_alive(now_ns)
+        if samples:
+            self._heard_ns = now_ns
+        elif now_ns - self._heard_ns > self._reconnect_ns:
+            self._heard_ns = now_ns
+            session.connect()
+        if any(sample.status not in _USELESS for sample in samples):
+            self._good_ns = now_ns
+        elif now_ns - self._good_ns > self._fail_ns:
+            last = f" (last status {samples[-1].status.value})" if samples else ""
+            raise self._silent(f"no usable frame for {(now_ns - self._good_ns) / NS_PER_S:.1f} s{last}")
+        return samples
+
+    @property
+    def _port(self) -> str:
+        config = self._config
+        group = f" group {config.multicast}" if config.multicast is not None else ""
+        return f"{config.server}:{config.command_port}{group}"
+
+    def _silent(self, message: str) -> DeviceTimeoutError:
+        counts = ", ".join(f"{count} {name}" for name, count in self.counts.items() if count)
+        return DeviceTimeoutError(
+            self.name,
+            message + (f", packets passed over: {counts}" if counts else ""),
+            port=self._port,
+            expected="frames of a NatNet 3 or 4 server",
+            remedy=_REMEDY,
+        )
+
+    def _open_session(self) -> Session:
+        datagrams = self._datagrams
+        if datagrams is None:
+            datagrams = udp_ports(self._clock, self._interface())
+        try:
+            return Session(self._config, self._clock, datagrams)
+        except OSError as error:
+            raise DeviceError(
+                self.name,
+                f"the UDP ports cannot be used ({error})",
+                port=self._port,
+                expected="a local interface and, for multicast, a data port that can be shared",
+                remedy="check mocap.local_address, mocap.multicast and mocap.data_port",
+            ) from None
+
+    def _interface(self) -> str:
+        """Local interface; a server on this host is reached through the loopback."""
+        if self._config.local_address is not None:
+            return self._config.local_address
+        return "127.0.0.1" if self._config.server.startswith("127.") else ""
+
+    def _sample(self, frame: Frame, arrived_ns: int, restarted: bool) -> MocapSample:
+        """The sample of one frame."""
+        if restarted:
+            _LOG.warning("%s has started again", self.name)
+            self._seq_base += self._number + 1 - frame.number
+            self._clock_map.reset()
+            self._jumps.distrust()
+        self._number = frame.number
+        stamp, credible, latency_s = self._stamp(frame, arrived_ns)
+        pose = _NAN7 if frame.body is None else self._z_up(frame.body)
+        status = self._status(frame.body, pose, stamp)
+        if status is Status.OK and (not credible or arrived_ns - stamp.t_ns > self._stale_ns):
+            status = Status.STALE
+        elif restarted and status is Status.JUMP:
+            status = Status.RESET
+        if status in (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED):
+            pose = _NAN7
+        values = np.array(pose)
+        return MocapSample(
+            stamp=stamp,
+            position_m=values[:3],
+            quaternion_wxyz=values[3:],
+            tracking_valid=frame.body is not None and frame.body.tracked,
+            latency_s=latency_s,
+            marker_error_m=math.nan if frame.body is None else frame.body.marker_error_m,
+            status=status,
+        )
+
+    def _stamp(self, frame: Frame, arrived_ns: int) -> tuple[Stamp, bool, float]:
+        """When the cameras exposed, from the server's clock; its latency to the sending of the frame."""
+        assert self._session is not None
+        assert self._session.server is not None
+        clock_hz = self._session.server.clock_hz
+        exposed, sent = frame.exposure_ticks, frame.sent_ticks
+        seq = self._seq_base + frame.number
+        if clock_hz <= 0 or not 0 < exposed <= sent:
+            sent_ns = exposed_ns = (
+                round(frame.timestamp_s * NS_PER_S) if math.isfinite(frame.timestamp_s) else 0
+            )
+            latency_s = math.nan
+        else:
+            sent_ns, exposed_ns = sent * NS_PER_S // clock_hz, exposed * NS_PER_S // clock_hz
+            latency_s = (sent - exposed) / clock_hz
+        t_ns, credible = self._clock_map.map(sent_ns, arrived_ns)
+        t_ns -= sent_ns - exposed_ns
+        return Stamp(t_ns=t_ns, host_ns=arrived_ns, seq=seq, device_ns=exposed_ns), credible, latency_s
+
+    def _z_up(self, body: BodyPose) -> tuple[float, ...]:
+        """Position and quaternion (w first) with z out of the ground plane."""
+        x, y, z = body.position_m
+        qx, qy, qz, qw = body.rotation_xyzw
+        if self._config.up_axis == "y":
+            return x, -z, y, qw, qx, -qz, qy
+        return x, y, z, qw, qx, qy, qz
+
+    def _status(self, body: BodyPose | None, pose: tuple[float, ...], stamp: Stamp) -> Status:
+        if body is None or not body.tracked:
+            return Status.NOT_TRACKED
+        if not all(map(math.isfinite, pose)):
+            return Status.NOT_FINITE
+        norm = math.hypot(*pose[3:])
+        if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
+            return Status.IMPLAUSIBLE
+        if pose != self._last_pose:
+            self._last_pose, self._changed_ns = pose, stamp.host_ns
+        elif stamp.host_ns - self._changed_ns > self._stuck_ns:
+            return Status.STALE
+        if self._jumps.jumped(stamp.t_ns / NS_PER_S, pose[:3], pose[3:]):
+            return Status.JUMP
+        return Status.OK

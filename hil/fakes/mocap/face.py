@@ -1,0 +1,107 @@
+"""Serves the emulated capture system on real UDP, unicast and multicast, for any NatNet client."""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import socket
+
+from hil.errors import DeviceError
+from hil.fakes.mocap.network import Address
+from hil.fakes.mocap.server import NatNetServer, Outlet
+from hil.fakes.server import Face
+from hil.fakes.world import NEVER_NS
+
+_LARGEST = 65535
+
+
+class NatNetFace(Face, Outlet):
+    """One server on one UDP socket.
+
+    Args:
+        server: the emulated capture system.
+        host: local IPv4 address to serve on; multicast leaves by it too.
+        command_port, data_port: numbers; 0 takes free ones. They replace those of the server.
+
+    Raises:
+        DeviceError: the port cannot be used.
+    """
+
+    def __init__(
+        self, server: NatNetServer, *, host: str = "127.0.0.1", command_port: int = 0, data_port: int = 0
+    ) -> None:
+        self._server = server
+        self._coming: list[tuple[int, int, bytes, Address]] = []
+        self._order = itertools.count()
+        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        try:
+            self._socket.bind((host, command_port))
+            interface = socket.inet_aton(host)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
+            self._socket.setblocking(False)
+            server.data_port = data_port or _free_port(host)
+        except OSError as error:
+            self._socket.close()
+            raise DeviceError(
+                server.name,
+                f"the emulated capture server cannot be served ({error})",
+                port=f"{host}:{command_port}",
+                expected="a local IPv4 address and free UDP ports",
+                remedy="choose others",
+            ) from None
+        self._host, server.command_port = self._socket.getsockname()[:2]
+        server.attach(self)
+
+    def next_due_ns(self) -> int:
+        """When the next packet leaves."""
+        return self._coming[0][0] if self._coming else NEVER_NS
+
+    def on_due(self, t_ns: int) -> None:
+        """Send what is due; what the network refuses is lost."""
+        while self._coming and self._coming[0][0] <= t_ns:
+            _, _, data, destination = heapq.heappop(self._coming)
+            if self._socket is not None:
+                with contextlib.suppress(OSError):
+                    self._socket.sendto(data, destination)
+
+    def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
+        """Plan one packet."""
+        heapq.heappush(self._coming, (ready_ns, next(self._order), data, destination))
+
+    def filenos(self) -> list[int]:
+        """The socket, while open."""
+        return [] if self._socket is None else [self._socket.fileno()]
+
+    def on_readable(self, fd: int, t_ns: int) -> None:
+        """Take one request."""
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                data, client = self._socket.recvfrom(_LARGEST)
+                self._server.receive(data, client, self, t_ns)
+
+    def endpoint(self) -> dict[str, object]:
+        """How a client reaches the server."""
+        return {
+            "server": self._host,
+            "command_port": self._server.command_port,
+            "data_port": self._server.data_port,
+            "multicast": self._server.multicast,
+        }
+
+    def close(self) -> None:
+        """Stop serving. Idempotent."""
+        self._server.detach(self)
+        self._coming.clear()
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
+
+
+def _free_port(host: str) -> int:
+    """A UDP port number that nobody uses now."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind((host, 0))
+        number: int = probe.getsockname()[1]
+        return number

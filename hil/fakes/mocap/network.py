@@ -1,0 +1,96 @@
+"""The network between an emulated capture server and a driver in the same process, in world time.
+
+It offers the datagram ports that the driver asks for (group or None, number or 0) without a socket.
+"""
+
+from __future__ import annotations
+
+import errno
+from collections import deque
+from typing import TYPE_CHECKING, NamedTuple
+
+if TYPE_CHECKING:
+    from hil.fakes.mocap.server import NatNetServer
+
+Address = tuple[str, int]
+
+_HOST = "127.0.0.1"
+_FIRST_FREE_PORT = 49152
+
+
+class Arrival(NamedTuple):
+    """One datagram at its destination."""
+
+    data: bytes
+    sender: Address
+    arrived_ns: int
+
+
+class WorldPort:
+    """A bound port; what was sent to it arrives when world time has come."""
+
+    def __init__(self, network: WorldNetwork, group: str | None, number: int) -> None:
+        self._network = network
+        self.group, self.number = group, number
+        self.queue: deque[Arrival] = deque()
+
+    def send(self, data: bytes, address: Address) -> None:
+        """Send a datagram to the server; raises `OSError` when the port is closed."""
+        self._network.send(self, data, address)
+
+    def receive(self) -> Arrival | None:
+        """The oldest datagram that has arrived, or None."""
+        queue = self.queue
+        if queue and queue[0].arrived_ns <= self._network.now_ns:
+            return queue.popleft()
+        return None
+
+    def close(self) -> None:
+        """Let go of the number."""
+        self._network.forget(self)
+
+
+class WorldNetwork:
+    """Ports of one client host and one server."""
+
+    def __init__(self, server: NatNetServer) -> None:
+        self._server = server
+        self._ports: list[WorldPort] = []
+        self._server_host = _HOST
+        self._next = _FIRST_FREE_PORT
+
+    @property
+    def now_ns(self) -> int:
+        """World time."""
+        return self._server.now_ns
+
+    def open(self, group: str | None, number: int) -> WorldPort:
+        """A port; raises `OSError` when the number is taken (groups can be shared)."""
+        if number == 0:
+            number, self._next = self._next, self._next + 1
+        if group is None and any(p.number == number and p.group is None for p in self._ports):
+            raise OSError(errno.EADDRINUSE, f"port {number} is in use")
+        port = WorldPort(self, group, number)
+        self._ports.append(port)
+        return port
+
+    def forget(self, port: WorldPort) -> None:
+        """Close a port. Idempotent."""
+        self._ports = [p for p in self._ports if p is not port]
+
+    def send(self, port: WorldPort, data: bytes, address: Address) -> None:
+        """Carry a request; nobody but the server's command port listens."""
+        if port not in self._ports:
+            raise OSError(errno.EBADF, "the port is closed")
+        if address[1] == self._server.command_port:
+            self._server_host = address[0]
+            self._server.receive(data, (_HOST, port.number), self, self.now_ns)
+
+    def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
+        """Put a datagram of the server on its way; the network keeps the order."""
+        host, number = destination
+        sender = (self._server_host, self._server.command_port)
+        for port in self._ports:
+            if port.number == number and host == (_HOST if port.group is None else port.group):
+                last_ns = port.queue[-1].arrived_ns if port.queue else 0
+                port.queue.append(Arrival(data, sender, max(ready_ns, last_ns)))

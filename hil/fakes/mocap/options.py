@@ -1,0 +1,54 @@
+"""True imperfections of the emulated capture system, as measured on public recordings."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class MocapTruthOptions:
+    """What the capture system does wrong (`facts/robot.md`, `facts/estimation.md`).
+
+    Attributes:
+        rate_hz: frames per second, 100 or 240 as Motive is usually set.
+        position_noise_m, angle_noise_rad: white noise per axis: 10 um and 0.04 mrad at rest.
+        marker_error_m: mean marker error that Motive reports.
+        height_m: the body's pivot above the surface.
+        gaps_per_s: losses of one or several frames; 50 to 152 per run of 80 s were recorded.
+        single_gap_share: part of the gaps that lose one frame; the others lose up to `common_gap_s`,
+            one in fifty up to `longest_gap_s`.
+        occlusions_per_s, occlusion_s: how often and how long the body is out of sight.
+        latency_s: exposure to sending. transit_s: sending to arrival, the smallest.
+        jitter_s: mean of the exponential jitter beside it.
+        stalls_per_s, longest_stall_s: arrivals that are held up, with all behind them.
+        clock_ppm: error of the server's clock, standard deviation over servers.
+    """
+
+    rate_hz: float = 100.0
+    position_noise_m: float = 10e-6
+    angle_noise_rad: float = 40e-6
+    marker_error_m: float = 0.0002
+    height_m: float = 0.08
+    gaps_per_s: float = 1.3
+    single_gap_share: float = 0.5
+    common_gap_s: float = 0.08
+    longest_gap_s: float = 0.2
+    occlusions_per_s: float = 0.0
+    occlusion_s: float = 0.3
+    latency_s: float = 0.004
+    transit_s: float = 0.0002
+    jitter_s: float = 0.0005
+    stalls_per_s: float = 0.05
+    longest_stall_s: float = 0.2
+    clock_ppm: float = 14.0
+
+
+STILL = MocapTruthOptions(
+    position_noise_m=0.0,
+    angle_noise_rad=0.0,
+    gaps_per_s=0.0,
+    jitter_s=0.0,
+    stalls_per_s=0.0,
+    clock_ppm=0.0,
+)
+"""A capture system without noise, gaps and jitter; its frames are still 4 ms old when sent."""

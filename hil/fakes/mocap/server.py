@@ -1,0 +1,236 @@
+"""The emulated Motive: frames of rigid bodies at its own rate and clock, and NatNet requests answered.
+
+Unicast clients are those that have connected or shown a sign of life lately; frames go to the port
+they speak from and to the data port of their host, because public clients expect either.
+"""
+
+from __future__ import annotations
+
+import struct
+from abc import abstractmethod
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+from hil.clock import NS_PER_S, nanoseconds
+from hil.errors import UsageError
+from hil.fakes.mocap import encode
+from hil.fakes.mocap.capture import CaptureVolume, SeenBody
+from hil.fakes.mocap.faulty import SUPPORTED_FAULTS, MocapFaults
+from hil.fakes.mocap.network import Address, WorldNetwork, WorldPort
+from hil.fakes.mocap.options import MocapTruthOptions
+from hil.fakes.world import Scheduled, World
+
+__all__ = ["SUPPORTED_FAULTS", "NatNetServer", "Outlet"]
+
+CLOCK_HZ = 10_000_000
+_FORGET_NS = nanoseconds(10.0)
+_BOOT_NS = nanoseconds(0.3)
+_ANSWER_NS = nanoseconds(0.0002)
+_RECEIVED_SHARE = 0.4
+_HEAD = struct.Struct("<HH")
+
+
+class Outlet(Protocol):
+    """A network that carries the server's packets."""
+
+    @abstractmethod
+    def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
+        """Send one packet, not before `ready_ns`."""
+
+
+@dataclass
+class Client:
+    """A unicast client: the network it is on, the bit stream it wants, when it was last heard."""
+
+    outlet: Outlet
+    version: tuple[int, int]
+    heard_ns: int
+
+
+class NatNetServer(Scheduled):
+    """A scheduled part of the world.
+
+    Args:
+        world: truth, seed and faults; the server registers itself.
+        name: device name, also of its faults.
+        options: true imperfections.
+        body, body_id: name and streaming id of the robot's rigid body.
+        up_axis: streaming setting.
+        version: NatNet version of the server, one of 3.1, 4.0, 4.1.
+        command_port, data_port: port numbers.
+        multicast: group to stream to, None for unicast.
+
+    Attributes:
+        malformed: requests that were no NatNet packets.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        name: str = "mocap",
+        options: MocapTruthOptions | None = None,
+        *,
+        body: str = "robot",
+        body_id: int = 1,
+        up_axis: Literal["y", "z"] = "y",
+        version: tuple[int, int] = (4, 1),
+        command_port: int = 1510,
+        data_port: int = 1511,
+        multicast: str | None = None,
+    ) -> None:
+        if version not in encode.VERSIONS:
+            raise UsageError(
+                f"the emulated server does not speak NatNet {version}", expected="3.1, 4.0 or 4.1"
+            )
+        self.name = name
+        self.command_port, self.data_port, self.multicast = command_port, data_port, multicast
+        self.malformed = 0
+        self._world, self._version = world, version
+        self._options = options if options is not None else MocapTruthOptions()
+        self._rng = world.rng(name)
+        self._faults = MocapFaults(world.faults, name, self._rng)
+        self._volume = CaptureVolume(self._options, self._rng, body=body, body_id=body_id, up_axis=up_axis)
+        self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
+        self._network = WorldNetwork(self)
+        self._outlets: list[Outlet] = [self._network]
+        self._clients: dict[Address, Client] = {}
+        self._arrived_ns = 0
+        self._start(-round(float(self._rng.uniform(100.0, 10_000.0)) * NS_PER_S))
+        self._due_ns = int(self._rng.integers(0, round(NS_PER_S / self._options.rate_hz)))
+        world.add(self)
+
+    @property
+    def now_ns(self) -> int:
+        """World time."""
+        return self._world.now_ns
+
+    def datagrams(self, group: str | None, port: int) -> WorldPort:
+        """A datagram port on the server's network in this process: the driver's `datagrams` factory."""
+        return self._network.open(group, port)
+
+    def attach(self, outlet: Outlet) -> None:
+        """Another network that multicast frames go to."""
+        self._outlets.append(outlet)
+
+    def detach(self, outlet: Outlet) -> None:
+        """A network is gone, and the clients on it."""
+        self._outlets = [o for o in self._outlets if o is not outlet]
+        self._clients = {a: c for a, c in self._clients.items() if c.outlet is not outlet}
+
+    def next_due_ns(self) -> int:
+        """Time of the next exposure."""
+        return self._due_ns
+
+    def on_due(self, t_ns: int) -> None:
+        """Expose, and send the frame."""
+        faults = self._faults
+        if not faults.none and faults.restarted(t_ns):
+            self._clients.clear()
+            self._start(t_ns)
+            self._due_ns = t_ns + _BOOT_NS
+            return
+        period_ns = NS_PER_S / self._options.rate_hz / self._stretch * faults.slowness(t_ns)
+        self._due_ns = t_ns + round(period_ns)
+        self._number += 1
+        seen = self._volume.see(self._world.plant.truth(), t_ns, hidden=faults.hidden(t_ns))
+        bodies = seen if faults.none else faults.distort(seen, t_ns)
+        self._last = (self._number, bodies, self._times(t_ns))
+        jitter = self._rng.standard_exponential()
+        if self._volume.in_gap(t_ns) or faults.silent(t_ns):
+            return
+        late_s = self._options.latency_s + self._options.transit_s + self._options.jitter_s * jitter
+        self._stream(max(self._arrived_ns, t_ns + nanoseconds(late_s + self._stall_s())), t_ns)
+
+    def receive(self, data: bytes, client: Address, outlet: Outlet, t_ns: int) -> None:
+        """Take one request and answer it."""
+        if self._faults.cut_off(t_ns) or t_ns < self._boot_ns:
+            return
+        if len(data) < _HEAD.size or _HEAD.unpack_from(data)[1] != len(data) - _HEAD.size:
+            self.malformed += 1
+            return
+        kind, text = _HEAD.unpack_from(data)[0], data[_HEAD.size :].split(b"\0")[0]
+        answer = self._answer(kind, text.decode("utf-8", "replace"), client, outlet, t_ns)
+        if answer:
+            self._send(answer, client, outlet, t_ns + _ANSWER_NS, t_ns)
+
+    def _start(self, t_ns: int) -> None:
+        """The server's clock and frame counter begin (before the world did, if `t_ns` is negative)."""
+        self._started_ns, self._boot_ns = t_ns, max(t_ns, 0)
+        self._number = round(max(0, -t_ns) * 1e-9 * self._options.rate_hz)
+        self._last: tuple[int, tuple[SeenBody, ...], encode.FrameTimes] | None = None
+
+    def _stall_s(self) -> float:
+        options = self._options
+        if self._rng.random() < options.stalls_per_s / options.rate_hz:
+            return options.longest_stall_s * float(self._rng.random())
+        return 0.0
+
+    def _times(self, t_ns: int) -> encode.FrameTimes:
+        up_s = (t_ns - self._started_ns) * 1e-9 * self._stretch
+        exposure = round(up_s * CLOCK_HZ)
+        latency = round(self._options.latency_s * CLOCK_HZ)
+        return encode.FrameTimes(
+            up_s, exposure, exposure + round(_RECEIVED_SHARE * latency), exposure + latency
+        )
+
+    def _stream(self, ready_ns: int, t_ns: int) -> None:
+        self._arrived_ns = ready_ns
+        packets: dict[tuple[int, int], bytes] = {}
+        if self.multicast is not None:
+            packet = self._frame(self._version, packets)
+            for outlet in self._outlets:
+                self._send(packet, (self.multicast, self.data_port), outlet, ready_ns, t_ns)
+        for address, client in tuple(self._clients.items()):
+            if t_ns - client.heard_ns > _FORGET_NS:
+                del self._clients[address]
+                continue
+            packet = self._frame(client.version, packets)
+            self._send(packet, address, client.outlet, ready_ns, t_ns)
+            if address[1] != self.data_port:
+                self._send(packet, (address[0], self.data_port), client.outlet, ready_ns, t_ns)
+
+    def _frame(self, version: tuple[int, int], packets: dict[tuple[int, int], bytes]) -> bytes:
+        assert self._last is not None
+        if version not in packets:
+            packets[version] = encode.frame(*self._last, version)
+        return packets[version]
+
+    def _send(self, packet: bytes, destination: Address, outlet: Outlet, ready_ns: int, t_ns: int) -> None:
+        faults = self._faults
+        if faults.none:
+            outlet.deliver(ready_ns, packet, destination)
+        elif not faults.cut_off(t_ns):
+            for data in faults.spoil(packet, t_ns):
+                outlet.deliver(ready_ns + faults.delay_ns(t_ns), data, destination)
+
+    def _answer(self, kind: int, text: str, client: Address, outlet: Outlet, t_ns: int) -> bytes:
+        known = self._clients.get(client)
+        version = self._version if known is None else known.version
+        if kind in (encode.CONNECT, encode.KEEPALIVE):
+            if self.multicast is None:
+                self._clients[client] = Client(outlet, version, t_ns)
+            if kind == encode.KEEPALIVE:
+                return b""
+            return encode.server_info(self._version, CLOCK_HZ, self.data_port, self.multicast)
+        if kind == encode.DISCONNECT:
+            self._clients.pop(client, None)
+            return b""
+        if kind == encode.REQUEST_MODELS:
+            return encode.models(self._volume.names, version)
+        if kind == encode.REQUEST_FRAME and self._last is not None:
+            return self._frame(version, {})
+        if kind == encode.REQUEST:
+            return self._command(text, known)
+        return encode.message(encode.UNRECOGNISED)
+
+    def _command(self, text: str, client: Client | None) -> bytes:
+        """Text requests: another bit stream (unicast, NatNet 4), frame rate, units."""
+        if text == "FrameRate":
+            return encode.message(encode.RESPONSE, struct.pack("<f", self._options.rate_hz))
+        if text == "UnitsToMillimeters":
+            return encode.message(encode.RESPONSE, struct.pack("<f", 1000.0))
+        wanted = {"Bitstream,{}.{}".format(*v): v for v in encode.VERSIONS if v <= self._version}
+        if text in wanted and client is not None and self._version >= (4, 0):
+            client.version = wanted[text]
+            return encode.message(encode.RESPONSE, bytes(4))
+        return encode.message(encode.UNRECOGNISED)
