@@ -31,23 +31,24 @@ MODE_OFF, MODE_VELOCITY, MODE_POSITION, MODE_PWM, MODE_CURRENT = range(5)
 (
     DT, MASS, INERTIA, COM_X, COM_Y, COM_HEIGHT, GRAVITY, PRESS, PRESS_Y, PRESS_X, ADHESION, THRUST,
     THRUST_TORQUE, THRUST_HEIGHT, FRICTION, CREEP_ALONG, CREEP_ACROSS, SOFTENING, STIFFNESS, DAMPING,
-    ROLLING, SUPPLY, VELOCITY_P, VELOCITY_I, POSITION_P, FALL_SPEED,
+    ROLLING, SUPPLY, VELOCITY_P, VELOCITY_I, POSITION_P, FALL_SLIDE,
 ) = range(26)  # fmt: skip
 WHEEL_X, WHEEL_Y, RADIUS, OFFSET, PLAY = range(26, 46, 4)
 LOAD_MAP = 46
 KT, KE, OHM, JOINT_INERTIA, COULOMB, VISCOUS = range(58, 106, 8)
 PATCHES = 106
 
-# State `s`: body (x, y of the centre of mass, heading), its velocity, acceleration of the origin, ...;
+# State `s`: body (x, y of the centre of mass, heading), its velocity, acceleration of the origin, whether
+# it has fallen, how far it has slid with no wheel holding;
 # eight per joint; x, y per wheel; four per wheel, of which the last rows are scratch of one step.
-BODY, VELOCITY, ACCELERATION, FALLEN = 0, 3, 6, 8
-ANGLE, RATE, AMPS, INTEGRAL, REFERENCE = range(9, 49, 8)
-BRISTLE, SLIP = 49, 57
+BODY, VELOCITY, ACCELERATION, FALLEN, SLID = 0, 3, 6, 8, 9
+ANGLE, RATE, AMPS, INTEGRAL, REFERENCE = range(10, 50, 8)
+BRISTLE, SLIP = 50, 58
 (
     HEADING, USE, LOAD, NEXT_SHARE, SHARE, COSINE, SINE, ARM_X, ARM_Y, GRIP, ALONG, ALONG_SLOPE, ACROSS,
     ACROSS_SLOPE, BRANCH, FREE, COMPLIANCE, SPIN,
-) = range(65, 137, 4)  # fmt: skip
-STATE_SIZE = 137
+) = range(66, 138, 4)  # fmt: skip
+STATE_SIZE = 138
 
 # Commands `q`: eight per joint.
 MODE, GOAL, RATE_LIMIT, AMPS_LIMIT, DUTY_LIMIT = range(0, 40, 8)
@@ -273,7 +274,8 @@ def move(vx: float, vy: float, turn: float, c: Array, s: Array, q: Array) -> Non
         s[USE + i] = min(force / s[GRIP + i], 1.0) if s[GRIP + i] > 0.0 else 1.0
         holding += 1 if load > 0.0 and share == 1.0 else 0
         finish_joint(i, s[SPIN + i], c, s, q)
-    if holding == 0 and c[GRAVITY] > 0.0 and math.hypot(vx, vy) > c[FALL_SPEED]:
+    s[SLID] = s[SLID] + c[DT] * math.hypot(vx, vy) if holding == 0 else 0.0
+    if s[SLID] > c[FALL_SLIDE] and c[GRAVITY] > 0.0:
         s[FALLEN] = 1.0
     s[VELOCITY], s[VELOCITY + 1], s[VELOCITY + 2] = vx, vy, turn
     s[BODY], s[BODY + 1], s[BODY + 2] = (

@@ -60,7 +60,7 @@ class JointParameters:
     viscous_n_m_s: Array
     play_rad: Array
     velocity_p_v_s_rad: float = 0.41
-    velocity_i_v_rad: float = 56.0
+    velocity_i_v_rad: float = 60.0
     position_p_v_rad: float = 100.0
 
 
@@ -106,7 +106,7 @@ def nominal_joints() -> JointParameters:
         resistance_ohm=np.full(8, 9.23),
         inertia_kg_m2=np.full(8, 4.5e-3),
         coulomb_n_m=np.array([0.04] * 4 + [0.03] * 4),
-        viscous_n_m_s=np.full(8, 0.02),
+        viscous_n_m_s=np.full(8, 0.023),
         play_rad=np.full(4, math.radians(0.125)),
     )
 
@@ -142,8 +142,8 @@ def _spread(rng: np.random.Generator, share: float) -> float:
 def draw(nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator) -> TrueParameters:
     """One robot of the series: every figure off its nominal value, by amounts a workshop would produce."""
     x, y, height = nominal.centre_of_mass_m
-    thrust_n = nominal.thrust_n * _spread(rng, 0.015)
-    imbalance = rng.uniform(-0.01, 0.01)
+    thrust_n = nominal.thrust_n * _spread(rng, 0.01)
+    imbalance = rng.uniform(-0.005, 0.005)
     steering = np.clip(
         rng.normal(0.0, _STEERING_SIGMA_RAD, 4), -2.5 * _STEERING_SIGMA_RAD, 2.5 * _STEERING_SIGMA_RAD
     )
@@ -153,16 +153,16 @@ def draw(nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator
         wheel_y_m=nominal.wheel_y_m * rng.uniform(0.985, 1.015, 4),
         wheel_radius_m=nominal.wheel_radius_m * rng.uniform(0.99, 1.01, 4),
         steering_offset_rad=steering,
-        mass_kg=nominal.mass_kg * _spread(rng, 0.01),
+        mass_kg=nominal.mass_kg * _spread(rng, 0.005),
         centre_of_mass_m=(x + rng.uniform(-2e-3, 2e-3), y + rng.uniform(-1e-3, 1e-3), height),
         yaw_inertia_kg_m2=nominal.yaw_inertia_kg_m2 * _spread(rng, 0.1),
-        adhesion_n=nominal.adhesion_n * _spread(rng, 0.03),
+        adhesion_n=nominal.adhesion_n * _spread(rng, 0.02),
         thrust_n=thrust_n,
         thrust_torque_n_m=nominal.thrust_torque_n_m + thrust_n * imbalance * propeller_y_m,
         supply_v=nominal.supply_v * _spread(rng, 0.01),
         contact=replace(
             nominal.contact,
-            friction=nominal.contact.friction * _spread(rng, 0.05),
+            friction=nominal.contact.friction * _spread(rng, 0.03),
             creep_along=nominal.contact.creep_along * _spread(rng, 0.05),
             creep_across=nominal.contact.creep_across * _spread(rng, 0.05),
         ),

@@ -23,7 +23,7 @@ from hil.fakes.plant_api import JointCommand, Plant, PlantState
 from hil.geometry import Array, ArrayLike
 
 GRAVITY_M_S2 = 9.81
-FALL_SPEED_M_S = 0.3
+FALL_SLIDE_M = 0.05
 STEP_NS = 1_000_000
 
 _MODES = {
@@ -123,6 +123,10 @@ class WallRobot(Plant):
         position, rate, current = self._views
         return position, rate, current
 
+    def bristle_deflection_m(self) -> Array:
+        """Elastic deflection of the contacts (4, 2), wall axes: where contact energy is stored."""
+        return np.array(self._state[k.BRISTLE : k.BRISTLE + 8]).reshape(4, 2)
+
     def truth(self) -> PlantState:
         """A frozen copy of everything, at `t_ns`."""
         s, p = self._state.copy(), self.parameters
@@ -202,7 +206,7 @@ def make_constants(p: TrueParameters, patches: tuple[Patch, ...], tilt_rad: floa
         k.VELOCITY_P: joints.velocity_p_v_s_rad,
         k.VELOCITY_I: joints.velocity_i_v_rad,
         k.POSITION_P: joints.position_p_v_rad,
-        k.FALL_SPEED: FALL_SPEED_M_S,
+        k.FALL_SLIDE: FALL_SLIDE_M,
     }
     load_map = np.linalg.pinv(np.stack([np.ones(4), p.wheel_x_m, p.wheel_y_m]))
     rows = {
