@@ -27,7 +27,7 @@ class ProcessNoise(_Strict):
     """
 
     acceleration_m_s2_sqrt_hz: float = Field(0.15, gt=0)
-    angular_acceleration_rad_s2_sqrt_hz: float = Field(0.6, gt=0)
+    angular_acceleration_rad_s2_sqrt_hz: float = Field(0.2, gt=0)
 
 
 class WheelNoise(_Strict):
@@ -49,7 +49,7 @@ class WheelNoise(_Strict):
     model: Literal["equations", "paper", "dry-friction"] = "equations"
     source: Literal["position", "velocity"] = "position"
     step_m: float = Field(3.0e-5, gt=0)
-    per_sqrt_m: float = Field(1.0e-3, ge=0)
+    per_sqrt_m: float = Field(2.0e-3, ge=0)
     per_sqrt_s: float = Field(2.0e-5, ge=0)
     steering_m_rad: float = Field(5e-3, ge=0)
     longest_gap_s: float = Field(0.5, gt=0)
@@ -111,9 +111,9 @@ class TrackerNoise(_Strict):
     use: Literal["relative", "absolute", "off"] = "relative"
     position_m: float = Field(1.5e-3, gt=0)
     heading_rad: float = Field(3e-3, gt=0)
-    drift_per_sqrt_m: float = Field(2e-3, ge=0)
+    drift_per_sqrt_m: float = Field(3e-3, ge=0)
     drift_per_sqrt_s: float = Field(1e-4, ge=0)
-    yaw_drift_per_sqrt_s: float = Field(3e-4, ge=0)
+    yaw_drift_per_sqrt_s: float = Field(7e-4, ge=0)
     scale_sigma: float = Field(0.005, ge=0, lt=0.2)
     baseline_s: float = Field(0.0, ge=0)
     least_quality: int = Field(2, ge=0, le=3)
@@ -165,7 +165,7 @@ class TimeConfig(_Strict):
 
 
 _WALL = SlipModel(slip_m_s=0.002, creep=0.05)
-_FLOOR = SlipModel(slip_m_s=0.0003, creep=0.0, yaw_rad_m=0.005)
+_FLOOR = SlipModel(slip_m_s=0.0002, creep=0.0, yaw_rad_m=0.005)
 
 _NO_SLIP = {
     "slip_m_s": 0.0, "creep": 0.0, "creep_per_sqrt_m": 0.0, "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,
