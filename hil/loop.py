@@ -85,6 +85,7 @@ class Brain:
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
         self._t0_ns = None
+        self._steering = np.zeros(4)
         self.supervisor.reset()
         self.alignment.reset()
         self.estimator.reset(state)
@@ -170,7 +171,7 @@ class ControlLoop:
         self.rig, self.clock, self.brain = rig, clock, brain
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
-        self.sinks, self._idle = sinks, idle
+        self.sinks, self.idle = sinks, idle
         self.statistics = LoopStatistics()
         self._cycle = self._sinks_ns = 0
 
@@ -184,8 +185,8 @@ class ControlLoop:
                 if until(record):
                     return
                 deadline_ns = self._next_deadline(deadline_ns)
-                if self._idle is not None:
-                    self._idle(deadline_ns)
+                if self.idle is not None:
+                    self.idle(deadline_ns)
         finally:
             if self.rig.servos is not None:
                 self.rig.servos.stop()

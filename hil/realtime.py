@@ -1,4 +1,4 @@
-"""Real time on an ordinary kernel: what a loop's thread asks of scheduler, interpreter and collector.
+"""Real time on an ordinary kernel: scheduler, interpreter, collector, and code loaded beforehand.
 
 `with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` holds around the loop; the loop calls
 `real_time.idle(deadline_ns)` when a cycle is done. Whatever the system refuses is a warning that says
@@ -14,7 +14,21 @@ import sys
 from collections.abc import Callable
 from types import TracebackType
 
+import numpy as np
+
 from hil.clock import Clock, nanoseconds
+from hil.errors import SafetyStop
+from hil.loop import Brain
+from hil.signals import (
+    ImuSample,
+    Inputs,
+    MocapSample,
+    RobotState,
+    ServoSample,
+    Stamp,
+    Status,
+    TrackerSample,
+)
 
 LOG = logging.getLogger(__name__)
 
@@ -23,6 +37,8 @@ _YOUNG_EVERY_NS = nanoseconds(1.0)
 _ALL_EVERY_NS = nanoseconds(20.0)
 _YOUNG_SLACK_NS = nanoseconds(0.002)
 _ALL_SLACK_NS = nanoseconds(0.004)
+_PERIOD_NS = nanoseconds(0.01)
+_WARM_UP_CYCLES = 5
 
 
 class RealTime:
@@ -116,3 +132,35 @@ class RealTime:
             )
             return
         self._undo.append(lambda: os.sched_setscheduler(0, policy, parameters))
+
+
+def warm_up(brain: Brain, start: RobotState) -> None:
+    """Run a brain for a few cycles on made-up inputs at rest, so that all its code is compiled and loaded.
+
+    Loading compiled estimators takes some tenths of a second: longer than servos may be left alone.
+
+    Args:
+        brain: reset to `start` before and after.
+        start: where the robot stands, at or before the first cycle.
+    """
+    brain.reset(start)
+    for k in range(1, _WARM_UP_CYCLES + 1):
+        try:
+            brain.decide(_at_rest(k, start))
+        except SafetyStop as stop:
+            LOG.debug("while warming up: %s", stop)
+    brain.reset(start)
+
+
+def _at_rest(cycle: int, start: RobotState) -> Inputs:
+    t_ns = start.t_ns + cycle * _PERIOD_NS
+    stamp, upright, still = Stamp(t_ns, t_ns, cycle), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    place = np.array([start.pose_body_in_wall[0], start.pose_body_in_wall[1], 0.0])
+    return Inputs(
+        cycle,
+        t_ns,
+        servos=(ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8),),
+        imu=(ImuSample(stamp, upright, still, still, np.array([9.81, 0.0, 0.0]), (3, 3, 3, 3)),),
+        tracker=(TrackerSample(stamp, still, upright, still, still, 3),),
+        mocap=(MocapSample(stamp, place, upright, True, 0.0, 0.0),),
+    )

@@ -1,0 +1,156 @@
+"""`hil live`: the loop in real time, commanded from outside, watched in Rerun and recorded."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.errors import EXIT_PASS, UsageError
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.monitor import RerunMonitor
+    from hil.recording.mcap_writer import McapRecorder
+
+_KINDS = ("odometry", "ekf", "ukf")
+
+
+@click.command()
+@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option(
+    "--trajectory",
+    "source",
+    type=click.Path(path_type=Path),
+    help="Waypoints (.csv: x,y,theta) or a script (.py) with trajectory(start_pose).",
+)
+@click.option(
+    "--command",
+    "commands",
+    default="none",
+    show_default=True,
+    help="Velocity commands from: stdin, udp:PORT (this host only; 0: any) or none.",
+)
+@click.option(
+    "--dead-man",
+    "dead_man_s",
+    default=0.5,
+    show_default=True,
+    type=click.FloatRange(0.02, 10.0),
+    help="Age in s at which a command means stop.",
+)
+@click.option(
+    "--duration",
+    "duration_s",
+    type=click.FloatRange(0.0, min_open=True),
+    help="Seconds [default: until the trajectory or a signal ends it].",
+)
+@click.option(
+    "--feedback", type=click.Choice(_KINDS), default="ekf", show_default=True, help="Estimator in the loop."
+)
+@click.option(
+    "--observe",
+    "observers",
+    type=click.Choice(_KINDS),
+    multiple=True,
+    help="Estimators beside it (repeatable).",
+)
+@click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
+@click.option("--rerun", "view", help="spawn, connect, serve, a URL or a .rrd file; several with commas.")
+@click.option("--record", type=click.Path(path_type=Path), help="Recording to write (.mcap).")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
+    duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
+    view: str | None, record: Path | None, calibration: Path | None, seed: int, faults: tuple[str, ...],
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Run the control-estimate loop at its rate in real time.
+
+    Without --trajectory and --command it only watches: nothing is commanded, torque is left alone.
+    SIGINT and SIGTERM hold the robot, print the summary and end with exit code 4.
+    """
+    from hil.bench import open_bench
+    from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
+
+    if source is not None and commands != "none":
+        raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
+    lines = open_commands(commands)
+    if lines is not None:
+        click.echo(f"velocity commands: {lines.where}", err=True)
+    opened = open_bench(
+        bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration
+    )
+    try:
+        with opened:
+            recorder = _recorder(opened, record)
+            monitor = _monitor(opened, view)
+            plan = LivePlan(
+                None if source is None else load_trajectory(source), lines, duration_s, feedback,
+                observers, controller, dead_man_s,
+            )  # fmt: skip
+            session = LiveSession(opened, plan, recorder=recorder)
+            try:
+                session.run()
+            finally:
+                for sink in (monitor, recorder):
+                    if sink is not None:
+                        opened.remove_sink(sink)
+                summary = session.summary()
+                if monitor is not None:
+                    summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
+                click.echo(json.dumps(summary) if as_json else _text(summary))
+    finally:
+        if lines is not None:
+            lines.close()
+    return EXIT_PASS
+
+
+def _recorder(bench: Bench, path: Path | None) -> McapRecorder | None:
+    if path is None:
+        return None
+    from hil.recording.mcap_writer import McapRecorder
+
+    recorder = McapRecorder(path, bench.header(), lossless=False)
+    bench.add_sink(recorder)
+    return recorder
+
+
+def _monitor(bench: Bench, view: str | None) -> RerunMonitor | None:
+    if view is None:
+        return None
+    from hil.monitor import RerunMonitor
+
+    monitor = RerunMonitor(view, lossless=False, geometry=bench.geometry)
+    bench.add_sink(monitor)
+    return monitor
+
+
+def _text(summary: dict[str, Any]) -> str:
+    timing = summary["timing"]
+    lines = [
+        f"{summary['bench']} at {summary['rate_hz']:g} Hz, ended by: {summary['ended']}",
+        f"{timing['cycles']:.0f} cycles, {timing['late']:.0f} late, {timing['overruns']:.0f} overruns, "
+        f"{timing['skipped']:.0f} skipped",
+        f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}",
+    ]
+    for name in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
+        if f"{name}_mean_ms" in timing:
+            values = (timing[f"{name}_{kind}_ms"] for kind in ("mean", "p99", "worst"))
+            lines.append(f"{name:10} " + " ".join(f"{v:9.3f}" for v in values))
+    for name, count in summary["samples"].items():
+        bad = ", ".join(f"{n} {kind}" for kind, n in count["bad"].items()) or "none bad"
+        lines.append(f"{name:10} {count['received']} samples, {count['missing']} missing, {bad}")
+    if summary["pose"] is not None:
+        x, y, theta = summary["pose"]
+        lines.append(f"pose       x {x:.4f} m, y {y:.4f} m, theta {theta:.4f} rad")
+    for name in ("recording", "monitor", "commands"):
+        if name in summary:
+            lines.append(f"{name:10} " + ", ".join(f"{k} {v}" for k, v in summary[name].items() if v != ""))
+    return "\n".join(lines)

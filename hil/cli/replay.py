@@ -1,0 +1,146 @@
+"""`hil replay`: re-run estimation on a recording, or prove that it repeats bit for bit."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.motion import Motion
+    from hil.recording.runs import RecordedRun
+
+_KINDS = ("odometry", "ekf", "ukf")
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=Path))
+@click.option(
+    "--estimator",
+    "estimators",
+    type=click.Choice(_KINDS),
+    multiple=True,
+    help="Estimator to run on the recorded measurements (repeatable) [default: all three].",
+)
+@click.option(
+    "--verify", is_flag=True, help="Hold every recomputed bit against the recording; exit 1 if one differs."
+)
+@click.option(
+    "--run",
+    "number",
+    type=click.IntRange(min=0),
+    help="Which run of the recording, from 0 [default: all to verify, the longest to compare].",
+)
+@click.option("--bench", help="Bench file or profile, for recordings that do not carry their own.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the estimators.")
+@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
+@click.option("--page", type=click.Path(path_type=Path), help="HTML page with figures.")
+@click.option("--rerun", "view", help="Show it: spawn, connect, serve, a URL or a .rrd file.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,
+    calibration: Path | None, topics: Path | None, page: Path | None, view: str | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Re-run estimation on a recording; with --verify, name the first cycle and field that differ.
+
+    RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
+    or plain CSV. A damaged recording gives what it has and ends with exit code 2.
+    """
+    from hil.live.playback import open_recording
+
+    opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
+    runs = list(opened.runs) if number is None else [opened.run(number)]
+    result: dict[str, Any] = {"recording": str(recording), "cycles": sum(len(r.records) for r in runs)}
+    if verify:
+        if page is not None or view is not None or estimators or calibration is not None:
+            raise UsageError("--verify goes without --estimator, --calibration, --page and --rerun")
+        result |= _verified(opened.bench, runs, opened.header)
+    else:
+        run = max(runs, key=lambda r: len(r.records))
+        motions = _compared(recording, opened.bench, run, estimators or _KINDS, foreign=opened.foreign)
+        result["estimators"] = _table(motions)
+        _show(opened.bench, motions, view)
+        if page is not None:
+            from hil.report.replay_page import write_replay_page
+
+            write_replay_page(page, f"Replay of {recording.name}", motions, tuple(opened.problems))
+    result["problems"] = opened.problems
+    for problem in opened.problems:
+        click.echo(f"hil: {recording}: {problem}", err=True)
+    click.echo(json.dumps(result) if as_json else _text(result))
+    if verify and not result["identical"]:
+        return EXIT_LIMIT_FAILED
+    return EXIT_USAGE if opened.problems else EXIT_PASS
+
+
+def _verified(bench: Bench, runs: list[RecordedRun], header: dict[str, Any]) -> dict[str, Any]:
+    from hil.live.playback import verify_run
+
+    told = [verify_run(bench, run) for run in runs]
+    now, then = bench.versions(), header.get("versions", {})
+    changed = {k: [v, now.get(k, "absent")] for k, v in then.items() if now.get(k, "absent") != v}
+    return {
+        "runs": told,
+        "identical": all(r["difference"] is None for r in told),
+        "changed_versions": changed,
+    }
+
+
+def _compared(
+    recording: Path, bench: Bench, run: RecordedRun, kinds: tuple[str, ...], *, foreign: bool
+) -> dict[str, Motion]:
+    from hil.report.replay import compare
+
+    if run.start is None:
+        raise DataError(str(recording), "does not say how its run began")
+    motions = compare(run.records, {kind: bench.make_estimator(kind) for kind in kinds}, run.start.state)
+    if foreign:
+        del motions["recorded"]
+    return motions
+
+
+def _show(bench: Bench, motions: dict[str, Motion], view: str | None) -> None:
+    """Play the run to the monitor, the estimators as further paths."""
+    if view is None:
+        return
+    from hil.live.playback import beside
+    from hil.monitor import RerunMonitor
+
+    monitor = RerunMonitor(view, lossless=True, geometry=bench.geometry)
+    for record in beside(motions):
+        monitor.write(record)
+    monitor.close()
+
+
+def _table(motions: dict[str, Motion]) -> dict[str, dict[str, float | None]]:
+    from hil.report.replay import errors
+
+    return {
+        name: {key: value if math.isfinite(value) else None for key, value in errors(motion).items()}
+        for name, motion in motions.items()
+    }
+
+
+def _text(result: dict[str, Any]) -> str:
+    if "runs" in result:
+        lines = [
+            f"run {i}: {r['cycles']} cycles, {r['difference'] or 'identical in ' + ', '.join(r['verified'])}"
+            for i, r in enumerate(result["runs"])
+        ]
+        lines += [
+            f"recorded with {k} {old}, now {new}" for k, (old, new) in result["changed_versions"].items()
+        ]
+        return "\n".join(lines)
+    lines = [f"{'estimator':12} {'rmse mm':>9} {'rmse deg':>9} {'end mm':>9} {'worst mm':>9}"]
+    for name, e in result["estimators"].items():
+        scaled = zip(e.values(), (1e3, math.degrees(1.0), 1e3, 1e3), strict=True)
+        lines.append(
+            f"{name:12} " + " ".join(f"{'-' if v is None else f'{v * k:.3f}':>9}" for v, k in scaled)
+        )
+    return "\n".join(lines)

@@ -1,0 +1,141 @@
+"""Velocity commands from outside, one to a line: over loopback UDP or on standard input.
+
+    v VX VY W     body velocity: m/s ahead, m/s to the left, rad/s counter-clockwise
+    stop          at rest, at once
+
+The loop asks for what has arrived; nothing here blocks and no thread is needed. Whoever wants the
+robot to move repeats the command before the dead-man time-out (`hil.live.velocity`).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import select
+import socket
+from abc import abstractmethod
+from typing import Protocol
+
+from hil.errors import UsageError
+
+LONGEST_LINE = 200
+
+_DATAGRAMS_PER_CYCLE = 32
+_CHUNK = 4096
+
+
+def parse_command(line: str) -> tuple[float, float, float]:
+    """Body velocity (m/s, m/s, rad/s) of a line; `stop` is all zero.
+
+    Raises:
+        UsageError: anything else.
+    """
+    words = line.split()
+    if words == ["stop"]:
+        return (0.0, 0.0, 0.0)
+    try:
+        if words[:1] == ["v"]:
+            x_m_s, y_m_s, omega_rad_s = map(float, words[1:])
+            if all(map(math.isfinite, (x_m_s, y_m_s, omega_rad_s))):
+                return (x_m_s, y_m_s, omega_rad_s)
+    except ValueError:
+        pass
+    raise UsageError(
+        f"velocity command {line[:LONGEST_LINE]!r}", expected="`v VX VY W` in m/s, m/s, rad/s, or `stop`"
+    )
+
+
+class CommandLines(Protocol):
+    """Where lines come from."""
+
+    where: str
+
+    @abstractmethod
+    def pending(self) -> list[str]:
+        """Whole lines that have arrived since the last call, oldest first; never blocks."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go. Idempotent."""
+
+
+class UdpLines(CommandLines):
+    """Datagrams to a port of this host only; each holds one or more lines.
+
+    Args:
+        port: UDP port on 127.0.0.1; 0 takes a free one.
+
+    Attributes:
+        port: the port in use.
+
+    Raises:
+        UsageError: the port is taken.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)
+        try:
+            self._socket.bind(("127.0.0.1", port))
+        except (OSError, OverflowError) as error:
+            self._socket.close()
+            raise UsageError(
+                f"velocity commands: UDP port {port} cannot be used ({error})", remedy="choose another port"
+            ) from None
+        self.port: int = self._socket.getsockname()[1]
+        self.where = f"udp:{self.port}"
+
+    def pending(self) -> list[str]:
+        """Lines of the datagrams that wait; the rest of a flood waits for the next cycle."""
+        lines: list[str] = []
+        for _ in range(_DATAGRAMS_PER_CYCLE):
+            try:
+                data = self._socket.recv(_CHUNK)
+            except OSError:
+                break
+            lines += data.decode("ascii", "replace").splitlines()
+        return lines
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+
+class StdinLines(CommandLines):
+    """Lines from a file descriptor, by default standard input; its end counts as `stop`."""
+
+    where = "stdin"
+
+    def __init__(self, descriptor: int = 0) -> None:
+        self._descriptor, self._rest, self._ended = descriptor, b"", False
+
+    def pending(self) -> list[str]:
+        """Whole lines; a line without an end waits for it."""
+        if self._ended or not select.select([self._descriptor], [], [], 0.0)[0]:
+            return []
+        data = os.read(self._descriptor, _CHUNK)
+        if not data:
+            self._ended = True
+            return ["stop"]
+        *whole, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[-LONGEST_LINE:]
+        return [line.decode("ascii", "replace") for line in whole]
+
+    def close(self) -> None:
+        """Standard input is not ours to close."""
+
+
+def open_commands(spec: str) -> CommandLines | None:
+    """Source of a `--command` option: `stdin`, `udp:PORT` or `none`.
+
+    Raises:
+        UsageError: anything else, or a port that is taken.
+    """
+    if spec == "none":
+        return None
+    if spec == "stdin":
+        return StdinLines()
+    kind, _, port = spec.partition(":")
+    if kind == "udp" and port.isdigit():
+        return UdpLines(int(port))
+    raise UsageError(f"--command {spec}", expected="stdin, udp:PORT or none")

@@ -1,0 +1,184 @@
+"""Recordings played back through the brain: the bench they were made on, and the runs they hold."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench import Bench
+from hil.calibration.artefact import read_calibration
+from hil.clock import MonotonicClock
+from hil.config.bench import BenchConfig, load_bench, validate
+from hil.errors import DataError, UsageError
+from hil.kinematics import WheelGeometry
+from hil.loop import Brain
+from hil.motion import Motion
+from hil.recording.foreign import to_run
+from hil.recording.mcap_reader import read_header
+from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.runs import RecordedRun, RunStart, read_runs
+from hil.recording.sources import read_recordings
+from hil.report.replay import FIELDS, RecordedReferences, verify
+from hil.rig import Rig
+from hil.signals import CycleRecord
+from hil.trajectories import Trajectory
+
+_FOREIGN_BENCH = "emulated_floor"
+
+
+@dataclass
+class OpenedRecording:
+    """A recording, and the bench of its making without devices.
+
+    Attributes:
+        foreign: not one of ours: wheels and ground truth, nothing estimated.
+        problems: what could not be read; complete once `runs` has been asked for.
+    """
+
+    path: Path
+    bench: Bench
+    header: dict[str, Any]
+    foreign: bool
+    problems: list[str]
+    read: Any
+
+    @cached_property
+    def runs(self) -> Sequence[RecordedRun]:
+        """All runs; raises `DataError` when there is none."""
+        found = tuple(self.read())
+        if not found:
+            raise DataError(str(self.path), "holds no cycles", expected="at least one control cycle")
+        return found
+
+    def run(self, number: int) -> RecordedRun:
+        """One run by its number from 0; raises `UsageError` when there are fewer."""
+        if number >= len(self.runs):
+            raise UsageError(f"{self.path} has no run {number}", expected=f"0 to {len(self.runs) - 1}")
+        return self.runs[number]
+
+
+def open_recording(
+    path: Path,
+    *,
+    bench: str | None = None,
+    calibration: Path | None = None,
+    topics: Path | None = None,
+) -> OpenedRecording:
+    """Find out what a recording is, and put the bench of its making together.
+
+    Args:
+        path: one of ours (`.mcap`), a bag of another robot (with `topics`), or CSV.
+        bench: bench file or profile instead of the recording's own.
+        calibration: wheel geometry instead of the recording's own.
+        topics: topic mapping of a bag.
+
+    Raises:
+        DataError, ConfigError: it cannot be read.
+    """
+    problems: list[str] = []
+    if topics is not None:
+        found = read_bag(path, read_topic_map(topics))
+        return _foreign(path, bench, calibration, lambda: [to_run(found)])
+    if path.suffix != ".mcap":
+        return _foreign(path, bench, calibration, lambda: map(to_run, read_recordings([path])))
+    header = read_header(path)
+    if bench is not None:
+        config = load_bench(bench)
+    elif "config" in header:
+        config = validate(header["config"], f"configuration in {path}")
+    else:
+        raise DataError(
+            str(path), "does not carry the configuration of its bench", remedy="give it with --bench"
+        )
+    given = header.get("geometry")
+    geometry = None if given is None else WheelGeometry.from_vector(np.array(given, dtype=np.float64))
+    return OpenedRecording(
+        path, _bench(config, geometry, calibration, header), header, False, problems,
+        lambda: read_runs(path, problems),
+    )  # fmt: skip
+
+
+def _foreign(path: Path, bench: str | None, calibration: Path | None, read: Any) -> OpenedRecording:
+    made = _bench(load_bench(bench or _FOREIGN_BENCH), None, calibration, {})
+    return OpenedRecording(path, made, {}, True, [], read)
+
+
+def _bench(
+    config: BenchConfig, geometry: WheelGeometry | None, calibration: Path | None, header: Mapping[str, Any]
+) -> Bench:
+    clock = MonotonicClock()
+    if calibration is not None:
+        geometry = read_calibration(calibration).geometry
+    if geometry is None:
+        robot = config.robot
+        geometry = WheelGeometry(*map(np.array, (robot.wheel_x_m, robot.wheel_y_m, robot.wheel_radius_m)))
+    return Bench(config, clock, Rig(clock), geometry=geometry, seed=int(header.get("seed", 0)))
+
+
+def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord]) -> Brain:
+    """The brain of a recorded run.
+
+    References that came from outside (velocity commands) are taken from the records; all others are
+    computed again from the trajectory.
+
+    Raises:
+        UsageError: the note on how the run began describes no brain of this version.
+    """
+    trajectory = None if start.trajectory is None else Trajectory.from_mapping(start.trajectory)
+    brain = bench.make_brain(
+        trajectory, controller=start.controller, feedback=start.feedback, observers=start.observers
+    )
+    if start.trajectory is not None and start.trajectory.get("references") == "recorded":
+        brain.reference_at = RecordedReferences(records)
+    return brain
+
+
+def verify_run(bench: Bench, run: RecordedRun) -> dict[str, Any]:
+    """Whether a run repeats bit for bit.
+
+    Returns:
+        `cycles`, `verified` (field names), `references` (`computed`, `recorded` or `none`) and
+        `difference`: the first one in words, None without.
+    """
+    told: dict[str, Any] = {
+        "cycles": len(run.records), "verified": [], "references": "none", "difference": None
+    }  # fmt: skip
+    if run.start is None:
+        return told | {"difference": "the recording does not say how this run began"}
+    whole = _up_to_a_gap(run.records)
+    records = run.records[:whole]
+    brain = rebuild(bench, run.start, records)
+    if brain.reference_at is not None:
+        told["references"] = "recorded" if isinstance(brain.reference_at, RecordedReferences) else "computed"
+    found = verify(records, brain, run.start.state)
+    told["verified"] = list(FIELDS)
+    if found is not None:
+        told["difference"] = f"cycle {found.cycle}: {found.field}"
+    elif whole < len(run.records):
+        told["difference"] = f"cycle {run.records[whole].cycle}: the cycles before it were not recorded"
+    return told
+
+
+def _up_to_a_gap(records: Sequence[CycleRecord]) -> int:
+    """How many cycles follow each other without a gap."""
+    for k, (a, b) in enumerate(pairwise(records), start=1):
+        if b.cycle != a.cycle + 1:
+            return k
+    return len(records)
+
+
+def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:
+    """Records of the first motion, with the estimates of all the others as observers."""
+    first, *others = motions.items()
+    for k, record in enumerate(first[1].records):
+        extra = dict(record.state.diagnostics)
+        for name, motion in others:
+            x_m, y_m, theta_rad = motion.records[k].state.pose_body_in_wall
+            extra |= {f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad}
+        yield replace(record, state=replace(record.state, diagnostics=extra))

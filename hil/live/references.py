@@ -1,0 +1,68 @@
+"""References for the live loop: waypoints of a CSV file, or a script that makes a trajectory."""
+
+from __future__ import annotations
+
+import importlib.util
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.errors import UsageError
+from hil.geometry import Array
+from hil.trajectories import Trajectory, read_waypoints, through
+
+MakeTrajectory = Callable[[Array], Trajectory]
+
+_THERE_M, _THERE_RAD = 0.005, 0.01
+
+
+def load_trajectory(path: Path) -> MakeTrajectory:
+    """How to make the reference, given the pose (3,) at which the robot stands.
+
+    Args:
+        path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
+            first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
+
+    Raises:
+        DataError: no such waypoints.
+        UsageError: another kind of file, or a script that cannot be used.
+    """
+    if path.suffix == ".csv":
+        waypoints = read_waypoints(path)
+        return lambda pose: _from_here(pose, waypoints, path.stem)
+    if path.suffix == ".py" and path.is_file():
+        return _script(path)
+    raise UsageError(f"--trajectory {path}", expected="a .csv file of waypoints or a .py script")
+
+
+def _from_here(pose: Array, waypoints: list[Array], name: str) -> Trajectory:
+    gap = waypoints[0] - pose
+    there = np.hypot(gap[0], gap[1]) < _THERE_M and abs(gap[2]) < _THERE_RAD
+    return through([pose, *waypoints[1:]] if there else [pose, *waypoints], name=name)
+
+
+def _script(path: Path) -> MakeTrajectory:
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise UsageError(f"--trajectory {path}: the script fails ({error!r})") from error
+    make: Any = getattr(module, "trajectory", None)
+    if not callable(make):
+        raise UsageError(f"--trajectory {path}", expected="a function trajectory(start_pose)")
+
+    def checked(pose: Array) -> Trajectory:
+        made = make(pose)
+        if not isinstance(made, Trajectory):
+            raise UsageError(
+                f"--trajectory {path}: trajectory() returned {type(made).__name__}",
+                expected="a hil.trajectories.Trajectory",
+            )
+        return made
+
+    return checked

@@ -1,0 +1,62 @@
+"""Counts what the devices delivered to a loop and what is missing: good, bad, and gaps in the numbering."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from typing import Any
+
+from hil.interfaces import Sink
+from hil.signals import CycleRecord, Status
+
+SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
+
+
+@dataclass
+class SampleCount:
+    """Samples of one device.
+
+    Attributes:
+        received: all of them; `bad` by status, of those in which any channel is not OK.
+        missing: numbers that the source has given and that never came.
+    """
+
+    received: int = 0
+    missing: int = 0
+    bad: Counter[str] = field(default_factory=Counter)
+    last_seq: int | None = None
+
+    def add(self, sample: Any) -> None:
+        """Count one sample."""
+        self.received += 1
+        if self.last_seq is not None:
+            self.missing += max(0, sample.stamp.seq - self.last_seq - 1)
+        self.last_seq = sample.stamp.seq
+        status = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+        wrong = next((s for s in status if s is not Status.OK), None)
+        if wrong is not None:
+            self.bad[wrong.value] += 1
+
+    def to_json(self) -> dict[str, object]:
+        """As plain data."""
+        return {"received": self.received, "missing": self.missing, "bad": dict(self.bad)}
+
+
+class SampleCounter(Sink):
+    """Sink that counts."""
+
+    def __init__(self) -> None:
+        self.counts: dict[str, SampleCount] = {}
+
+    def write(self, record: CycleRecord) -> None:
+        """Count one cycle's samples."""
+        for name in SENSORS:
+            for sample in getattr(record.inputs, name):
+                self.counts.setdefault(name, SampleCount()).add(sample)
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def to_json(self) -> dict[str, dict[str, object]]:
+        """As plain data, by device."""
+        return {name: count.to_json() for name, count in self.counts.items()}

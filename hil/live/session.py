@@ -1,0 +1,243 @@
+"""One session of the live loop: settle, follow or obey, until it is done or somebody ends it.
+
+Whatever ends it, the robot is held and the summary is complete.
+"""
+
+from __future__ import annotations
+
+import logging
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+
+import numpy as np
+
+from hil.bench import Bench
+from hil.clock import nanoseconds
+from hil.errors import Aborted, HilError
+from hil.geometry import Array
+from hil.live.commands import CommandLines
+from hil.live.references import MakeTrajectory
+from hil.live.samples import SampleCounter
+from hil.live.velocity import VelocityReference
+from hil.loop import Brain
+from hil.motion_limits import MotionLimits
+from hil.realtime import RealTime, warm_up
+from hil.recording.mcap_writer import McapRecorder
+from hil.recording.runs import RunStart
+from hil.signals import CycleRecord, RobotState
+from hil.trajectories import Segment, Straight, Trajectory
+
+LOG = logging.getLogger(__name__)
+
+_SETTLE_S = 0.5
+_HOLD_S = 2.0
+_HEADING_MARGIN_RAD = 0.035
+_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
+
+
+@dataclass(frozen=True)
+class LivePlan:
+    """What a session does.
+
+    Attributes:
+        trajectory: gives the reference from the pose at which the robot stands; `commands` to obey
+            instead; neither only watches.
+        duration_s: when it ends; at the trajectory's end, or never, when None.
+        feedback: estimator in the loop; `observers` run beside it.
+        controller: `nonlinear`, `optimal`, or the configured one.
+        dead_man_s: age at which a velocity command counts as `stop`.
+    """
+
+    trajectory: MakeTrajectory | None = None
+    commands: CommandLines | None = None
+    duration_s: float | None = None
+    feedback: str = "ekf"
+    observers: tuple[str, ...] = ()
+    controller: str | None = None
+    dead_man_s: float = 0.5
+
+
+class LiveSession:
+    """Runs a plan on a bench that has been entered.
+
+    Args:
+        bench: devices, clock, sinks.
+        plan: what to do.
+        recorder: told how each run begins; also a sink of the bench, as is the monitor.
+
+    Attributes:
+        ended: why it ended: `duration`, `trajectory`, the signal's name, or the error's text.
+    """
+
+    def __init__(self, bench: Bench, plan: LivePlan, *, recorder: McapRecorder | None = None) -> None:
+        self.bench, self.plan, self.recorder = bench, plan, recorder
+        self.ended = ""
+        self._signal: str | None = None
+        self._samples = SampleCounter()
+        self._last: CycleRecord | None = None
+        self._velocity: VelocityReference | None = None
+        config = bench.config.loop
+        self._real_time = RealTime(bench.clock, fifo_priority=config.fifo_priority, cpu=config.cpu)
+
+    def run(self) -> None:
+        """Settle, then cycle until the end.
+
+        Raises:
+            Aborted: a signal ended it.
+            SafetyStop, DeviceError, TrajectoryError: as the loop raised them; the robot is held.
+        """
+        with self._signals():
+            try:
+                self._run()
+            except HilError as error:
+                self.ended = self.ended or str(error)
+                raise
+
+    def summary(self) -> dict[str, object]:
+        """What happened: duration, punctuality, samples, last pose, recording."""
+        last, bench = self._last, self.bench
+        pose = None if last is None else [float(v) for v in last.state.pose_body_in_wall]
+        found: dict[str, object] = {
+            "bench": bench.config.name,
+            "ended": self.ended,
+            "rate_hz": bench.config.loop.rate_hz,
+            "timing": bench.statistics.summary(),
+            "samples": self._samples.to_json(),
+            "pose": pose,
+            "real_time": {
+                "warnings": list(self._real_time.warnings),
+                "collections": self._real_time.collections,
+            },
+        }
+        if self._velocity is not None:
+            found["commands"] = {
+                "accepted": self._velocity.accepted,
+                "refused": self._velocity.refused,
+                "dead_man_stops": self._velocity.dead_man_stops,
+            }
+        if self.recorder is not None:
+            found["recording"] = self.recorder.report()
+        return found
+
+    def _run(self) -> None:
+        bench, plan = self.bench, self.plan
+        moving = plan.trajectory is not None or plan.commands is not None
+        here = np.array(bench.config.emulation.start_pose, dtype=np.float64)
+        warm_up(self._brain(_standing(here) if moving else None), self._start(here))
+        if moving:
+            bench.rig.actuators().enable()
+        rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
+        pose = self._start_pose(rest.mocap)
+        trajectory = self._trajectory(pose) if moving else None
+        brain = self._brain(trajectory)
+        if plan.commands is not None:
+            self._velocity = self._obey(plan.commands, pose)
+            brain.reference_at = self._velocity
+        self._cycle(brain, trajectory, pose)
+
+    def _brain(self, trajectory: Trajectory | None) -> Brain:
+        plan = self.plan
+        return self.bench.make_brain(
+            trajectory, controller=plan.controller, feedback=plan.feedback, observers=plan.observers
+        )
+
+    def _trajectory(self, pose: Array) -> Trajectory:
+        """What to follow, checked; for velocity commands the pose itself, from which they lead away."""
+        if self.plan.trajectory is None:
+            return _standing(pose)
+        trajectory = self.plan.trajectory(pose)
+        self.bench.check(trajectory)
+        return trajectory
+
+    def _start_pose(self, mocap: Array) -> Array:
+        known = mocap[np.all(np.isfinite(mocap), axis=1)]
+        if len(known):
+            return np.asarray(known.mean(axis=0), dtype=np.float64)
+        return np.array(self.bench.config.emulation.start_pose, dtype=np.float64)
+
+    def _obey(self, lines: CommandLines, pose: Array) -> VelocityReference:
+        control, safety = self.bench.config.control, self.bench.config.safety
+        on_wall = self.bench.config.surface == "wall"
+        limits = MotionLimits(
+            wheel_speed_m_s=control.wheel_speed_m_s,
+            wheel_acceleration_m_s2=control.acceleration_m_s2,
+            heading_limit_rad=safety.heading_limit_rad - _HEADING_MARGIN_RAD if on_wall else None,
+            x_range_m=safety.x_range_m,
+            y_range_m=safety.y_range_m,
+        )
+        return VelocityReference(
+            lines, pose, self.bench.geometry.projection(), limits, dead_man_s=self.plan.dead_man_s
+        )
+
+    def _start(self, pose: Array) -> RobotState:
+        return RobotState(self.bench.clock.now_ns(), pose, np.zeros(3), _START_COVARIANCE)
+
+    def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
+        bench, plan = self.bench, self.plan
+        start = self._start(pose)
+        brain.reset(start)
+        if self.recorder is not None:
+            law = None if trajectory is None else plan.controller or bench.config.control.law
+            told = None if trajectory is None else trajectory.to_mapping()
+            if told is not None and plan.commands is not None:
+                told["references"] = "recorded"
+            self.recorder.note(
+                start.t_ns, "run", RunStart(start, plan.feedback, law, plan.observers, told).note()
+            )
+        bench.add_sink(self._samples)
+        loop = bench.make_loop(brain)
+        with self._real_time:
+            loop.idle = self._real_time.idle
+            loop.run(self._is_over(bench.clock.now_ns(), trajectory))
+        if self._signal is not None:
+            raise Aborted(f"ended by {self._signal}; the robot is held")
+
+    def _is_over(self, start_ns: int, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
+        """The condition that ends the loop; notes the latest record and why it ended."""
+        ends: dict[int, str] = {}
+        if self.plan.duration_s is not None:
+            ends[start_ns + nanoseconds(self.plan.duration_s)] = "duration"
+        elif self.plan.trajectory is not None and trajectory is not None:
+            ends[start_ns + nanoseconds(trajectory.duration_s + _HOLD_S)] = "trajectory"
+        end_ns = min(ends, default=None)
+
+        def over(record: CycleRecord) -> bool:
+            self._last = record
+            if self._signal is not None:
+                self.ended = self._signal
+            elif end_ns is not None and record.start_ns >= end_ns:
+                self.ended = ends[end_ns]
+            return bool(self.ended)
+
+        return over
+
+    def _stop_if_asked(self, record: CycleRecord) -> None:
+        if self._signal is not None:
+            self.ended = self._signal
+            raise Aborted(f"ended by {self._signal} before the robot was asked to move")
+
+    def _take(self, number: int, _frame: FrameType | None = None) -> None:
+        """Handle a signal: the cycle in hand is finished, then the loop ends."""
+        self._signal = signal.Signals(number).name
+
+    @contextmanager
+    def _signals(self) -> Iterator[None]:
+        """SIGINT and SIGTERM end the loop; only the main thread can take them."""
+        if threading.current_thread() is not threading.main_thread():
+            yield
+            return
+        before = {n: signal.signal(n, self._take) for n in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            yield
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _standing(pose: Array) -> Trajectory:
+    here = (float(pose[0]), float(pose[1]), float(pose[2]))
+    return Trajectory("velocity", (Segment(Straight(here, here), 1.0),))

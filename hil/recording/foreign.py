@@ -1,0 +1,73 @@
+"""Recordings of other origin as cycle records: one cycle per wheel sample.
+
+Nothing is estimated or commanded in such a run: it is there to be replayed through estimators, drawn,
+and compared like one of our own.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.calibration.datasets import Recording
+from hil.calibration.evaluation import rest_pose
+from hil.clock import nanoseconds
+from hil.geometry import Array
+from hil.recording.runs import RecordedRun, RunStart
+from hil.signals import (
+    CycleRecord,
+    Inputs,
+    Measurements,
+    PoseMeasurement,
+    RobotState,
+    ServoSetpoint,
+    Stamp,
+    WheelMeasurement,
+    WheelSetpoint,
+)
+
+_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
+_USABLE = (True,) * 4
+
+
+def to_run(recording: Recording) -> RecordedRun:
+    """A recording as a run that starts at the ground truth averaged over its initial rest."""
+    t_ns = [nanoseconds(t) for t in (recording.t_s - recording.t_s[0]).tolist()]
+    start = RobotState(t_ns[0], rest_pose(recording), np.zeros(3), _START_COVARIANCE)
+    edges = np.searchsorted(recording.truth_t_s, recording.t_s, side="right")
+    rates = _rates(recording)
+    records = []
+    for k, now_ns in enumerate(t_ns):
+        seen = range(int(edges[k - 1]) if k else 0, int(edges[k]))
+        wheels = WheelMeasurement(
+            Stamp(now_ns, now_ns, k),
+            recording.wheel_angle_rad[k],
+            rates[k],
+            recording.steering_rad[k],
+            _USABLE,
+        )
+        measured = Measurements(
+            k, now_ns, (wheels,), mocap=tuple(_truth(recording, i) for i in seen)
+        )  # fmt: skip
+        records.append(_cycle(measured))
+    return RecordedRun(RunStart(start, "odometry"), tuple(records))
+
+
+def _rates(recording: Recording) -> Array:
+    if recording.has_rates:
+        return recording.wheel_rate_rad_s
+    return np.asarray(np.gradient(recording.wheel_angle_rad, recording.t_s, axis=0), dtype=np.float64)
+
+
+def _truth(recording: Recording, i: int) -> PoseMeasurement:
+    t_ns = nanoseconds(float(recording.truth_t_s[i] - recording.t_s[0]))
+    return PoseMeasurement(Stamp(t_ns, t_ns, i), "mocap", recording.truth_pose[i], 3, True)
+
+
+def _cycle(measured: Measurements) -> CycleRecord:
+    """A cycle in which nothing was estimated and nothing commanded."""
+    t_ns, unknown, rest = measured.t_ns, np.full(3, np.nan), np.zeros(4)
+    return CycleRecord(
+        measured.cycle, t_ns, t_ns, Inputs(measured.cycle, t_ns), measured,
+        RobotState(t_ns, unknown, unknown, np.full((6, 6), np.nan)), None,
+        WheelSetpoint(rest, rest), ServoSetpoint(rest, rest),
+    )  # fmt: skip
