@@ -7,7 +7,6 @@ are those that the paper's experiments call for (`facts/plant_and_control.md`, c
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -20,6 +19,7 @@ from hil.config.bench import BenchConfig
 from hil.geometry import ArrayLike
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, line, scan
+from procedures._collecting import ignore_interrupts
 from procedures._tracking import path_figure, series, stand, time_figure, tracking_errors
 
 Case = Literal["x_line", "y_line", "scan"]
@@ -159,10 +159,6 @@ def _elsewhere(job: tuple[BenchSource, Drive, Parameters]) -> dict[str, Any]:
         return drive(bench, one, p)
 
 
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
 @procedure(
     name="wall_tracking", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
@@ -186,7 +182,7 @@ def one_world(ctx: Context, seed: int) -> dict[str, Any]:
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
         sources = [(ctx.source.changed(seed=seed), one, p) for one in jobs]
-        with multiprocessing.get_context("spawn").Pool(p.processes, _ignore_interrupts) as pool:
+        with multiprocessing.get_context("spawn").Pool(p.processes, ignore_interrupts) as pool:
             results = []
             for number, result in enumerate(pool.imap(_elsewhere, sources), start=1):
                 results.append(result)

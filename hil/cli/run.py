@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("script")
-@click.option("--bench", default="emulated", show_default=True, help="Bench file, or a shipped profile.")
+@click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's, emulated].")
 @click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    script: str, bench: str, emulate: str | None, settings: tuple[str, ...], seed: int, realtime: bool,
+    script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int, realtime: bool,
     faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
     answers: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
@@ -46,8 +46,8 @@ def command(
     proc = load_procedure(script)
     parameters, overrides = split_settings(settings)
     source = BenchSource(
-        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, overrides=overrides,
-        calibration=calibration,
+        bench or proc.bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
+        overrides=overrides, calibration=calibration,
     )  # fmt: skip
     if dry:
         from hil.procedure.dry_run import dry_run

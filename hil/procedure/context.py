@@ -17,7 +17,7 @@ from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
-from hil.procedure.measurements import Measurement
+from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator
 
 if TYPE_CHECKING:
@@ -50,6 +50,8 @@ class Context:
         parameters: the procedure's, typed.
         source: which bench, to open it again (`reopen`) or in another process.
         folder: results folder of the run.
+        clock: for how long computing takes; the bench has its own.
+        started: date and time at which the run began, ISO 8601.
         findings: what has been left so far.
     """
 
@@ -62,6 +64,7 @@ class Context:
         declared: Sequence[Measurement],
         journal: Journal,
         clock: Clock,
+        started: str,
         operator: Operator,
         report: Report,
         interrupts: Interrupts,
@@ -71,7 +74,8 @@ class Context:
         self.findings = Findings()
         self.guard = LoopGuard(interrupts)
         self._declared = {m.name: m for m in declared}
-        self._journal, self._clock, self._operator = journal, clock, operator
+        self._journal, self._operator = journal, operator
+        self.clock, self.started = clock, started
         self._report, self._interrupts = report, interrupts
         self._past = dict(past)
         self._titles: list[str] = []
@@ -164,7 +168,7 @@ class Context:
         self._journal.add("step", {"title": title})
         self._report(title, 0, 1)
         self._titles.append(title)
-        begin_ns, driven_s = self._clock.now_ns(), self.guard.driven_s
+        begin_ns, driven_s = self.clock.now_ns(), self.guard.driven_s
         self.guard.push_limit(f"step {title!r}", timeout_s)
         try:
             yield
@@ -172,7 +176,7 @@ class Context:
         finally:
             self._titles.pop()
             self.guard.pop_limit()
-            entry["wall_s"] = (self._clock.now_ns() - begin_ns) / NS_PER_S
+            entry["wall_s"] = (self.clock.now_ns() - begin_ns) / NS_PER_S
             entry["bench_s"] = self.guard.driven_s - driven_s
             with suppress(HilError):
                 self._journal.add("end_step", entry)
@@ -243,6 +247,11 @@ class Context:
     def _keep_value(self, name: str, value: float, where: str) -> None:
         self.findings.values[name] = value
         self.findings.measured_in[name] = where
+
+    def passing(self) -> bool:
+        """Whether every limit that has been measured so far holds."""
+        values = self.findings.values
+        return all(m.judge(values[n]) is not Verdict.FAIL for n, m in self._declared.items() if n in values)
 
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""

@@ -57,6 +57,7 @@ class Procedure:
         measurements: what it measures, or a function of the parameters that says so.
         plan: steps and trajectories from parameters and bench configuration, for a dry run.
         teardown_s: time limit of each teardown action.
+        bench: profile that it runs on when no bench is named.
         summary: first line of the function's docstring.
     """
 
@@ -67,6 +68,7 @@ class Procedure:
     measurements: Measurements = ()
     plan: Plan | None = None
     teardown_s: float = 30.0
+    bench: str = "emulated"
     summary: str = ""
 
     def declared(self, parameters: Any) -> tuple[Measurement, ...]:
@@ -102,6 +104,7 @@ def procedure(
     measurements: Measurements = (),
     plan: Plan | None = None,
     teardown_s: float = 30.0,
+    bench: str = "emulated",
 ) -> Callable[[Body], Procedure]:
     """Declare a function as a procedure.
 
@@ -119,7 +122,7 @@ def procedure(
     def declare(body: Body) -> Procedure:
         summary = (inspect.getdoc(body) or "").partition("\n")[0]
         return Procedure(
-            name, body, tuple(needs), parameters, measurements, plan, teardown_s, summary
+            name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, summary
         )  # fmt: skip
 
     return declare

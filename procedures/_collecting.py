@@ -1,0 +1,167 @@
+"""Drives the six motions of the odometry calibration and keeps each as a plain CSV recording."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+import signal
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.clock import NS_PER_S
+from hil.errors import DataError
+from hil.geometry import Array, ArrayLike, rotation2
+from hil.motion import Motion
+from hil.procedure import BenchSource, Context
+from hil.recording.plain_csv import read_plain, write_plain
+from hil.trajectories import Trajectory, circle, line
+from procedures._tracking import stand
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+
+MotionName = Literal["line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw"]
+MOTIONS: tuple[MotionName, ...] = (
+    "line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw",
+)  # fmt: skip
+UNUSED = {"encoders": None, "imu": None, "tracker": None}
+"""Bench overrides that leave out what calibration does not look at."""
+_STAGGER_S = 0.13
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large the motions are, and how fast (peak wheel speed)."""
+
+    line_m: float = 4.0
+    radius_m: float = 0.5
+    turns: float = 1.0
+    speed_m_s: float = 0.11
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """One repetition of all motions, driven one after the other in one world.
+
+    Attributes:
+        prefix: of the file names, which end in `MOTION_K.csv`.
+        number: K, counted from 1 over all rounds.
+    """
+
+    folder: Path
+    motions: tuple[str, ...]
+    number: int
+    sizes: Sizes
+    feedback: str = "odometry"
+    hold_s: float = 1.0
+
+
+def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
+    """One of the six motions from where the robot stands; lines may be driven backwards."""
+    pose = np.asarray(start, dtype=np.float64)
+    sense = 1.0 if name.endswith("_ccw") else -1.0
+    if name.startswith("line"):
+        way = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
+        way = rotation2(float(pose[2])) @ way * (-1.0 if backwards else 1.0)
+        return line(pose, pose + np.append(way, 0.0), speed_m_s=sizes.speed_m_s, name=name)
+    if name.startswith("circle"):
+        return circle(
+            pose, sizes.radius_m, turns=sense * sizes.turns, speed_m_s=sizes.speed_m_s, name=name
+        )  # fmt: skip
+    turn = np.array([0.0, 0.0, sense * 2.0 * math.pi * sizes.turns])
+    return line(pose, pose + turn, speed_m_s=sizes.speed_m_s, name=name)
+
+
+def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
+    """Drive all motions of a repetition and write their recordings; returns the file names.
+
+    The first rest is a little longer in every repetition, so that two worlds of one seed do not
+    repeat each other's noise.
+    """
+    stand(bench, 0.5 + _STAGGER_S * repetition.number)
+    written = []
+    for name in repetition.motions:
+        pose = stand(bench)
+        backwards = repetition.number % 2 == 0
+        motion = bench.drive(
+            reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
+            hold_s=repetition.hold_s, start_pose=pose,
+        )  # fmt: skip
+        path = repetition.folder / f"{name}_{repetition.number}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_plain(path, recording_of(motion, path.stem, name))
+        written.append(path.name)
+    return written
+
+
+def recording_of(motion: Motion, name: str, group: str) -> Recording:
+    """A driven motion as a calibration recording: wheels and ground truth on the bench clock.
+
+    Raises:
+        DataError: no usable wheels or no ground truth.
+    """
+    origin_ns = motion.records[0].inputs.t_ns
+    wheels = [w for r in motion.records for w in r.measurements.wheels if all(w.valid)]
+    truth = [m for r in motion.records for m in r.measurements.mocap if m.valid]
+    if not truth or not wheels:
+        missing = "ground truth from motion capture" if wheels else "complete servo readings"
+        raise DataError(name, f"has no {missing}", remedy="run procedures/bring_up.py")
+    return build_recording(
+        name,
+        Log(
+            _stamps([w.stamp.t_ns for w in wheels], origin_ns),
+            np.array([np.r_[w.wheel_angle_rad, w.steering_rad, w.wheel_rate_rad_s] for w in wheels]),
+        ),
+        Log(_stamps([m.stamp.t_ns for m in truth], origin_ns), np.array([m.pose for m in truth])),
+        motion=group,
+    )
+
+
+def _stamps(t_ns: Sequence[int], origin_ns: int) -> Array:
+    return np.array([(t - origin_ns) / NS_PER_S for t in t_ns], dtype=np.float64)
+
+
+def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:
+    """The recordings of a round, in order."""
+    return [read_plain(folder / name) for name in names]
+
+
+def collect(
+    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
+) -> list[str]:
+    """Drive repetitions, each in a fresh world; in several processes where time is virtual.
+
+    Returns:
+        File names in order; the same whatever the number of processes.
+    """
+    total = len(repetitions)
+    names: list[str] = []
+    if processes > 1 and ctx.source.virtual:
+        source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
+        with multiprocessing.get_context("spawn").Pool(processes, ignore_interrupts) as pool:
+            jobs = [(source, r) for r in repetitions]
+            for number, written in enumerate(pool.imap(_elsewhere, jobs), start=1):
+                names += written
+                ctx.progress(label, number, total)
+        return names
+    for number, repetition in enumerate(repetitions, start=1):
+        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=UNUSED)
+        names += drive_repetition(bench, repetition)
+        ctx.progress(label, number, total)
+    return names
+
+
+def _elsewhere(job: tuple[BenchSource, Repetition]) -> list[str]:
+    source, repetition = job
+    with source.open() as bench:
+        return drive_repetition(bench, repetition)
+
+
+def ignore_interrupts() -> None:
+    """In a worker: leave Ctrl-C to the process that started it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
