@@ -29,6 +29,8 @@ COMMANDS = {
     "evaluate": "odometry error table of recordings",
     "export": "a recording as CSV or Parquet",
     "info": "versions for a bug report",
+    "live": "the control-estimate loop in real time, with monitoring",
+    "replay": "re-run estimation on a recording, or prove that it repeats bit for bit",
     "report": "the HTML page of a run, or a comparison of several",
     "run": "run a procedure on a bench",
 }

@@ -13,8 +13,14 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from hil.config.control import ControlConfig
 from hil.config.encoders import EncodersConfig
+from hil.config.estimator import EstimatorConfig
 from hil.config.imu import ImuConfig
+from hil.config.mocap import MocapConfig
+from hil.config.robot import RobotConfig
+from hil.config.servos import ServosConfig
+from hil.config.tracker import TrackerConfig
 from hil.errors import ConfigError
 
 if sys.version_info >= (3, 11):
@@ -22,7 +28,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
-DEVICES = ("encoders", "imu")
+DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
 
 
 class Strict(BaseModel):
@@ -41,7 +47,16 @@ class LoopConfig(Strict):
 
 
 class SafetyConfig(Strict):
-    """When the supervisor stops the robot."""
+    """When the supervisor stops the robot, and where it may be sent.
+
+    Attributes:
+        servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
+        heading_limit_rad: on a wall; beyond it the thrust no longer points up.
+        tracking_error_limit_m: distance from the reference.
+        body_speed_limit_m_s: speed that the camera may see: faster is a slide.
+        adhesion_limit_m_s2: specific force below which the robot counts as falling.
+        x_range_m, y_range_m: usable surface; references that leave it are refused.
+    """
 
     servo_stale_s: float = Field(0.1, gt=0)
     imu_stale_s: float = Field(0.5, gt=0)
@@ -50,6 +65,10 @@ class SafetyConfig(Strict):
     steering_limit_rad: float = Field(2.0944, gt=0)
     heading_limit_rad: float = Field(0.2618, gt=0)
     tracking_error_limit_m: float = Field(0.5, gt=0)
+    body_speed_limit_m_s: float = Field(0.5, gt=0)
+    adhesion_limit_m_s2: float = Field(5.0, ge=0, lt=9.8)
+    x_range_m: tuple[float, float] | None = None
+    y_range_m: tuple[float, float] | None = None
 
 
 class AlignmentConfig(Strict):
@@ -68,12 +87,26 @@ class AlignmentConfig(Strict):
 
 
 class EmulationConfig(Strict):
-    """The emulated world: only read when at least one device is emulated."""
+    """The emulated world: only read when at least one device is emulated.
+
+    Attributes:
+        surface: what the robot stands on; `tilt_rad` 0 floor, pi/2 wall.
+        start_pose: (x m, y m, theta rad) in the wall frame.
+        randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
+        servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
+            in `ServoBusOptions`, `EncoderTruthOptions`, `ImuTruthOptions`, `TrackerTruthOptions` and
+            `MocapTruthOptions` of `hil.fakes`.
+    """
 
     surface: str = "melamine"
     tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
     start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     randomise_truth: bool = True
+    servos: dict[str, Any] = {}
+    encoders: dict[str, Any] = {}
+    imu: dict[str, Any] = {}
+    tracker: dict[str, Any] = {}
+    mocap: dict[str, Any] = {}
 
 
 class ExitConfig(Strict):
@@ -94,8 +127,14 @@ class BenchConfig(Strict):
     alignment: AlignmentConfig = AlignmentConfig()
     emulation: EmulationConfig = EmulationConfig()
     exit: ExitConfig = ExitConfig()
+    robot: RobotConfig = RobotConfig()
+    control: ControlConfig = ControlConfig()
+    estimator: EstimatorConfig = EstimatorConfig()
+    servos: ServosConfig | None = None
     encoders: EncodersConfig | None = None
     imu: ImuConfig | None = None
+    tracker: TrackerConfig | None = None
+    mocap: MocapConfig | None = None
 
     def devices(self) -> dict[str, Any]:
         """Configured devices by name, in the fixed order."""

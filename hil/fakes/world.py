@@ -65,13 +65,18 @@ class World:
         """Move the world to `t_ns`, letting every part act at its own time on the way."""
         if t_ns < self._now_ns:
             return
-        while self._parts:
-            due_ns, index = min((part.next_due_ns(), i) for i, part in enumerate(self._parts))
-            if due_ns > t_ns:
+        while True:
+            due_ns, first = NEVER_NS, None
+            for part in self._parts:
+                part_ns = part.next_due_ns()
+                if part_ns < due_ns:
+                    due_ns, first = part_ns, part
+            if first is None or due_ns > t_ns:
                 break
-            self._now_ns = max(due_ns, self._now_ns)
+            if due_ns > self._now_ns:
+                self._now_ns = due_ns
             self.sync_plant()
-            self._parts[index].on_due(self._now_ns)
+            first.on_due(self._now_ns)
         self._now_ns = t_ns
 
     def next_due_ns(self) -> int:

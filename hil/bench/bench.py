@@ -1,0 +1,335 @@
+"""Class `Bench`: devices, clock, loop and configuration, and the motions that one asks of them."""
+
+from __future__ import annotations
+
+import platform
+import sys
+from collections.abc import Callable
+from contextlib import ExitStack
+from importlib import metadata
+from types import TracebackType
+
+import numpy as np
+
+from hil import __version__
+from hil.alignment import Alignment, AlignmentParameters, Mount
+from hil.clock import Clock, nanoseconds
+from hil.config.bench import BenchConfig
+from hil.controller import make_controller
+from hil.errors import ConfigError, UsageError
+from hil.estimator import make_estimator
+from hil.fakes.plant_api import PlantState
+from hil.fakes.world import World
+from hil.geometry import Array, ArrayLike
+from hil.interfaces import Estimator, Sink
+from hil.kinematics import WheelGeometry
+from hil.loop import Brain, ControlLoop, LoopStatistics
+from hil.motion import Motion
+from hil.motion_limits import MotionLimits, check
+from hil.recording.mcap_writer import McapRecorder
+from hil.recording.runs import RunStart
+from hil.rig import Rig
+from hil.signals import CycleRecord, RobotState
+from hil.supervisor import SafetyLimits, Supervisor
+from hil.trajectories import Trajectory
+
+FEEDBACK = ("odometry", "ekf", "ukf")
+
+_SETTLE_S = 0.5
+_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
+_PACKAGES = ("numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "filterpy")
+
+OnCycle = Callable[[CycleRecord], None]
+
+
+class Bench:
+    """Devices, clock, loop and configuration of one bench; use it as a context manager.
+
+    Attributes:
+        config: the checked configuration, as used.
+        clock: virtual or monotonic.
+        rig: the devices.
+        world: the emulated world where it lives in this process, else None.
+        geometry: wheel geometry in use (nominal or calibrated).
+        calibration: name and version of the calibration in use; empty without one.
+        seed: seed of the emulated world.
+        statistics: punctuality of the latest run.
+    """
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        clock: Clock,
+        rig: Rig,
+        *,
+        geometry: WheelGeometry,
+        world: World | None = None,
+        calibration: str = "",
+        seed: int = 0,
+        sinks: tuple[Sink, ...] = (),
+    ) -> None:
+        self.config, self.clock, self.rig, self.world = config, clock, rig, world
+        self.geometry, self.calibration, self.seed = geometry, calibration, seed
+        self.alignment_parameters = alignment_parameters(config)
+        self.statistics = LoopStatistics()
+        self._sinks = list(sinks)
+        self._stack = ExitStack()
+
+    def __enter__(self) -> Bench:
+        try:
+            self.rig.open()
+        except BaseException:
+            self._stack.close()
+            raise
+        self._stack.callback(self.rig.close)
+        self._stack.callback(self._close_sinks)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Hold the robot (or release it, as configured), close sinks and devices. Idempotent."""
+        if self.rig.servos is not None and self.rig.servos.identity():
+            self.rig.servos.stop()
+            if self.config.exit.policy == "release":
+                self.rig.servos.release()
+        self._stack.close()
+
+    def on_close(self, callback: Callable[[], object]) -> None:
+        """Have something else ended together with the bench, after the devices."""
+        self._stack.callback(callback)
+
+    def add_sink(self, sink: Sink) -> None:
+        """Let a sink receive every cycle from now on; the bench closes it."""
+        self._sinks.append(sink)
+
+    def remove_sink(self, sink: Sink) -> None:
+        """Stop feeding a sink and close it."""
+        self._sinks.remove(sink)
+        sink.close()
+
+    def _close_sinks(self) -> None:
+        for sink in self._sinks:
+            sink.close()
+        self._sinks.clear()
+
+    def has(self, name: str) -> bool:
+        """Whether the bench has the device (`servos encoders imu tracker mocap`)."""
+        return getattr(self.rig, name) is not None
+
+    def truth(self) -> PlantState | None:
+        """Physical truth of an emulated robot in this process; None on anything else."""
+        if self.world is None:
+            return None
+        self.world.sync_plant()
+        return self.world.plant.truth()
+
+    def versions(self) -> dict[str, str]:
+        """Versions of what the result depends on."""
+        found = {"hil": __version__, "python": platform.python_version(), "platform": sys.platform}
+        for package in _PACKAGES:
+            try:
+                found[package] = metadata.version(package)
+            except metadata.PackageNotFoundError:
+                found[package] = "absent"
+        return found
+
+    def header(self) -> dict[str, object]:
+        """What a recording says about its origin, enough to build the brain of every run again."""
+        return {
+            "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
+            "geometry": self.geometry.vector().tolist(),
+            "calibration": self.calibration,
+            "seed": self.seed,
+            "versions": self.versions(),
+        }
+
+    def make_brain(
+        self,
+        trajectory: Trajectory | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> Brain:
+        """The deterministic part of the loop for one motion (also what replay runs).
+
+        Raises:
+            UsageError: unknown feedback or controller.
+        """
+        config = self.config
+        law = None
+        if trajectory is not None:
+            control = config.control
+            if controller not in (None, "nonlinear", "optimal"):
+                raise UsageError(f"controller {controller!r} is unknown", expected="nonlinear or optimal")
+            if controller is not None:
+                control = control.model_copy(update={"law": controller})
+            law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
+        return Brain(
+            Supervisor(safety_limits(config), watched=tuple(config.devices())),
+            Alignment(self.alignment_parameters),
+            self.make_estimator(feedback),
+            law,
+            trajectory.sample if trajectory is not None else None,
+            {name: self.make_estimator(name) for name in observers},
+        )
+
+    def make_estimator(self, kind: str) -> Estimator:
+        """A fresh estimator of this bench; raises `UsageError` for an unknown kind."""
+        if kind not in FEEDBACK:
+            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
+        config = self.config.estimator.model_copy(update={"kind": kind})
+        return make_estimator(config, self.geometry, surface=self.config.surface)
+
+    def check(self, trajectory: Trajectory) -> None:
+        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
+        control, safety = self.config.control, self.config.safety
+        limits = MotionLimits(
+            wheel_speed_m_s=control.wheel_speed_m_s,
+            wheel_acceleration_m_s2=control.acceleration_m_s2,
+            heading_limit_rad=safety.heading_limit_rad if self.config.surface == "wall" else None,
+            x_range_m=safety.x_range_m,
+            y_range_m=safety.y_range_m,
+        )
+        check(trajectory, self.geometry.projection(), limits)
+
+    def settle(self, duration_s: float = _SETTLE_S) -> Array:
+        """Rest, and return the pose (3,) from motion capture averaged over the rest.
+
+        Without motion capture the configured start pose is returned.
+        """
+        mocap = self.observe(duration_s, feedback="odometry").mocap
+        known = mocap[np.all(np.isfinite(mocap), axis=1)]
+        if len(known):
+            return np.asarray(known.mean(axis=0), dtype=np.float64)
+        return np.array(self.config.emulation.start_pose, dtype=np.float64)
+
+    def observe(
+        self,
+        duration_s: float,
+        *,
+        feedback: str = "ekf",
+        start_pose: ArrayLike | None = None,
+        on_cycle: OnCycle | None = None,
+    ) -> Motion:
+        """Run the loop without commanding anything."""
+        start = RunStart(self._start_state(start_pose), feedback)
+        return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
+
+    def drive(
+        self,
+        trajectory: Trajectory,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        hold_s: float = 2.0,
+        observers: tuple[str, ...] = (),
+        start_pose: ArrayLike | None = None,
+        on_cycle: OnCycle | None = None,
+    ) -> Motion:
+        """Check, enable, settle, follow a trajectory to its end, hold.
+
+        Args:
+            trajectory: reference; refused before anything moves when the limits cannot follow it.
+            controller: `nonlinear` or `optimal`; the configured law when None.
+            feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
+            hold_s: how long to go on controlling at the end.
+            observers: estimators that run beside it.
+            start_pose: where the robot stands, (3,); by default measured while settling.
+            on_cycle: called with every record (progress).
+
+        Raises:
+            TrajectoryError, SafetyStop, DeviceError: in each case the robot is held.
+        """
+        self.check(trajectory)
+        brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
+        self.rig.actuators().enable()
+        pose = self.settle() if start_pose is None else start_pose
+        start = RunStart(
+            self._start_state(pose),
+            feedback,
+            controller or self.config.control.law,
+            observers,
+            trajectory.to_mapping(),
+        )
+        return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
+
+    def _start_state(self, pose: ArrayLike | None) -> RobotState:
+        known = np.array(self.config.emulation.start_pose if pose is None else pose, dtype=np.float64)
+        return RobotState(self.clock.now_ns(), known, np.zeros(3), _START_COVARIANCE)
+
+    def _run(self, brain: Brain, start: RunStart, duration_s: float, on_cycle: OnCycle | None) -> Motion:
+        brain.reset(start.state)
+        for sink in self._sinks:
+            if isinstance(sink, McapRecorder):
+                sink.note(start.state.t_ns, "run", start.note())
+        end_ns = self.clock.now_ns() + nanoseconds(duration_s)
+        records: list[CycleRecord] = []
+
+        def until(record: CycleRecord) -> bool:
+            records.append(record)
+            if on_cycle is not None:
+                on_cycle(record)
+            return record.start_ns >= end_ns
+
+        self.make_loop(brain).run(until)
+        return Motion(tuple(records))
+
+    def make_loop(self, brain: Brain) -> ControlLoop:
+        """A loop over this bench's devices, clock and sinks; its statistics become the bench's."""
+        config = self.config.loop
+        loop = ControlLoop(
+            self.rig,
+            self.clock,
+            brain,
+            rate_hz=config.rate_hz,
+            late_after_s=config.late_after_s,
+            sinks=tuple(self._sinks),
+        )
+        self.statistics = loop.statistics
+        return loop
+
+    def stop(self) -> None:
+        """Hold the robot: wheels at rest, steering held, torque on."""
+        self.rig.actuators().stop()
+
+    def release(self) -> None:
+        """Drop torque: on a wall the robot slides."""
+        self.rig.actuators().release()
+
+
+def safety_limits(config: BenchConfig) -> SafetyLimits:
+    """Supervisor limits of a configuration."""
+    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
+    return SafetyLimits(**values, on_wall=config.surface == "wall")
+
+
+def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
+    """Zeros, signs and mounts of a configuration."""
+    mounts = {
+        name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
+        for name in ("imu", "tracker")
+        if (device := getattr(config, name)) is not None
+    }
+    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.surface == "wall")
+
+
+def geometry_of(config: BenchConfig) -> WheelGeometry:
+    """Nominal wheel geometry of the configured robot."""
+    robot = config.robot
+    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
+
+
+def check_origin(geometry: WheelGeometry, config: BenchConfig, path: str) -> None:
+    """Refuse a calibration whose nominal geometry is not the configured robot's; raises `ConfigError`."""
+    mine = geometry_of(config).vector()
+    if not np.allclose(geometry.vector()[:12], mine[:12], rtol=0.0, atol=1e-6):
+        raise ConfigError(
+            f"{path}: the calibration was made for another nominal geometry than [robot] of the bench",
+            expected="the same wheel positions and radii",
+            remedy="calibrate this robot, or correct [robot]",
+        )

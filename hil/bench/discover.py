@@ -1,0 +1,167 @@
+"""Looks for the devices of a bench and writes down what it found as a ready `bench.toml`.
+
+Serial ports are named by their USB serial number where the system offers that. Each port is asked as a
+servo bus (at every baud rate, with time-outs of our own) and then as a BNO055.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import can
+import tomli_w
+from serial.tools import list_ports
+
+from hil.clock import Clock
+from hil.config.encoders import EncodersConfig
+from hil.config.imu import ImuConfig
+from hil.config.mocap import MocapConfig
+from hil.drivers.encoders import As5045Encoders
+from hil.drivers.imu import Bno055Imu
+from hil.drivers.mocap import NatNetMocap
+from hil.drivers.servos import FoundServo, scan
+from hil.errors import HilError
+
+_IMU_TIMEOUT_S = 0.9
+_CAN_TIMEOUT_S = 0.5
+_VELOCITY_MODE = 1
+_WHEELS = 4
+
+Say = Callable[[str], None]
+
+
+@dataclass
+class Discovery:
+    """What answered. `sections` are tables of a bench file, `notes` what a person should know."""
+
+    sections: dict[str, dict[str, Any]] = field(default_factory=dict)
+    servos: tuple[FoundServo, ...] = ()
+    notes: list[str] = field(default_factory=list)
+
+    def to_toml(self, name: str = "my_bench") -> str:
+        """A bench file; what still needs a person's eye stands in its comments."""
+        head = "".join(f"# {note}\n" for note in self.notes)
+        tree = {"schema": 1, "name": name, "surface": "wall", **self.sections}
+        return head + tomli_w.dumps(tree)
+
+
+def serial_ports() -> list[str]:
+    """Serial ports of this machine, by stable name where there is one."""
+    return [stable_name(port.device) for port in list_ports.comports()]
+
+
+def stable_name(port: str) -> str:
+    """`/dev/serial/by-id/...` of a port, which names the adapter by its USB serial number."""
+    folder = Path("/dev/serial/by-id")
+    if folder.is_dir():
+        for link in sorted(folder.iterdir()):
+            if str(link.resolve()) == port:
+                return str(link)
+    return port
+
+
+def discover(
+    clock: Clock,
+    *,
+    ports: Sequence[str] = (),
+    buses: Iterable[EncodersConfig] | None = None,
+    mocap: MocapConfig | None = None,
+    say: Say = lambda text: None,
+) -> Discovery:
+    """Ask everything that could be a device.
+
+    Args:
+        clock: for time-outs.
+        ports: serial ports or pyserial URLs; all of this machine when empty.
+        buses: CAN interfaces to listen on; those python-can detects when None.
+        mocap: capture server to ask; none is asked when None.
+        say: receives progress.
+    """
+    found = Discovery()
+    for port in ports or serial_ports():
+        say(f"asking {port}")
+        _ask_serial(found, port, clock, say)
+    for config in _detected_buses() if buses is None else buses:
+        say(f"listening on {config.interface}:{config.channel}")
+        if _opens(As5045Encoders(config, clock)):
+            found.sections["encoders"] = _given(config)
+            break
+    if mocap is not None:
+        say(f"asking the capture server {mocap.server}")
+        if _opens(NatNetMocap(mocap, clock)):
+            found.sections["mocap"] = _given(mocap)
+    serial_number = _camera()
+    if serial_number:
+        found.sections["tracker"] = {"serial": serial_number}
+    return found
+
+
+def _ask_serial(found: Discovery, port: str, clock: Clock, say: Say) -> None:
+    servos: tuple[FoundServo, ...] = ()
+    with contextlib.suppress(HilError):
+        servos = scan(port, clock)
+    if servos:
+        found.servos += servos
+        _take_servos(found, port, servos)
+        return
+    imu = ImuConfig(port=port, open_timeout_s=_IMU_TIMEOUT_S)
+    if _opens(Bno055Imu(imu, clock)):
+        found.sections["imu"] = {"port": port}
+
+
+def _take_servos(found: Discovery, port: str, servos: Sequence[FoundServo]) -> None:
+    bauds = sorted({s.baud for s in servos})
+    section: dict[str, Any] = {"port": port, "baud": bauds[0]}
+    if len(bauds) > 1:
+        found.notes.append(f"the servos at {port} have different baud rates {bauds}: use hil setup")
+    drives = sorted(s.servo_id for s in servos if s.operating_mode == _VELOCITY_MODE)
+    steers = sorted(s.servo_id for s in servos if s.operating_mode != _VELOCITY_MODE)
+    if len(drives) == len(steers) == _WHEELS:
+        section |= {"drive_ids": drives, "steer_ids": steers}
+        found.notes.append("check that the IDs are in the order FL, BL, BR, FR: run procedures/bring_up.py")
+    else:
+        found.notes.append(
+            f"{len(servos)} servo(s) at {port}, of which {len(drives)} in velocity mode; "
+            "a bench needs four drives (velocity mode) and four steers: use hil setup"
+        )
+    found.sections["servos"] = section
+
+
+def _opens(device: Any) -> bool:
+    try:
+        device.open()
+    except HilError:
+        return False
+    device.close()
+    return True
+
+
+def _given(config: Any) -> dict[str, Any]:
+    given: dict[str, Any] = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+    return given
+
+
+def _detected_buses() -> list[EncodersConfig]:
+    found = can.detect_available_configs(["socketcan"])
+    return [
+        EncodersConfig(
+            interface=str(c["interface"]), channel=str(c["channel"]), open_timeout_s=_CAN_TIMEOUT_S
+        )
+        for c in found
+    ]
+
+
+def _camera() -> str:
+    """Serial number of the first T265 that the camera library sees; empty without one."""
+    try:
+        import pyrealsense2 as rs
+    except ImportError:
+        return ""
+    for device in rs.context().query_devices():
+        if "T265" in device.get_info(rs.camera_info.name):
+            return str(device.get_info(rs.camera_info.serial_number))
+    return ""

@@ -1,0 +1,243 @@
+"""The emulated devices of a configuration: built in one world, connected in process or served."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import socket
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any, TypeVar
+
+from pydantic import TypeAdapter, ValidationError
+
+from hil.bench.drivers import Connections
+from hil.clock import Clock, MonotonicClock
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError, HilError, UsageError
+from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
+from hil.fakes.faults import Fault, FaultPlan, parse_fault
+from hil.fakes.imu import Bno055Chip, ImuTruthOptions
+from hil.fakes.mocap import MocapTruthOptions, NatNetFace, NatNetServer
+from hil.fakes.plant import make_plant
+from hil.fakes.serial_line import SerialLine
+from hil.fakes.serial_pty import SerialPty
+from hil.fakes.server import EmulationServer, Face
+from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.tracker import T265, TrackerFace, TrackerTruthOptions
+from hil.fakes.world import World, random_stream
+
+_IMU_LATENCY_S = 0.001
+_NUMBERS = itertools.count(1)
+
+T = TypeVar("T")
+
+
+@dataclass
+class Connected:
+    """Emulated devices in this process, and how to let go of what they occupy."""
+
+    connections: Connections
+    closers: list[Callable[[], None]] = field(default_factory=list)
+
+    def close(self) -> None:
+        """Free channel and line names. Idempotent."""
+        while self.closers:
+            self.closers.pop()()
+
+
+def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ()) -> World:
+    """The robot on its surface at world time 0, without devices."""
+    plan = FaultPlan(faults)
+    emulation = config.emulation
+    plant = make_plant(
+        config.robot,
+        surface=emulation.surface,
+        tilt_rad=emulation.tilt_rad,
+        start_pose=emulation.start_pose,
+        rng=random_stream(seed, "plant"),
+        randomise_truth=emulation.randomise_truth,
+        faults=plan,
+    )
+    return World(plant, seed=seed, faults=plan)
+
+
+def connect_in_process(config: BenchConfig, world: World) -> Connected:
+    """All devices of a bench in this process, on names of their own.
+
+    Raises:
+        FaultNotSupportedError: a fault that none of them can produce.
+    """
+    number = next(_NUMBERS)
+    connected = Connected(Connections())
+    values = connected.connections.values
+    for name in config.emulated():
+        if name in _SERIAL:
+            line = _SERIAL[name](config, world, f"{name}-{number}").open()
+            connected.closers.append(line.close)
+            values[name] = {"port": f"hil://{line.name}"}
+        elif name == "encoders":
+            channel = _encoders(config, world, f"can-{number}").open()
+            connected.closers.append(channel.close)
+            values[name] = {"interface": "hil", "channel": channel.name, "options": {}}
+        elif name == "tracker":
+            connected.connections.pipeline = _tracker(config, world).pipeline()
+        elif name == "mocap":
+            connected.connections.datagrams = _mocap(config, world).datagrams
+    try:
+        world.faults.check()
+    except UsageError:
+        connected.close()
+        raise
+    return connected
+
+
+def open_emulation(
+    config: BenchConfig,
+    *,
+    only: Sequence[str] = (),
+    seed: int = 0,
+    faults: Sequence[str | Fault] = (),
+    clock: Clock | None = None,
+    lifeline: int | None = None,
+) -> EmulationServer:
+    """The emulated devices of a bench at the wire, in real time, for any client.
+
+    Args:
+        config: the bench; its emulated devices are served.
+        only: names to restrict them to.
+        seed: seed of the world.
+        faults: fault specs.
+        clock: what the world follows; the host's monotonic clock by default.
+        lifeline: file descriptor of a pipe; the server ends when its other end is closed.
+
+    Raises:
+        FaultNotSupportedError, DeviceError, UsageError.
+    """
+    names = [n for n in config.emulated() if not only or n in only]
+    if not names:
+        raise UsageError(
+            f"{config.name} has nothing to emulate", expected="emulated devices: --emulate or backend",
+            remedy="use --bench emulated",
+        )  # fmt: skip
+    plan = [parse_fault(f) if isinstance(f, str) else f for f in faults]
+    world = build_world(config, seed=seed, faults=plan)
+    faces: dict[str, Face] = {}
+    try:
+        for name in names:
+            faces["can" if name == "encoders" else name] = _FACES[name](config, world)
+        world.faults.check()
+    except HilError:
+        for face in faces.values():
+            face.close()
+        raise
+    return EmulationServer(world, clock or MonotonicClock(), faces, lifeline=lifeline)
+
+
+def _options(kind: type[T], config: BenchConfig, device: str, **known: Any) -> T:
+    """True imperfections of a device from the configuration; raises `ConfigError` with the key."""
+    given = {**known, **getattr(config.emulation, device)}
+    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
+    problems = [f"emulation.{device}.{key}: unknown; one of {', '.join(names)}" for key in given
+                if key not in names]  # fmt: skip
+    if not problems:
+        try:
+            return TypeAdapter(kind).validate_python(given)
+        except ValidationError as error:
+            problems = [f"emulation.{device}.{e['loc'][0]}: {e['msg']}" for e in error.errors()]
+    raise ConfigError(f"{config.name}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _servos(config: BenchConfig, world: World, name: str = "") -> SerialLine:
+    servos = config.servos
+    assert servos is not None
+    bus = ServoBus(
+        world, options=_options(ServoBusOptions, config, "servos", ids=servos.ids, baud=servos.baud)
+    )
+    return SerialLine(world, bus, name=name, latency_s=servos.usb_latency_s)
+
+
+def _imu(config: BenchConfig, world: World, name: str = "") -> SerialLine:
+    imu = config.imu
+    assert imu is not None
+    chip = Bno055Chip(
+        world,
+        options=_options(ImuTruthOptions, config, "imu", position_m=imu.mount_position_m),
+        mount_rotation_wxyz=imu.mount_rotation_wxyz,
+        bench_remap=(imu.axis_map, imu.axis_sign),
+    )
+    return SerialLine(world, chip, name=name, latency_s=_IMU_LATENCY_S)
+
+
+def _encoders(config: BenchConfig, world: World, name: str) -> CanChannel:
+    encoders = config.encoders
+    assert encoders is not None
+    channel = CanChannel(world, name, bitrate=encoders.bitrate)
+    EncoderNode(
+        world,
+        channel,
+        rate_hz=encoders.rate_hz,
+        node_id=encoders.node_id,
+        sign=encoders.sign,
+        zero_rad=encoders.zero_rad,
+        options=_options(EncoderTruthOptions, config, "encoders"),
+    )
+    return channel
+
+
+def _tracker(config: BenchConfig, world: World) -> T265:
+    tracker = config.tracker
+    assert tracker is not None
+    return T265(
+        world,
+        options=_options(TrackerTruthOptions, config, "tracker"),
+        mount_position_m=tracker.mount_position_m,
+        mount_rotation_wxyz=tracker.mount_rotation_wxyz,
+    )
+
+
+def _mocap(config: BenchConfig, world: World) -> NatNetServer:
+    mocap = config.mocap
+    assert mocap is not None
+    body: dict[str, Any] = {"body": mocap.body} if isinstance(mocap.body, str) else {"body_id": mocap.body}
+    return NatNetServer(
+        world, options=_options(MocapTruthOptions, config, "mocap"), up_axis=mocap.up_axis, **body
+    )
+
+
+def _servo_face(config: BenchConfig, world: World) -> Face:
+    assert config.servos is not None
+    nominal: dict[str, object] = {"baud": config.servos.baud, "ids": list(config.servos.ids)}
+    return SerialPty(_servos(config, world), nominal)
+
+
+def _imu_face(config: BenchConfig, world: World) -> Face:
+    assert config.imu is not None
+    return SerialPty(_imu(config, world), {"baud": config.imu.baud})
+
+
+def _free_udp_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
+
+
+def _can_face(config: BenchConfig, world: World) -> Face:
+    assert config.encoders is not None
+    address = f"239.74.163.{2 + os.getpid() % 250}"
+    return CanFace(
+        _encoders(config, world, "can"), address=address, dbc=config.encoders.dbc_path,
+        options={"port": _free_udp_port()},
+    )  # fmt: skip
+
+
+_SERIAL: dict[str, Callable[[BenchConfig, World, str], SerialLine]] = {"servos": _servos, "imu": _imu}
+_FACES: dict[str, Callable[[BenchConfig, World], Face]] = {
+    "servos": _servo_face,
+    "imu": _imu_face,
+    "encoders": _can_face,
+    "tracker": lambda config, world: TrackerFace(_tracker(config, world)),
+    "mocap": lambda config, world: NatNetFace(_mocap(config, world)),
+}

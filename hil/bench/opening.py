@@ -1,0 +1,113 @@
+"""`open_bench`: decides how a bench runs and puts it together.
+
+Three ways, one code: every device emulated in virtual time (the default where all are emulated),
+emulated devices at the wire in real time in a process of their own, and any mix with real devices.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.bench.bench import Bench, check_origin, geometry_of
+from hil.bench.drivers import Connections, make_rig
+from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.process import EmulatorProcess
+from hil.calibration.artefact import read_calibration
+from hil.clock import MonotonicClock
+from hil.config.bench import BenchConfig, load_bench
+from hil.config.tracker import FeedEndpoint
+from hil.errors import FaultNotSupportedError
+from hil.fakes.faults import Fault, describe, parse_fault
+from hil.fakes.world import VirtualClock
+from hil.interfaces import Sink
+from hil.kinematics import WheelGeometry
+
+
+def open_bench(
+    config: str | Path | BenchConfig = "emulated",
+    *,
+    emulate: str | tuple[str, ...] | None = None,
+    seed: int = 0,
+    realtime: bool = False,
+    faults: Sequence[str | Fault] = (),
+    overrides: Mapping[str, object] | None = None,
+    sinks: tuple[Sink, ...] = (),
+    calibration: str | Path | None = None,
+) -> Bench:
+    """A bench, to be entered as a context manager.
+
+    Args:
+        config: path of a bench file, name of a shipped profile, or a configuration.
+        emulate: `all` or names of devices to emulate, whatever the file says.
+        seed: seed of the emulated world; the same seed gives the same run, bit for bit, in virtual time.
+        realtime: emulated devices in real time at the wire, in a process of their own.
+        faults: fault specs (`imu:stuck@2+3`) for emulated devices.
+        overrides: dotted configuration key -> value.
+        sinks: receive every cycle.
+        calibration: `calibration.toml`; overrides the one of the configuration.
+
+    Raises:
+        ConfigError: the configuration or the calibration is wrong.
+        FaultNotSupportedError: a fault that no emulated device of the bench can produce.
+        DeviceError: the emulated devices cannot be served.
+    """
+    checked = load_bench(config, emulate=emulate, overrides=overrides)
+    geometry, name = _calibrated(checked, calibration)
+    plan = tuple(parse_fault(f) if isinstance(f, str) else f for f in faults)
+    emulated = checked.emulated()
+    common: dict[str, Any] = {"geometry": geometry, "calibration": name, "seed": seed, "sinks": sinks}
+    if plan and not emulated:
+        raise FaultNotSupportedError(
+            f"fault {describe(plan[0])}: every device of {checked.name} is real",
+            remedy="use --emulate for the devices that faults are meant for",
+        )
+    if not emulated:
+        clock = MonotonicClock()
+        return Bench(checked, clock, make_rig(checked, clock, Connections()), **common)
+    if realtime or len(emulated) < len(checked.devices()):
+        return _at_the_wire(checked, plan, seed, common)
+    world = build_world(checked, seed=seed, faults=plan)
+    connected = connect_in_process(checked, world)
+    virtual = VirtualClock(world)
+    bench = Bench(checked, virtual, make_rig(checked, virtual, connected.connections), world=world, **common)
+    bench.on_close(connected.close)
+    return bench
+
+
+def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:
+    emulator = EmulatorProcess(config, seed=seed, faults=[describe(f) for f in plan])
+    clock = MonotonicClock()
+    values = {("encoders" if n == "can" else n): e for n, e in emulator.endpoints.items()}
+    bench = Bench(config, clock, make_rig(config, clock, _reach(values)), **common)
+    bench.on_close(emulator.close)
+    return bench
+
+
+def _reach(endpoints: Mapping[str, Mapping[str, Any]]) -> Connections:
+    """Configuration keys from the endpoints that the emulator printed."""
+    values: dict[str, Mapping[str, Any]] = {}
+    for name, found in endpoints.items():
+        if name in ("servos", "imu"):
+            values[name] = {"port": found["port"], "baud": found["baud"]}
+        elif name == "encoders":
+            options = {k: v for k, v in found.items() if k not in ("interface", "channel", "bitrate", "dbc")}
+            if found["interface"] == "udp_multicast":
+                options["hop_limit"] = 0
+            values[name] = {**{k: found[k] for k in ("interface", "channel", "bitrate")}, "options": options}
+        elif name == "tracker":
+            values[name] = {"endpoint": FeedEndpoint(host=found["host"], port=found["port"])}
+        else:
+            values[name] = {k: found[k] for k in ("server", "command_port", "data_port", "multicast")}
+    return Connections(values)
+
+
+def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[WheelGeometry, str]:
+    nominal = geometry_of(config)
+    path = given if given is not None else config.calibration
+    if path is None:
+        return nominal, ""
+    found = read_calibration(Path(path))
+    check_origin(found.nominal_geometry, config, str(path))
+    return found.geometry, f"{Path(path).name} version {found.version}"

@@ -1,0 +1,91 @@
+"""Emulated devices in a process of their own: `hil emulate`, started, asked for its endpoints, ended."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import tomli_w
+
+from hil.config.bench import BenchConfig
+from hil.errors import DeviceError
+
+_START_S = 60.0
+_END_S = 5.0
+
+
+class EmulatorProcess:
+    """A running `hil emulate` that ends with this process, whatever happens to it.
+
+    Args:
+        config: the bench; its emulated devices are served.
+        seed: seed of the emulated world.
+        faults: fault specs.
+
+    Raises:
+        DeviceError: it did not start; carries what it said.
+    """
+
+    def __init__(self, config: BenchConfig, *, seed: int, faults: Sequence[str]) -> None:
+        with tempfile.NamedTemporaryFile("wb", suffix=".toml", delete=False) as file:
+            tomli_w.dump(config.model_dump(mode="json", by_alias=True, exclude_none=True), file)
+        self._config = Path(file.name)
+        command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", file.name, "--lifeline"]
+        command += ["--only", ",".join(config.emulated()), "--seed", str(seed)]
+        for spec in faults:
+            command += ["--fault", spec]
+        self._child = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+        try:
+            self.endpoints: dict[str, Mapping[str, Any]] = json.loads(self._first_line())
+        except ValueError:
+            self.close()
+            raise self._failed() from None
+
+    @property
+    def pid(self) -> int:
+        """Process id of the emulator."""
+        return self._child.pid
+
+    def _first_line(self) -> bytes:
+        assert self._child.stdout is not None
+        descriptor, line = self._child.stdout.fileno(), b""
+        deadline_s = time.monotonic() + _START_S
+        while not line.endswith(b"\n"):
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0 or not select.select([descriptor], [], [], left_s)[0]:
+                break
+            piece = os.read(descriptor, 65536)
+            if not piece:
+                break
+            line += piece
+        return line
+
+    def _failed(self) -> DeviceError:
+        said = self._child.stderr.read().decode(errors="replace").strip() if self._child.stderr else ""
+        return DeviceError(
+            "emulator", f"the emulated devices could not be served: {said or 'no answer'}",
+            expected="one JSON line of endpoints", remedy="run `hil emulate` by hand to see more",
+        )  # fmt: skip
+
+    def close(self) -> None:
+        """End the emulator. Idempotent; never raises."""
+        if self._child.stdin is not None:
+            self._child.stdin.close()
+        try:
+            self._child.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._child.kill()
+            self._child.wait()
+        if self._child.stdout is not None:
+            self._child.stdout.close()
+        self._config.unlink(missing_ok=True)

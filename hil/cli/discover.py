@@ -1,0 +1,64 @@
+"""`hil discover`: find ports, IDs and baud rates, and print a ready bench.toml."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from hil.errors import EXIT_DEVICE, EXIT_PASS
+
+
+@click.command()
+@click.option("--port", "ports", multiple=True, help="Serial port or pyserial URL (repeatable).")
+@click.option(
+    "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to listen on."
+)
+@click.option("--mocap", help="Address of the motion-capture server.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write the bench file here; never overwrites.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, out: Path | None, as_json: bool
+) -> int:
+    """Ask everything that could be a device; ends with 3 when nothing answers."""
+    from hil.bench.discover import discover
+    from hil.clock import MonotonicClock
+    from hil.config.mocap import MocapConfig
+    from hil.errors import UsageError
+
+    if out is not None and out.exists():
+        raise UsageError(f"{out} exists already", remedy="choose another name for --out")
+    found = discover(
+        MonotonicClock(),
+        ports=ports,
+        buses=[_bus(text) for text in buses] or None,
+        mocap=MocapConfig(server=mocap) if mocap else None,
+        say=lambda text: click.echo(f"hil: {text}", err=True),
+    )
+    text = found.to_toml()
+    if out is not None:
+        out.write_text(text, encoding="utf-8")
+        click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
+    if as_json:
+        servos = [asdict(s) for s in found.servos]
+        click.echo(json.dumps({"sections": found.sections, "servos": servos, "notes": found.notes}))
+    elif out is None:
+        click.echo(text)
+    if not found.sections:
+        click.echo("hil: nothing answered; check power, cables and permissions (group dialout)", err=True)
+        return EXIT_DEVICE
+    return EXIT_PASS
+
+
+def _bus(text: str):  # type: ignore[no-untyped-def]
+    from hil.config.encoders import EncodersConfig
+    from hil.errors import UsageError
+
+    interface, _, rest = text.partition(":")
+    channel, _, port = rest.partition(":")
+    if not channel or (port and not port.isdigit()):
+        raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
+    options = {"port": int(port)} if port else {}
+    return EncodersConfig(interface=interface, channel=channel, options=options)

@@ -1,0 +1,48 @@
+"""`hil doctor`: what answers on a bench, how well, and what to do about what does not."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from hil.errors import EXIT_DEVICE, EXIT_PASS
+
+_MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
+
+
+@click.command()
+@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option("--watch", "watch_s", default=2.0, show_default=True, help="Seconds that each device is read.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    bench: str, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...], watch_s: float,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """Examine every device of a bench without moving it.
+
+    Ends with 0 when nothing failed (warnings are allowed), else with 3.
+    """
+    from hil.bench import open_bench
+    from hil.bench.doctor import examine
+
+    findings = []
+    opened = open_bench(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
+    for finding in examine(opened, watch_s=watch_s):
+        findings.append(finding)
+        if not as_json:
+            mark, colour = _MARKS[finding.level]
+            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {finding.device:9} {finding.check}: "
+                       f"{finding.found}")  # fmt: skip
+            if finding.level != "ok":
+                hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
+                click.echo(" " * 15 + "; ".join(h for h in hints if h))
+    failed = [f for f in findings if f.level == "failure"]
+    if as_json:
+        result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}
+        click.echo(json.dumps(result))
+    return EXIT_DEVICE if failed else EXIT_PASS

@@ -1,0 +1,52 @@
+"""`hil setup`: write one servo's EEPROM: ID, baud rate, operating mode, return delay."""
+
+from __future__ import annotations
+
+import json
+
+import click
+
+from hil.errors import EXIT_PASS, UsageError
+
+_ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
+
+
+@click.command()
+@click.option("--port", required=True, help="Serial port or pyserial URL of the bus.")
+@click.option("--baud", default=57_600, show_default=True, help="Baud rate that the servo has now.")
+@click.option("--id", "servo_id", type=click.IntRange(0, 252), required=True, help="ID that it has now.")
+@click.option("--new-id", type=click.IntRange(0, 252), help="ID that it gets.")
+@click.option("--new-baud", type=int, help="Baud rate that it gets.")
+@click.option("--role", type=click.Choice(sorted(_ROLES)), help="Operating mode for driving or steering.")
+@click.option("--register", "pairs", multiple=True, metavar="NAME=VALUE", help="Further EEPROM register.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    port: str, baud: int, servo_id: int, new_id: int | None, new_baud: int | None, role: str | None,
+    pairs: tuple[str, ...], as_json: bool,
+) -> int:  # fmt: skip
+    """Set up one servo; the only command that writes EEPROM. Connect one new servo at a time.
+
+    Return Delay Time is set to 0 unless given, torque is off while writing, and everything is read back.
+    """
+    from hil.clock import MonotonicClock
+    from hil.drivers.servos import set_up
+
+    registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
+    found = set_up(
+        port, MonotonicClock(), baud=baud, servo_id=servo_id, new_id=new_id, new_baud=new_baud,
+        registers=registers,
+    )  # fmt: skip
+    if as_json:
+        click.echo(json.dumps({"port": port, "id": servo_id, "registers": found}))
+    else:
+        changes = (f"{name} {before} -> {after}" for name, (before, after) in found.items())
+        click.echo(f"servo {servo_id} at {port}: " + ", ".join(changes))
+    return EXIT_PASS
+
+
+def _pair(text: str) -> tuple[str, int]:
+    name, _, value = text.partition("=")
+    try:
+        return name, int(value, 0)
+    except ValueError:
+        raise UsageError(f"--register {text!r}", expected="NAME=INTEGER, see hil/config/xh430.toml") from None

@@ -1,0 +1,73 @@
+"""The contract suite runs on every backend that is present: virtual, at the wire, and `--bench my.toml`.
+
+On hardware nothing moves but the wheels of the tests marked so; lift the robot, or leave them out with
+`-m "not moves"`.
+"""
+
+import pytest
+
+import hil
+from hil.config.bench import DEVICES, load_bench
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "moves: turns wheels; on hardware the robot must be lifted or held")
+
+
+def pytest_generate_tests(metafunc):
+    if "backend" in metafunc.fixturenames:
+        given = metafunc.config.getoption("--bench", default=None)
+        metafunc.parametrize("backend", [given] if given else ["virtual", "wire"], scope="module")
+
+
+@pytest.fixture(scope="module")
+def bench(backend):
+    """A bench whose devices are still closed."""
+    if backend in ("virtual", "wire"):
+        opened = hil.open_bench("emulated", realtime=backend == "wire", seed=3)
+    else:
+        opened = hil.open_bench(backend)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture(params=DEVICES)
+def device(request, bench):
+    """One opened device after the other; a device that the bench lacks is skipped by name."""
+    found = getattr(bench.rig, request.param)
+    if found is None:
+        pytest.skip(f"bench {bench.config.name} has no {request.param}")
+    found.open()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def servos(bench):
+    found = bench.rig.servos
+    if found is None:
+        pytest.skip(f"bench {bench.config.name} has no servos")
+    found.open()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def collect(bench):
+    """Read a device at the loop rate for a while."""
+
+    def run(device, duration_s):
+        period_ns = round(1e9 / bench.config.loop.rate_hz)
+        samples, next_ns = [], bench.clock.now_ns()
+        for _ in range(round(duration_s * bench.config.loop.rate_hz)):
+            samples += device.read()
+            next_ns += period_ns
+            bench.clock.sleep_until_ns(next_ns)
+        return samples
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def emulated_config():
+    return load_bench("emulated")

@@ -1,0 +1,93 @@
+"""What every sensor promises, whoever answers on the wire."""
+
+import numpy as np
+import pytest
+
+from hil.errors import DeviceError
+from hil.signals import Status
+
+ARRAYS = {
+    "servos": {"position_rad": 8, "velocity_rad_s": 8, "current_a": 8},
+    "encoders": {"angle_rad": 4},
+    "imu": {
+        "quaternion_wxyz": 4, "gyro_rad_s": 3, "linear_acceleration_m_s2": 3, "gravity_m_s2": 3,
+    },
+    "tracker": {"position_m": 3, "quaternion_wxyz": 4, "velocity_m_s": 3, "angular_velocity_rad_s": 3},
+    "mocap": {"position_m": 3, "quaternion_wxyz": 4},
+}  # fmt: skip
+LEAST_HZ = {"servos": 90, "encoders": 100, "imu": 80, "tracker": 150, "mocap": 80}
+WATCH_S = 1.0
+
+
+def statuses(sample):
+    status = getattr(sample, "status", Status.OK)
+    return status if isinstance(status, tuple) else (status,)
+
+
+def test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing(device):
+    identity = device.identity()
+    assert identity
+    assert all(isinstance(k, str) and isinstance(v, str) and v for k, v in identity.items())
+    device.close()
+    assert not device.identity()
+    device.close()
+
+
+def test_it_can_be_opened_again(device, collect):
+    assert collect(device, 0.2)
+    device.close()
+    device.open()
+    assert collect(device, 0.2)
+
+
+def test_reading_a_closed_device_is_a_named_error(device):
+    device.close()
+    with pytest.raises(DeviceError, match=device.name):
+        device.read()
+
+
+def test_samples_arrive_in_order_with_stamps_that_make_sense(device, collect, bench):
+    began_ns = bench.clock.now_ns()
+    samples = collect(device, WATCH_S)
+    ended_ns = bench.clock.now_ns()
+    good = [s for s in samples if all(x is Status.OK for x in statuses(s))]
+    assert len(good) >= 0.9 * LEAST_HZ[device.name] * WATCH_S
+    measured = [s.stamp.t_ns for s in good]
+    assert all(b > a for a, b in zip(measured, measured[1:], strict=False))
+    sequence = [s.stamp.seq for s in samples]
+    assert all(b >= a for a, b in zip(sequence, sequence[1:], strict=False))
+    for sample in good:
+        assert began_ns - 300_000_000 <= sample.stamp.t_ns <= sample.stamp.host_ns + 1_000_000
+        assert began_ns - 1_000_000 <= sample.stamp.host_ns <= ended_ns
+
+
+def test_arrays_have_their_shape_and_no_data_is_never_a_number(device, collect):
+    for sample in collect(device, WATCH_S):
+        for name, width in ARRAYS[device.name].items():
+            values = getattr(sample, name)
+            assert values.shape == (width,)
+            assert values.dtype == np.float64
+            states = statuses(sample)
+            for i in range(width):
+                state = states[i] if len(states) == width else states[0]
+                if state is Status.OK:
+                    assert np.isfinite(values[i])
+                elif state in (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL):
+                    assert np.isnan(values[i])
+
+
+def test_a_sample_is_delivered_once(device, collect):
+    samples = collect(device, WATCH_S)
+    keys = [(s.stamp.t_ns, s.stamp.seq) for s in samples]
+    assert len(set(keys)) == len(keys)
+
+
+def test_a_read_never_waits_for_the_next_sample(device, bench, collect):
+    collect(device, 0.2)
+    longest_ns = 0
+    for _ in range(20):
+        began_ns = bench.clock.now_ns()
+        device.read()
+        longest_ns = max(longest_ns, bench.clock.now_ns() - began_ns)
+        bench.clock.sleep_until_ns(began_ns + 10_000_000)
+    assert longest_ns < 60_000_000
