@@ -7,13 +7,17 @@ A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last whee
 from __future__ import annotations
 
 import importlib
-import sys
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from hil.clock import Clock, nanoseconds
 from hil.errors import DeviceError
 
 LAST_VERSION = "2.53.1"
+VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
+"""What librealsense's binding raises; all of it is translated where it happens."""
+
+_LOOK_NS = 200_000_000
 
 
 class Frame(Protocol):
@@ -92,7 +96,26 @@ def realsense(device: str) -> Any:
         ) from None
 
 
-def library_version(library: Any) -> str:
-    """Which library and interpreter this is, for error messages."""
-    version = getattr(library, "__version__", "unknown version")
-    return f"pyrealsense2 {version} on CPython {sys.version_info[0]}.{sys.version_info[1]}"
+def connected_context(library: Any, device: str, clock: Clock, timeout_s: float) -> Any:
+    """A librealsense context that sees a device: a T265 first gets its firmware, which takes seconds.
+
+    Raises:
+        DeviceError: nothing is connected, or the library has no access.
+    """
+    deadline_ns = clock.now_ns() + nanoseconds(timeout_s)
+    reason = "no RealSense device is connected"
+    while clock.now_ns() < deadline_ns:
+        try:
+            context = library.context()
+            if len(context.query_devices()) > 0:
+                return context
+        except VENDOR_ERRORS as error:
+            reason = f"librealsense cannot be used ({error})"
+        clock.sleep_until_ns(clock.now_ns() + _LOOK_NS)
+    version = getattr(library, "__version__", "of unknown version")
+    raise DeviceError(
+        device,
+        reason,
+        expected=f"a T265 and pyrealsense2 {LAST_VERSION}; this is {version}",
+        remedy="check the USB 3 cable and the udev rules of librealsense, or emulate the tracker",
+    )

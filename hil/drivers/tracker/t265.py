@@ -22,11 +22,11 @@ from hil.drivers.tracker.device_clock import DeviceClock
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.jumps import JumpTest
 from hil.drivers.tracker.library import (
-    LAST_VERSION,
+    VENDOR_ERRORS,
     Frame,
     Pipeline,
     PlainLibrary,
-    library_version,
+    connected_context,
     realsense,
 )
 from hil.errors import DeviceError, DeviceTimeoutError
@@ -37,14 +37,12 @@ _LOG = logging.getLogger(__name__)
 
 _MODEL = "T265"
 _WAIT_NS = 5_000_000
-_LOOK_NS = 200_000_000
 _NS_PER_MS = 1e6
 _USABLE_CONFIDENCE = 2
 _FARTHEST_M = 1000.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
 _USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
-_VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
 
 _Raw = tuple[float, ...]
 
@@ -119,7 +117,7 @@ class T265Tracker(Sensor[TrackerSample]):
             pipeline, self._running = self._running, None
             try:
                 pipeline.stop()
-            except _VENDOR_ERRORS as error:
+            except VENDOR_ERRORS as error:
                 _LOG.debug("%s: the pipeline did not stop cleanly (%s)", self.name, error)
 
     def identity(self) -> Mapping[str, str]:
@@ -171,27 +169,8 @@ class T265Tracker(Sensor[TrackerSample]):
             endpoint = self._config.endpoint
             return FeedPipeline(endpoint.host, endpoint.port), PlainLibrary
         library = realsense(self.name)
-        return library.pipeline(self._connected(library)), library
-
-    def _connected(self, library: Any) -> Any:
-        """A librealsense context that sees a device: a T265 first gets its firmware, which takes seconds."""
-        deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
-        reason = "no RealSense device is connected"
-        while self._clock.now_ns() < deadline_ns:
-            try:
-                context = library.context()
-                if len(context.query_devices()) > 0:
-                    return context
-            except _VENDOR_ERRORS as error:
-                reason = f"librealsense cannot be used ({error})"
-            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
-        raise DeviceError(
-            self.name,
-            reason,
-            port=self._port,
-            expected=f"a T265 and pyrealsense2 {LAST_VERSION}; this is {library_version(library)}",
-            remedy="check the USB 3 cable and the udev rules of librealsense, or emulate the tracker",
-        )
+        context = connected_context(library, self.name, self._clock, self._config.open_timeout_s)
+        return library.pipeline(context), library
 
     def _start(self, pipeline: Pipeline, library: Any) -> dict[str, str]:
         serial = self._config.serial
@@ -206,7 +185,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 str(device.get_info(key)) if device.supports(key) else "unknown"
                 for key in (info.name, info.serial_number, info.firmware_version)
             )
-        except _VENDOR_ERRORS as error:
+        except VENDOR_ERRORS as error:
             raise DeviceError(
                 self.name,
                 f"the pose stream cannot be started ({error})",
@@ -255,7 +234,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 host_ns, frame.get_frame_number(), frame.get_timestamp(), data.tracker_confidence,
                 -p.z, -p.x, p.y, q.w, -q.z, -q.x, q.y, -v.z, -v.x, v.y, -w.z, -w.x, w.y,
             )  # fmt: skip
-        except _VENDOR_ERRORS:
+        except VENDOR_ERRORS:
             self.malformed += 1
             return
         if len(self._queue) == self._config.queue_length:
