@@ -65,9 +65,10 @@ class World:
         """Move the world to `t_ns`, letting every part act at its own time on the way."""
         if t_ns < self._now_ns:
             return
+        parts, plant = self._parts, self.plant
         while True:
             due_ns, first = NEVER_NS, None
-            for part in self._parts:
+            for part in parts:
                 part_ns = part.next_due_ns()
                 if part_ns < due_ns:
                     due_ns, first = part_ns, part
@@ -75,7 +76,7 @@ class World:
                 break
             if due_ns > self._now_ns:
                 self._now_ns = due_ns
-            self.sync_plant()
+            plant.advance(self._now_ns)
             first.on_due(self._now_ns)
         self._now_ns = t_ns
 

@@ -145,14 +145,15 @@ class ServoBus(SerialChip, Scheduled):
             return []
         if instruction.code == protocol.PING and instruction.servo_id == protocol.BROADCAST:
             return self._roll_call(listeners, t_ns)
-        targets = [s for s in listeners if s.answers_to(instruction.servo_id)]
         replies = []
-        for servo in targets:
+        for servo in [s for s in listeners if s.answers_to(instruction.servo_id)]:
+            asked_id = servo.id
             answer = self._obey(servo, instruction, t_ns)
-            level = 0 if instruction.code == protocol.PING else 1 if instruction.code == protocol.READ else 2
-            if answer is None or instruction.servo_id != servo.id or self._level(servo) < level:
+            if answer is None:
                 continue
-            replies += self._single(servo, answer[0], answer[1], t_ns)
+            level = 0 if instruction.code == protocol.PING else 1 if instruction.code == protocol.READ else 2
+            if instruction.servo_id == asked_id and self._level(servo) >= level:
+                replies += self._single(servo, *answer, t_ns, servo_id=asked_id)
             self._afterwards(servo, instruction, answer[0], t_ns)
         return _collided(replies)
 
@@ -160,8 +161,12 @@ class ServoBus(SerialChip, Scheduled):
     def _level(servo: Servo) -> int:
         return servo.table.get("status_return_level")
 
-    def _single(self, servo: Servo, error: int, parameters: bytes, t_ns: int) -> list[Reply]:
-        data = protocol.status(servo.id, error | servo.alert, parameters)
+    def _single(
+        self, servo: Servo, error: int, parameters: bytes, t_ns: int, servo_id: int | None = None
+    ) -> list[Reply]:
+        """A status packet, under the ID that was asked where the instruction has changed it."""
+        sender = servo.id if servo_id is None else servo_id
+        data = protocol.status(sender, error | servo.alert, parameters)
         ready_ns = t_ns + self._processing_ns + servo.delay_ns
         if self._world.faults.empty:
             return [Reply(ready_ns, data)]
@@ -237,8 +242,10 @@ class ServoBus(SerialChip, Scheduled):
     def _read(self, servo: Servo, parameters: bytes, t_ns: int) -> tuple[int, bytes]:
         if len(parameters) != 4:
             return protocol.DATA_LENGTH, b""
-        address, length = _pair(parameters)
-        self._refresh([servo], address, length, t_ns)
+        return self._read_range(servo, *_pair(parameters), t_ns)
+
+    def _read_range(self, servo: Servo, address: int, length: int, t_ns: int) -> tuple[int, bytes]:
+        self._refresh(servo, address, length, t_ns)
         data = servo.table.read(address, length)
         return (protocol.ACCESS, b"") if data is None else (protocol.OK, data)
 
@@ -272,7 +279,7 @@ class ServoBus(SerialChip, Scheduled):
             mine: list[Reply] = []
             for servo in listeners:
                 if servo.id == servo_id and self._level(servo) >= 1:
-                    error, data = self._read(servo, _quad(address, length), t_ns)
+                    error, data = self._read_range(servo, address, length, t_ns)
                     mine += self._single(servo, error, data, free_ns)
             if not mine:
                 if self.options.after_absent == "silent":
@@ -296,7 +303,7 @@ class ServoBus(SerialChip, Scheduled):
                 if self.options.after_absent == "silent":
                     break
                 continue
-            error, data = self._read(servo, _quad(address, length), t_ns)
+            error, data = self._read_range(servo, address, length, t_ns)
             parts.append((servo_id, error | servo.alert, data if data else bytes(length)))
             places.append((place, servo))
         if not parts:
@@ -324,21 +331,18 @@ class ServoBus(SerialChip, Scheduled):
             next_place = place + 1
         return replies
 
-    def _refresh(self, servos: list[Servo], address: int, length: int, t_ns: int) -> None:
+    def _refresh(self, servo: Servo, address: int, length: int, t_ns: int) -> None:
         """Bring the live registers of a read range up to date."""
         end = address + length
         if end <= 120 or 147 <= address < 224:
             return
+        velocity, current = self._measure_one(servo, t_ns)
         if address >= _CYCLIC_FIRST and end <= _CYCLIC_END:
-            for servo in servos:
-                velocity, current = self._measure_one(servo, t_ns)
-                servo.show_motion(velocity, current)
+            servo.show_motion(velocity, current)
             return
-        duty = self._sensing.duty(self._volts)
-        for servo in servos:
-            velocity, current = self._measure_one(servo, t_ns)
-            celsius = int(self._celsius[servo.joint])
-            servo.show(t_ns, velocity, current, float(duty[servo.joint]), int(self._volts * 10), celsius)
+        duty = float(self._sensing.duty(self._volts)[servo.joint])
+        celsius = int(self._celsius[servo.joint])
+        servo.show(t_ns, velocity, current, duty, int(self._volts * 10), celsius)
 
     def _measure(self, servos: list[Servo], t_ns: int) -> None:
         for servo in servos:
@@ -412,10 +416,6 @@ class ServoBus(SerialChip, Scheduled):
 
 def _pair(data: bytes) -> tuple[int, int]:
     return data[0] | data[1] << 8, data[2] | data[3] << 8
-
-
-def _quad(address: int, length: int) -> bytes:
-    return address.to_bytes(2, "little") + length.to_bytes(2, "little")
 
 
 def _collided(replies: list[Reply]) -> list[Reply]:

@@ -6,6 +6,8 @@ indirect data resolved to what they point at. Side effects belong to the servo.
 
 from __future__ import annotations
 
+import struct
+
 from hil.config.xh430 import TABLE, TABLE_SIZE, Register
 from hil.fakes.servos import protocol
 
@@ -15,6 +17,11 @@ _INDIRECT = {
     TABLE[f"indirect_data_{k}"].address: TABLE[f"indirect_address_{k}"].address for k in range(1, 57)
 }
 _INDIRECT_FIRST = min(_INDIRECT)
+_CODES = {1: "b", 2: "h", 4: "i"}
+_UNPACK = {
+    r.name: (struct.Struct("<" + (_CODES[r.size] if r.signed else _CODES[r.size].upper())), r.address)
+    for r in TABLE.values()
+}
 _NOT_BACKED_UP = ("id", "baud_rate", "torque_enable", "bus_watchdog", *GOALS)
 
 Plan = tuple[tuple[Register, int], ...]
@@ -51,8 +58,9 @@ class ControlTable:
 
     def get(self, name: str) -> int:
         """Raw count of a register."""
-        register = TABLE[name]
-        return register.decode(bytes(self.data[register.address : register.address + register.size]))
+        layout, address = _UNPACK[name]
+        raw: int = layout.unpack_from(self.data, address)[0]
+        return raw
 
     def put(self, name: str, raw: int) -> None:
         """Set a register without any check."""

@@ -345,19 +345,18 @@ class Servo:
         if not self._torque:
             self._plant.command(self.joint, OFF)
             return
-        mode, sign = self.mode, self._sign
-        duty = self.table.get("goal_pwm") / _FULL_PWM
-        amperes = self.table.get("goal_current") * A_PER_COUNT
+        get, mode, sign = self.table.get, self.mode, self._sign
+        duty = get("goal_pwm") / _FULL_PWM
         if mode == VELOCITY:
             goal = sign * self.trajectory.velocity * RAD_S_PER_COUNT
             command = JointCommand("velocity", goal, pwm_limit=abs(duty))
         elif mode == CURRENT:
-            command = JointCommand("current", 0.0 if stopped else sign * amperes)
+            command = JointCommand("current", 0.0 if stopped else sign * get("goal_current") * A_PER_COUNT)
         elif mode == PWM:
             command = JointCommand("pwm", 0.0 if stopped else sign * duty)
         else:
             counts = self.trajectory.position - self._base - self._homing
-            limit_a = abs(amperes) if mode == CURRENT_POSITION else math.inf
+            limit_a = abs(get("goal_current")) * A_PER_COUNT if mode == CURRENT_POSITION else math.inf
             command = JointCommand(
                 "position", sign * counts * RAD_PER_COUNT, current_limit_a=limit_a, pwm_limit=abs(duty)
             )
