@@ -28,10 +28,15 @@ def make_estimator(config: EstimatorConfig, geometry: WheelGeometry, *, surface:
         from hil.estimator.wheel_odometry import OdometryEstimator
 
         return OdometryEstimator(config, geometry)
-    from hil.estimator.fusion import CompiledEngine, FusionEstimator
+    from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
     from hil.estimator.layout import parameters, wheel_tables
 
-    wheels, rows = wheel_tables(config, geometry)
-    return FusionEstimator(
-        config, geometry, surface, CompiledEngine(parameters(config, surface), wheels, rows)
-    )
+    tables = (parameters(config, surface), *wheel_tables(config, geometry))
+    engine: Engine
+    if config.engine == "filterpy":
+        from hil.estimator.filterpy_engine import FilterpyEngine
+
+        engine = FilterpyEngine(*tables)
+    else:
+        engine = CompiledEngine(*tables)
+    return FusionEstimator(config, geometry, surface, engine)

@@ -157,6 +157,25 @@ def account(kind: int, m: Array, nis: Array, var: Array, count: int, gate: float
 
 
 @compiled
+def innovations(kind: int, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Measured minus predicted rows (8,), headings wrapped; a row that is not finite is marked in `var`."""
+    nu = z - mean
+    for i in range(count):
+        if not math.isfinite(nu[i]):
+            nu[i], var[i] = 0.0, -1.0
+    angle = 1 if kind == L.GYRO else 2
+    if kind != L.WHEELS:
+        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
+    return nu
+
+
+@compiled
+def show_innovation(kind: int, nu: Array, m: Array) -> None:
+    """Keep one figure of the innovation for the diagnostics: a distance, or the gyro's rate."""
+    m[L.INNOVATION + kind - 1] = math.hypot(nu[0], nu[1]) if kind != L.GYRO else nu[0]
+
+
+@compiled
 def compare(
     kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array, par: Array, wheels: Array, rows: Array
 ) -> None:
@@ -168,14 +187,8 @@ def compare(
     mean, nis = np.zeros(L.ROWS), np.full(L.ROWS, -1.0)
     cross, own = np.zeros((L.STATES, L.ROWS)), np.zeros((L.ROWS, L.ROWS))
     moments(kind, x, p, aux, par, rows, count, mean, cross, own)
-    nu = z - mean
-    for i in range(count):
-        if not math.isfinite(nu[i]):
-            nu[i], var[i] = 0.0, -1.0
-    angle = 1 if kind == L.GYRO else 2
-    if kind != L.WHEELS:
-        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
-    m[L.INNOVATION + kind - 1] = math.hypot(nu[0], nu[1]) if kind != L.GYRO else nu[0]
+    nu = innovations(kind, z, mean, var, count)
+    show_innovation(kind, nu, m)
     gate = par[L.GATE1]
     if kind == L.TRACKER or kind == L.MOCAP:
         total = joint_nis(nu, own, var, count)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -137,6 +138,23 @@ def wheel_samples(
     )
 
 
+Sample = TypeVar("Sample", WheelMeasurement, GyroMeasurement, PoseMeasurement)
+
+
+class _Queue(Generic[Sample]):
+    """Samples of one sensor in the order of their arrival."""
+
+    def __init__(self, samples: Sequence[Sample]) -> None:
+        self._samples: list[Sample] = sorted(samples, key=lambda m: m.stamp.host_ns)
+        self._arrival_ns = np.array([m.stamp.host_ns for m in self._samples], dtype=np.int64)
+        self._done = 0
+
+    def until(self, t_ns: int) -> tuple[Sample, ...]:
+        """What has arrived since the last call and by `t_ns`."""
+        begin, self._done = self._done, int(np.searchsorted(self._arrival_ns, t_ns, side="right"))
+        return tuple(self._samples[begin : self._done])
+
+
 def cycles(
     start_ns: int,
     end_ns: int,
@@ -147,14 +165,9 @@ def cycles(
     period_ns: int = 10_000_000,
 ) -> Iterator[Measurements]:
     """Measurements per control cycle: each sample in the first cycle at or after its receive time."""
-    streams = [sorted(s, key=lambda m: m.stamp.host_ns) for s in (wheels, gyro, tracker, mocap)]
-    arrival = [np.array([m.stamp.host_ns for m in s], dtype=np.int64) for s in streams]
-    done = [0, 0, 0, 0]
+    w, g, t, c = _Queue(wheels), _Queue(gyro), _Queue(tracker), _Queue(mocap)
     for cycle, t_ns in enumerate(range(start_ns, end_ns, period_ns)):
-        ends = [int(np.searchsorted(a, t_ns, side="right")) for a in arrival]
-        parts = [tuple(s[i:j]) for s, i, j in zip(streams, done, ends, strict=True)]
-        done = ends
-        yield Measurements(cycle, t_ns, *parts)
+        yield Measurements(cycle, t_ns, w.until(t_ns), g.until(t_ns), t.until(t_ns), c.until(t_ns))
 
 
 def start_state(t_ns: int, pose: Array, position_m: float = 1e-3, heading_rad: float = 1e-3) -> RobotState:

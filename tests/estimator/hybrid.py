@@ -26,6 +26,8 @@ from hil.geometry import wrap_array
 from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
 
+CAMERA, INERTIAL = CameraErrors(), InertialErrors()
+
 
 @dataclass(frozen=True)
 class Streams:
@@ -56,7 +58,7 @@ def calibrated(recordings, model="exact"):
     return fit(blocks, setting, WheelGeometry.nominal()).geometry
 
 
-def streams(recording, seed, camera_errors=CameraErrors(), inertial_errors=InertialErrors()):
+def streams(recording, seed, camera_errors=CAMERA, inertial_errors=INERTIAL):
     rng = np.random.default_rng([seed, *map(ord, recording.name)])
     inside = (recording.truth_t_s >= recording.t_s[0]) & (recording.truth_t_s <= recording.t_s[-1])
     zero_s = recording.t_s[0] - 1.0
