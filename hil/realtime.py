@@ -1,8 +1,8 @@
 """Real time on an ordinary kernel: scheduler, interpreter, collector, and code loaded beforehand.
 
-`with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` holds around the loop; the loop calls
-`real_time.idle(deadline_ns)` when a cycle is done. Whatever the system refuses is a warning that says
-what to do, never an error: the loop also runs without.
+`with RealTime(clock, fifo_priority=..., cpu=...) as real_time:` holds around the loop, as often as one
+likes; the loop calls `real_time.idle(deadline_ns)` when a cycle is done. Whatever the system refuses is
+a warning that says what to do, never an error: the loop also runs without.
 """
 
 from __future__ import annotations
@@ -78,8 +78,6 @@ class RealTime:
         gc.disable()
         self._undo += [gc.unfreeze, gc.enable if was_enabled else gc.disable]
         self._young_ns = self._all_ns = self._clock.now_ns()
-        for warning in self.warnings:
-            LOG.warning("%s", warning)
         return self
 
     def __exit__(
@@ -103,6 +101,12 @@ class RealTime:
             return
         self.collections += 1
 
+    def _refused(self, warning: str) -> None:
+        """Say it once, however often the context is entered."""
+        if warning not in self.warnings:
+            self.warnings.append(warning)
+            LOG.warning("%s", warning)
+
     def _pin(self) -> None:
         if self._cpu is None:
             return
@@ -110,7 +114,7 @@ class RealTime:
         try:
             os.sched_setaffinity(0, {self._cpu})
         except OSError as error:
-            self.warnings.append(
+            self._refused(
                 f"loop.cpu = {self._cpu} was refused ({error.strerror}); "
                 f"this process may use {', '.join(map(str, sorted(before)))}"
             )
@@ -126,7 +130,7 @@ class RealTime:
                 0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(self._fifo_priority)
             )
         except OSError as error:
-            self.warnings.append(
+            self._refused(
                 f"loop.fifo_priority = {self._fifo_priority} was refused ({error.strerror}); allow it with "
                 f"`ulimit -r {self._fifo_priority}` or an rtprio line in /etc/security/limits.conf"
             )

@@ -6,14 +6,16 @@ import platform
 import sys
 from collections.abc import Callable
 from contextlib import ExitStack
+from dataclasses import replace
 from importlib import metadata
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
 from hil import __version__
 from hil.alignment import Alignment, AlignmentParameters, Mount
-from hil.clock import Clock, nanoseconds
+from hil.clock import Clock, MonotonicClock, nanoseconds
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
 from hil.errors import ConfigError, UsageError
@@ -26,6 +28,7 @@ from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
 from hil.motion_limits import MotionLimits, check
+from hil.realtime import RealTime, warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.rig import Rig
@@ -54,6 +57,7 @@ class Bench:
         calibration: name and version of the calibration in use; empty without one.
         seed: seed of the emulated world.
         statistics: punctuality of the latest run.
+        real_time: what the operating system was asked for; None in virtual time.
     """
 
     def __init__(
@@ -72,6 +76,7 @@ class Bench:
         self.geometry, self.calibration, self.seed = geometry, calibration, seed
         self.alignment_parameters = alignment_parameters(config)
         self.statistics = LoopStatistics()
+        self.real_time = _real_time(config, clock)
         self._sinks = list(sinks)
         self._stack = ExitStack()
 
@@ -247,6 +252,7 @@ class Bench:
         """
         self.check(trajectory)
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
+        warm_up(brain, self._start_state(start_pose))
         self.rig.actuators().enable()
         pose = self.settle() if start_pose is None else start_pose
         start = RunStart(
@@ -263,21 +269,36 @@ class Bench:
         return RobotState(self.clock.now_ns(), known, np.zeros(3), _START_COVARIANCE)
 
     def _run(self, brain: Brain, start: RunStart, duration_s: float, on_cycle: OnCycle | None) -> Motion:
-        brain.reset(start.state)
-        for sink in self._sinks:
-            if isinstance(sink, McapRecorder):
-                sink.note(start.state.t_ns, "run", start.note())
-        end_ns = self.clock.now_ns() + nanoseconds(duration_s)
         records: list[CycleRecord] = []
+        duration_ns = nanoseconds(duration_s)
 
         def until(record: CycleRecord) -> bool:
             records.append(record)
             if on_cycle is not None:
                 on_cycle(record)
-            return record.start_ns >= end_ns
+            return record.start_ns >= records[0].start_ns + duration_ns
 
-        self.make_loop(brain).run(until)
+        self.run(brain, start, until)
         return Motion(tuple(records))
+
+    def run(self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool]) -> None:
+        """Run a brain from a known state until `until(record)` says so; the robot is held at the end.
+
+        Everything is compiled and loaded before the first cycle, and recorders are told how it began.
+        """
+        warm_up(brain, start.state)
+        begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
+        brain.reset(begun.state)
+        for sink in self._sinks:
+            if isinstance(sink, McapRecorder):
+                sink.note(begun.state.t_ns, "run", begun.note())
+        loop = self.make_loop(brain)
+        if self.real_time is None:
+            loop.run(until)
+            return
+        with self.real_time:
+            loop.idle = self.real_time.idle
+            loop.run(until)
 
     def make_loop(self, brain: Brain) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's."""
@@ -302,6 +323,13 @@ class Bench:
         self.rig.actuators().release()
 
 
+def _real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
+    """Scheduling of the loop on the host's clock; virtual time waits for whoever needs long."""
+    if not isinstance(clock, MonotonicClock):
+        return None
+    return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
+
+
 def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
     values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
@@ -310,7 +338,7 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
     """Zeros, signs and mounts of a configuration."""
-    mounts = {
+    mounts: dict[str, Any] = {
         name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
         for name in ("imu", "tracker")
         if (device := getattr(config, name)) is not None

@@ -16,6 +16,7 @@ from hil.clock import NS_PER_S, Clock
 from hil.fakes.world import Scheduled, World
 
 _LONGEST_WAIT_S = 0.05
+_WARM_UP_NS = 3_000_000
 
 
 class Face(Scheduled, Protocol):
@@ -53,10 +54,16 @@ class EmulationServer:
     ) -> None:
         self.world, self.clock, self.faces = world, clock, dict(faces)
         self._lifeline = [] if lifeline is None else [lifeline]
-        self._start_ns = clock.now_ns()
+        self._warm_up()
+        self._start_ns = clock.now_ns() - world.now_ns
         self._running = True
         for face in self.faces.values():
             world.add(face)
+
+    def _warm_up(self) -> None:
+        """Let the first milliseconds pass before anybody listens: compiling them may take seconds."""
+        self.world.advance_to(self.world.now_ns + _WARM_UP_NS)
+        self.world.sync_plant()
 
     def endpoints(self) -> dict[str, Mapping[str, object]]:
         """Endpoint of every face by name."""

@@ -25,7 +25,7 @@ from hil.live.samples import SampleCounter
 from hil.live.velocity import VelocityReference
 from hil.loop import Brain
 from hil.motion_limits import MotionLimits
-from hil.realtime import RealTime, warm_up
+from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.signals import CycleRecord, RobotState
@@ -80,8 +80,6 @@ class LiveSession:
         self._samples = SampleCounter()
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
-        config = bench.config.loop
-        self._real_time = RealTime(bench.clock, fifo_priority=config.fifo_priority, cpu=config.cpu)
 
     def run(self) -> None:
         """Settle, then cycle until the end.
@@ -108,11 +106,12 @@ class LiveSession:
             "timing": bench.statistics.summary(),
             "samples": self._samples.to_json(),
             "pose": pose,
-            "real_time": {
-                "warnings": list(self._real_time.warnings),
-                "collections": self._real_time.collections,
-            },
         }
+        if bench.real_time is not None:
+            found["real_time"] = {
+                "warnings": list(bench.real_time.warnings),
+                "collections": bench.real_time.collections,
+            }
         if self._velocity is not None:
             found["commands"] = {
                 "accepted": self._velocity.accepted,
@@ -178,39 +177,33 @@ class LiveSession:
 
     def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
-        start = self._start(pose)
-        brain.reset(start)
-        if self.recorder is not None:
-            law = None if trajectory is None else plan.controller or bench.config.control.law
-            told = None if trajectory is None else trajectory.to_mapping()
-            if told is not None and plan.commands is not None:
-                told["references"] = "recorded"
-            self.recorder.note(
-                start.t_ns, "run", RunStart(start, plan.feedback, law, plan.observers, told).note()
-            )
+        law = None if trajectory is None else plan.controller or bench.config.control.law
+        told = None if trajectory is None else trajectory.to_mapping()
+        if told is not None and plan.commands is not None:
+            told["references"] = "recorded"
         bench.add_sink(self._samples)
-        loop = bench.make_loop(brain)
-        with self._real_time:
-            loop.idle = self._real_time.idle
-            loop.run(self._is_over(bench.clock.now_ns(), trajectory))
+        start = RunStart(self._start(pose), plan.feedback, law, plan.observers, told)
+        bench.run(brain, start, self._is_over(trajectory))
         if self._signal is not None:
             raise Aborted(f"ended by {self._signal}; the robot is held")
 
-    def _is_over(self, start_ns: int, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
+    def _is_over(self, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
         """The condition that ends the loop; notes the latest record and why it ended."""
-        ends: dict[int, str] = {}
+        reason, length_ns = "", None
         if self.plan.duration_s is not None:
-            ends[start_ns + nanoseconds(self.plan.duration_s)] = "duration"
+            reason, length_ns = "duration", nanoseconds(self.plan.duration_s)
         elif self.plan.trajectory is not None and trajectory is not None:
-            ends[start_ns + nanoseconds(trajectory.duration_s + _HOLD_S)] = "trajectory"
-        end_ns = min(ends, default=None)
+            reason, length_ns = "trajectory", nanoseconds(trajectory.duration_s + _HOLD_S)
+        first_ns: list[int] = []
 
         def over(record: CycleRecord) -> bool:
             self._last = record
+            if not first_ns:
+                first_ns.append(record.start_ns)
             if self._signal is not None:
                 self.ended = self._signal
-            elif end_ns is not None and record.start_ns >= end_ns:
-                self.ended = ends[end_ns]
+            elif length_ns is not None and record.start_ns >= first_ns[0] + length_ns:
+                self.ended = reason
             return bool(self.ended)
 
         return over
