@@ -115,12 +115,15 @@ class Upkeep:
                 state[joint] = (torque, watchdog)
         return state
 
-    def repair(self, state: Mapping[int, tuple[int, int]], goals: Sequence[int]) -> tuple[int, ...]:
+    def repair(
+        self, state: Mapping[int, tuple[int, int]], goals: Sequence[int], *, paused: bool = False
+    ) -> tuple[int, ...]:
         """Put right what an audit found; the joints that had lost torque or were stopped.
 
         Args:
             state: of `audit`.
             goals: (8,) raw goals at which the robot is held.
+            paused: nobody talked for longer than the watchdog waits: that it tripped was to be expected.
         """
         if not self.torque:
             return ()
@@ -132,7 +135,8 @@ class Upkeep:
             if self.hardware_error[joint]:
                 continue
             if torque:
-                _LOG.warning("%s: bus watchdog of %s tripped: armed again", self._device, SERVOS[joint])
+                level = logging.DEBUG if paused else logging.WARNING
+                _LOG.log(level, "%s: bus watchdog of %s tripped: armed again", self._device, SERVOS[joint])
             else:
                 _LOG.warning("%s: %s has restarted: set up again", self._device, SERVOS[joint])
                 self._restore_settings(joint)
