@@ -36,7 +36,7 @@ class Bno055Chip(SerialChip, Scheduled):
         name: device name, also of its faults.
         options: true imperfections.
         mount_rotation_wxyz: sensor axes in the body **after** the remap `bench_remap` is applied, so
-            that a bench that configures this remap finds its mount true.
+            that a bench that configures this remap finds its mount true, unless the options differ.
         bench_remap: (axis map, axis sign) of that bench.
         overrun_probability: chance that a read is answered with bus overrun; five times less without
             the magnetometer, whose 20 Hz processing causes it (`facts/devices.md`).
@@ -59,7 +59,8 @@ class Bno055Chip(SerialChip, Scheduled):
         rng = world.rng(name)
         self._rng = rng
         options = options if options is not None else ImuTruthOptions()
-        chip_in_body = product(matrix(mount_rotation_wxyz), remap(*bench_remap))
+        mount = options.mount_rotation_wxyz or mount_rotation_wxyz
+        chip_in_body = product(matrix(mount), remap(*bench_remap))
         self.sensors = InertialSensors(options, rng, chip_in_body=chip_in_body)
         self._overrun = overrun_probability
         self._acknowledge_reset = acknowledge_reset

@@ -38,6 +38,8 @@ class ImuTruthOptions:
         position_m: chip in the body, (3,).
         leakage_s: time constant with which accelerations reach the fused vertical.
         clock_ppm: error of the chip's own 100 Hz.
+        mount_rotation_wxyz: sensor axes in the body as they truly are; as the bench configures them
+            when None.
     """
 
     position_m: Vector = (0.0655, 0.0, 0.098)
@@ -50,6 +52,7 @@ class ImuTruthOptions:
     yaw_drift_rad_s: float = 2e-5
     leakage_s: float = 3.0
     clock_ppm: float = 50.0
+    mount_rotation_wxyz: Quaternion | None = None
 
 
 @dataclass(frozen=True)

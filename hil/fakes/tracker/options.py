@@ -23,6 +23,8 @@ class TrackerTruthOptions:
         fast_m_s, fast_rad_s: motion that costs confidence for `shaken_s`.
         relocalisations_per_s: mean rate of spontaneous jumps, `relocalisation_m` far.
         boot_s: silence after a reset.
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
+            bench configures it when None.
     """
 
     scale_sigma: float = 0.005
@@ -44,6 +46,8 @@ class TrackerTruthOptions:
     relocalisations_per_s: float = 0.0
     relocalisation_m: float = 0.1
     boot_s: float = 0.3
+    mount_position_m: tuple[float, float, float] | None = None
+    mount_rotation_wxyz: tuple[float, float, float, float] | None = None
 
 
 IDEAL = TrackerTruthOptions(

@@ -30,7 +30,8 @@ class T265(Scheduled):
         world: truth, seed and faults; the camera registers itself.
         name: device name, also of its faults.
         options: true imperfections.
-        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, as it truly is.
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body, unless the options say
+            where it truly is.
         model: name that the device gives itself.
     """
 
@@ -51,8 +52,8 @@ class T265(Scheduled):
         self.odometry = VisualOdometry(
             self._options,
             self._rng,
-            mount_position_m=mount_position_m,
-            mount_rotation_wxyz=mount_rotation_wxyz,
+            mount_position_m=self._options.mount_position_m or mount_position_m,
+            mount_rotation_wxyz=self._options.mount_rotation_wxyz or mount_rotation_wxyz,
         )
         self.serial = f"{int(self._rng.integers(0, 10**12)):012d}"
         self._epoch_ms = 1.6e12 + round(float(self._rng.uniform(0.0, 1e10)))
