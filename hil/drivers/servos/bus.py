@@ -102,12 +102,13 @@ class Bus:
     def exchange(self, group: GroupRead, timeout_s: float) -> Exchange:
         """One group read within `timeout_s`; what arrived may be nothing or incomplete."""
         clock, port = self._clock, self.port
-        sent_ns = self.traffic_ns = clock.now_ns()
+        backlog_ns = port.backlog_ns()
+        sent_ns = self.traffic_ns = clock.now_ns() + backlog_ns
         data = b""
         try:
             port.clearPort()
             port.writePort(group.request)
-            data = port.receive(group.expected, timeout_s)
+            data = port.receive(group.expected, timeout_s + backlog_ns / NS_PER_S)
             if not group.plausible(data):
                 data = self._more(group, data, sent_ns + round(timeout_s * NS_PER_S))
         except PortLost:

@@ -47,6 +47,10 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         clock: the bench clock.
         latency_s: of the USB adapter.
         slack_s: silence beyond the computed time before a reply counts as lost.
+
+    Attributes:
+        return_delay_s: longest of the servos', part of a reply's time.
+        patience_s: what set-up waits beyond that: unlike a control cycle it may, when the host is busy.
     """
 
     def __init__(self, url: str, baud: int, clock: Clock, *, latency_s: float, slack_s: float) -> None:
@@ -56,8 +60,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.baudrate: int = baud
         self.return_delay_s = 508e-6
         self._clock = clock
+        self.patience_s = 0.0
         self._wait_s = latency_s + slack_s
-        self._written = 0
+        self._sent_ns = 0
         self._deadline_ns = 0
         self._timeout_s = -1.0
 
@@ -117,7 +122,12 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def reply_s(self, sent: int, expected: int, delays: int = 1) -> float:
         """Longest time from a request of `sent` bytes to the end of a reply of `expected`, s."""
-        return self.wire_s(sent + expected) + delays * self.return_delay_s + self._wait_s
+        wait_s = self._wait_s + self.patience_s
+        return self.wire_s(sent + expected) + delays * self.return_delay_s + wait_s
+
+    def backlog_ns(self) -> int:
+        """Time until the last byte written has left: what is written now is sent only then."""
+        return max(0, self._sent_ns - self._clock.now_ns())
 
     def clearPort(self) -> None:
         """Throw away what has arrived; raises `PortLost`."""
@@ -128,7 +138,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: bytes | list[int]) -> int:
         """Send; raises `PortLost`."""
-        self._written = len(packet)
+        self._sent_ns = max(self._sent_ns, self._clock.now_ns()) + nanoseconds(self.wire_s(len(packet)))
         try:
             sent: int = self.ser.write(bytes(packet))
         except PORT_ERRORS as error:
@@ -153,7 +163,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def setPacketTimeout(self, packet_length: int) -> None:
         """Deadline of a reply of that many bytes."""
-        self._deadline_ns = self._clock.now_ns() + nanoseconds(self.reply_s(self._written, packet_length))
+        sent_ns = max(self._clock.now_ns(), self._sent_ns)
+        self._deadline_ns = sent_ns + nanoseconds(self.reply_s(0, packet_length))
 
     def setPacketTimeoutMillis(self, msec: float) -> None:
         """Deadline in ms from now."""
