@@ -44,6 +44,7 @@ _NO_ALERT: tuple[int, ...] = (0,) * 8
 _ALL_SEEN = np.ones(8, dtype=bool)
 _SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
 _VERIFY_ATTEMPTS = 3
+_PATIENCE_S = 0.02
 
 
 class XH430Servos(Actuators):
@@ -81,11 +82,13 @@ class XH430Servos(Actuators):
         )
         port.open(self.name)
         self._bus = bus = Bus(port, self._clock, self.name)
+        port.patience_s = _PATIENCE_S
         try:
             self._set_up(bus)
         except BaseException:
             self.close()
             raise
+        port.patience_s = 0.0
 
     def _set_up(self, bus: Bus) -> None:
         config = self._config
@@ -162,10 +165,13 @@ class XH430Servos(Actuators):
         """
         bus = self._opened()
         silence_ns = self._clock.now_ns() - bus.traffic_ns
+        if silence_ns > self._fail_ns:
+            self._good_ns = [self._clock.now_ns()] * 8  # nobody asked, so nobody failed to answer
         restarted: tuple[int, ...] = ()
-        if self._doubtful or (self._upkeep.torque and silence_ns > self._watchdog_ns > 0):
+        paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
+        if self._doubtful or paused:
             self._doubtful = False
-            restarted = self._audit()
+            restarted = self._audit(paused=paused)
         reading = self._cycle.read()
         if reading.revived:
             self._doubtful = True
@@ -239,11 +245,11 @@ class XH430Servos(Actuators):
             remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
         )
 
-    def _audit(self) -> tuple[int, ...]:
+    def _audit(self, *, paused: bool) -> tuple[int, ...]:
         """Look whether torque and watchdogs are as they should be; repair, holding still."""
         state = self._upkeep.audit(self._cycle.live_ids)
         held = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
-        repaired = self._upkeep.repair(state, held.tolist())
+        repaired = self._upkeep.repair(state, held.tolist(), paused=paused)
         for j in repaired:
             if state[j][0] == 0:
                 self._turns.restarted(j)
@@ -271,8 +277,12 @@ class XH430Servos(Actuators):
             DeviceError: a servo does not answer, has a hardware error or did not take its torque.
         """
         bus = self._opened()
-        sample = self.read()[0]
-        if not all(s in (Status.OK, Status.RESET, Status.HARDWARE_ERROR) for s in sample.status):
+        answering = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
+        for _ in range(_VERIFY_ATTEMPTS):
+            sample = self.read()[0]
+            if all(s in answering for s in sample.status):
+                break
+        else:
             raise DeviceTimeoutError(
                 self.name,
                 "cannot be enabled: " + ", ".join(
