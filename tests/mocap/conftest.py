@@ -1,0 +1,124 @@
+"""A body on a wall, an emulated capture server and a driver: in virtual time, or over UDP on the loopback."""
+
+import math
+import threading
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.clock import MonotonicClock
+from hil.config.mocap import MocapConfig
+from hil.drivers.mocap import NatNetMocap
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
+from hil.fakes.plant_api import PlantState
+from hil.fakes.server import EmulationServer
+from hil.fakes.world import VirtualClock, World
+
+
+class Climber:
+    """Moves with a constant velocity and turn rate in the wall frame."""
+
+    def __init__(self, velocity=(0.05, -0.03), start=(0.3, -0.2, 0.5), rate=0.1):
+        self.t_ns, self.start = 0, np.array(start, float)
+        self.velocity = np.array((*velocity, rate), float)
+
+    def command(self, joint, command):
+        raise AssertionError("cameras command nothing")
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+    def joints(self):
+        return np.zeros(8), np.zeros(8), np.zeros(8)
+
+    def pose(self, t_ns):
+        return self.start + self.velocity * t_ns * 1e-9
+
+    def truth(self):
+        x, y, theta = self.pose(self.t_ns)
+        return PlantState(
+            self.t_ns, np.array([x, y, theta]), self.velocity.copy(), np.zeros(2),
+            *(np.zeros(8) for _ in range(3)), np.zeros(4), np.full(4, 8.0), np.zeros((4, 2)), math.pi / 2,
+            False,
+        )  # fmt: skip
+
+
+@pytest.fixture
+def climber():
+    return Climber
+
+
+@pytest.fixture
+def mocap_bench():
+    """Factory of a world, a capture server and an unopened driver in virtual time."""
+    drivers = []
+
+    def build(*faults, plant=None, config=None, options=STILL, seed=1, **server_options):
+        plant = plant if plant is not None else Climber()
+        world = World(plant, seed=seed, faults=FaultPlan([parse_fault(spec) for spec in faults]))
+        settings = MocapConfig(**{"backend": "emulated", **(config or {})})
+        server = NatNetServer(
+            world, options=options, **{"up_axis": settings.up_axis, "multicast": settings.multicast,
+                                       **server_options},
+        )  # fmt: skip
+        world.faults.check()
+        clock = VirtualClock(world)
+        driver = NatNetMocap(settings, clock, datagrams=server.datagrams)
+        drivers.append(driver)
+        return SimpleNamespace(
+            plant=plant, world=world, server=server, clock=clock, driver=driver, config=settings
+        )
+
+    yield build
+    for driver in drivers:
+        driver.close()
+
+
+@pytest.fixture
+def watch():
+    """Reads the driver every 10 ms for some seconds of bench time."""
+
+    def collect(bench, duration_s):
+        samples, t_ns = [], bench.clock.now_ns()
+        end_ns = t_ns + round(duration_s * 1e9)
+        while t_ns < end_ns:
+            t_ns += 10_000_000
+            bench.clock.sleep_until_ns(t_ns)
+            samples += bench.driver.read()
+        return samples
+
+    return collect
+
+
+@pytest.fixture
+def served():
+    """Factory of a capture server on UDP ports of the loopback, in a thread; returns its face."""
+    running = []
+
+    def serve(*faults, host="127.0.0.1", **server_options):
+        world = World(Climber(), seed=1, faults=FaultPlan([parse_fault(spec) for spec in faults]))
+        natnet = NatNetServer(world, options=STILL, **server_options)
+        face = NatNetFace(natnet, host=host)
+        server = EmulationServer(world, MonotonicClock(), {"mocap": face})
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        running.append((server, thread))
+        return face
+
+    yield serve
+    for server, thread in running:
+        server.stop()
+        thread.join(5)
+
+
+@pytest.fixture
+def settings_of():
+    """Driver configuration for a served face."""
+
+    def make(face, **values):
+        where = face.endpoint()
+        return MocapConfig(**{**where, "fail_after_s": 1.0, "open_timeout_s": 2.0, **values})
+
+    return make
