@@ -222,7 +222,7 @@ class Bench:
         on_cycle: OnCycle | None = None,
     ) -> Motion:
         """Run the loop without commanding anything."""
-        start = RunStart(self._start_state(start_pose), feedback)
+        start = RunStart(self.start_state(start_pose), feedback)
         return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
 
     def drive(
@@ -252,11 +252,11 @@ class Bench:
         """
         self.check(trajectory)
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
-        warm_up(brain, self._start_state(start_pose))
+        warm_up(brain, self.start_state(start_pose))
         self.rig.actuators().enable()
         pose = self.settle() if start_pose is None else start_pose
         start = RunStart(
-            self._start_state(pose),
+            self.start_state(pose),
             feedback,
             controller or self.config.control.law,
             observers,
@@ -264,7 +264,8 @@ class Bench:
         )
         return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
 
-    def _start_state(self, pose: ArrayLike | None) -> RobotState:
+    def start_state(self, pose: ArrayLike | None = None) -> RobotState:
+        """State to start a run from: at rest at a pose (3,), by default the configured one."""
         known = np.array(self.config.emulation.start_pose if pose is None else pose, dtype=np.float64)
         return RobotState(self.clock.now_ns(), known, np.zeros(3), _START_COVARIANCE)
 
