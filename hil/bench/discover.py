@@ -1,7 +1,7 @@
 """Looks for the devices of a bench and writes down what it found as a ready `bench.toml`.
 
 Serial ports are named by their USB serial number where the system offers that. Each port is asked as a
-servo bus (at every baud rate, with time-outs of our own) and then as a BNO055.
+BNO055 and then as a servo bus, at every baud rate with time-outs of our own.
 """
 
 from __future__ import annotations
@@ -101,16 +101,16 @@ def discover(
 
 
 def _ask_serial(found: Discovery, port: str, clock: Clock, say: Say) -> None:
+    """The IMU first: it answers within a second, a servo bus takes almost one for each baud rate."""
+    if _opens(Bno055Imu(ImuConfig(port=port, open_timeout_s=_IMU_TIMEOUT_S), clock)):
+        found.sections["imu"] = {"port": port}
+        return
     servos: tuple[FoundServo, ...] = ()
     with contextlib.suppress(HilError):
         servos = scan(port, clock)
     if servos:
         found.servos += servos
         _take_servos(found, port, servos)
-        return
-    imu = ImuConfig(port=port, open_timeout_s=_IMU_TIMEOUT_S)
-    if _opens(Bno055Imu(imu, clock)):
-        found.sections["imu"] = {"port": port}
 
 
 def _take_servos(found: Discovery, port: str, servos: Sequence[FoundServo]) -> None:

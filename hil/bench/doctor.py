@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,11 +25,12 @@ from hil.signals import SERVOS, WHEELS, Status
 Level = Literal["ok", "warning", "failure"]
 
 _WATCH_S = 2.0
+_SETTLE_S = 0.6
 _LOW_SUPPLY_V, _HOT_C = 10.0, 70.0
 _LOSS_WARNING, _LOSS_FAILURE = 0.02, 0.2
 _LATENCY_TIMER_S = 0.001
 _GRAVITY_M_S2, _GRAVITY_TOLERANCE_M_S2 = 9.81, 0.5
-_LATE_MOCAP_S = 0.05
+_LATE_MOCAP_S, _MOCAP_GAP_S = 0.05, 0.3
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,7 @@ def _examine_one(bench: Bench, device: Device, watch_s: float) -> Iterator[Findi
         yield Finding(device.name, "open", "failure", error.message, error.expected, error.remedy)
         return
     try:
+        _watch(bench, device, _SETTLE_S)
         identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
         yield Finding(device.name, "open", "ok", identity)
         yield from _LOOKS[device.name](bench, device, _watch(bench, device, watch_s), watch_s)
@@ -191,10 +194,16 @@ def _tracker(bench: Bench, tracker: Any, samples: list[Any], watch_s: float) -> 
 def _mocap(bench: Bench, mocap: Any, samples: list[Any], watch_s: float) -> Iterator[Finding]:
     tracked = [s for s in samples if s.tracking_valid and s.status is Status.OK]
     share = len(tracked) / len(samples) if samples else 0.0
-    level: Level = "ok" if share > 1.0 - _LOSS_FAILURE else "failure"
+    now_ns = bench.clock.now_ns()
+    seen_ns = [now_ns - nanoseconds(watch_s), *(s.stamp.host_ns for s in tracked), now_ns]
+    gap_s = 1e-9 * max(b - a for a, b in pairwise(seen_ns))
+    level: Level = "ok" if share > 1.0 - _LOSS_FAILURE and gap_s < _MOCAP_GAP_S else "failure"
+    told = (
+        f"{len(tracked)} of {len(samples)} frames, {len(samples) / watch_s:.0f} Hz, longest gap {gap_s:.2f} s"
+    )
     yield Finding(
-        "mocap", "tracking", level, f"{len(tracked)} of {len(samples)} frames ({len(samples) / watch_s:.0f} Hz)",
-        "nearly all frames tracked", "check markers, occlusion and the rigid body's definition",
+        "mocap", "tracking", level, told, f"nearly all frames tracked, gaps below {_MOCAP_GAP_S:g} s",
+        "check markers, occlusion and the rigid body's definition",
     )  # fmt: skip
     if tracked:
         latency_s = float(np.median([s.latency_s for s in tracked]))

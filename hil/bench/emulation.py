@@ -17,7 +17,7 @@ from hil.config.bench import BenchConfig
 from hil.errors import ConfigError, HilError, UsageError
 from hil.fakes.can_wire import CanChannel, CanFace
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
-from hil.fakes.faults import Fault, FaultPlan, parse_fault
+from hil.fakes.faults import Fault, FaultPlan
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
 from hil.fakes.mocap import MocapTruthOptions, NatNetFace, NatNetServer
 from hil.fakes.plant import make_plant
@@ -25,6 +25,7 @@ from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.timeline import read_faults
 from hil.fakes.tracker import T265, TrackerFace, TrackerTruthOptions
 from hil.fakes.world import World, random_stream
 
@@ -58,6 +59,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         start_pose=emulation.start_pose,
         rng=random_stream(seed, "plant"),
         randomise_truth=emulation.randomise_truth,
+        geometry_share=emulation.geometry_share,
         faults=plan,
     )
     return World(plant, seed=seed, faults=plan)
@@ -108,7 +110,7 @@ def open_emulation(
         config: the bench; its emulated devices are served.
         only: names to restrict them to.
         seed: seed of the world.
-        faults: fault specs.
+        faults: specs or paths of TOML timelines, beside those of the configuration.
         clock: what the world follows; the host's monotonic clock by default.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
 
@@ -121,7 +123,7 @@ def open_emulation(
             f"{config.name} has nothing to emulate", expected="emulated devices: --emulate or backend",
             remedy="use --bench emulated",
         )  # fmt: skip
-    plan = [parse_fault(f) if isinstance(f, str) else f for f in faults]
+    plan = read_faults((*config.emulation.faults, *faults))
     world = build_world(config, seed=seed, faults=plan)
     faces: dict[str, Face] = {}
     try:

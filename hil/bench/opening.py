@@ -19,7 +19,8 @@ from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.tracker import FeedEndpoint
 from hil.errors import FaultNotSupportedError
-from hil.fakes.faults import Fault, describe, parse_fault
+from hil.fakes.faults import Fault, describe
+from hil.fakes.timeline import read_faults
 from hil.fakes.world import VirtualClock
 from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
@@ -43,7 +44,8 @@ def open_bench(
         emulate: `all` or names of devices to emulate, whatever the file says.
         seed: seed of the emulated world; the same seed gives the same run, bit for bit, in virtual time.
         realtime: emulated devices in real time at the wire, in a process of their own.
-        faults: fault specs (`imu:stuck@2+3`) for emulated devices.
+        faults: for emulated devices: specs (`imu:stuck@2+3`), or paths of TOML timelines; they come
+            beside those of the configuration.
         overrides: dotted configuration key -> value.
         sinks: receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.
@@ -55,7 +57,7 @@ def open_bench(
     """
     checked = load_bench(config, emulate=emulate, overrides=overrides)
     geometry, name = _calibrated(checked, calibration)
-    plan = tuple(parse_fault(f) if isinstance(f, str) else f for f in faults)
+    plan = read_faults((*checked.emulation.faults, *faults))
     emulated = checked.emulated()
     common: dict[str, Any] = {"geometry": geometry, "calibration": name, "seed": seed, "sinks": sinks}
     if plan and not emulated:
@@ -77,7 +79,8 @@ def open_bench(
 
 
 def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:
-    emulator = EmulatorProcess(config, seed=seed, faults=[describe(f) for f in plan])
+    served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
+    emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
     clock = MonotonicClock()
     values = {("encoders" if n == "can" else n): e for n, e in emulator.endpoints.items()}
     bench = Bench(config, clock, make_rig(config, clock, _reach(values)), **common)

@@ -42,14 +42,17 @@ class EmulatorProcess:
         command += ["--only", ",".join(config.emulated()), "--seed", str(seed)]
         for spec in faults:
             command += ["--fault", spec]
+        self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
         self._child = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said
         )
         try:
             self.endpoints: dict[str, Mapping[str, Any]] = json.loads(self._first_line())
         except ValueError:
+            self._end()
+            error = self._failed()
             self.close()
-            raise self._failed() from None
+            raise error from None
 
     @property
     def pid(self) -> int:
@@ -71,14 +74,14 @@ class EmulatorProcess:
         return line
 
     def _failed(self) -> DeviceError:
-        said = self._child.stderr.read().decode(errors="replace").strip() if self._child.stderr else ""
+        self._said.seek(0)
+        said = self._said.read().decode(errors="replace").strip()
         return DeviceError(
             "emulator", f"the emulated devices could not be served: {said or 'no answer'}",
             expected="one JSON line of endpoints", remedy="run `hil emulate` by hand to see more",
         )  # fmt: skip
 
-    def close(self) -> None:
-        """End the emulator. Idempotent; never raises."""
+    def _end(self) -> None:
         if self._child.stdin is not None:
             self._child.stdin.close()
         try:
@@ -86,6 +89,11 @@ class EmulatorProcess:
         except subprocess.TimeoutExpired:
             self._child.kill()
             self._child.wait()
+
+    def close(self) -> None:
+        """End the emulator. Idempotent; never raises."""
+        self._end()
         if self._child.stdout is not None:
             self._child.stdout.close()
+        self._said.close()
         self._config.unlink(missing_ok=True)

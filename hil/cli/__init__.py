@@ -24,6 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMANDS = {
     "calibrate": "fit the odometry parameters to recordings, with validation",
     "demo-data": "write a generated data set of the six motions",
+    "discover": "find ports, IDs and baud rates; print a ready bench.toml",
     "doctor": "examine every device of a bench without moving it",
     "emulate": "serve the emulated devices to any client",
     "evaluate": "odometry error table of recordings",
@@ -33,6 +34,7 @@ COMMANDS = {
     "replay": "re-run estimation on a recording, or prove that it repeats bit for bit",
     "report": "the HTML page of a run, or a comparison of several",
     "run": "run a procedure on a bench",
+    "setup": "write one servo's ID, baud rate and operating mode",
 }
 
 

@@ -5,10 +5,15 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from hil.errors import EXIT_DEVICE, EXIT_PASS
+
+if TYPE_CHECKING:
+    from hil.config.encoders import EncodersConfig
+    from hil.config.mocap import MocapConfig
 
 
 @click.command()
@@ -16,7 +21,7 @@ from hil.errors import EXIT_DEVICE, EXIT_PASS
 @click.option(
     "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to listen on."
 )
-@click.option("--mocap", help="Address of the motion-capture server.")
+@click.option("--mocap", metavar="ADDRESS[:PORT]", help="Motion-capture server, and its command port.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write the bench file here; never overwrites.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -25,7 +30,6 @@ def command(
     """Ask everything that could be a device; ends with 3 when nothing answers."""
     from hil.bench.discover import discover
     from hil.clock import MonotonicClock
-    from hil.config.mocap import MocapConfig
     from hil.errors import UsageError
 
     if out is not None and out.exists():
@@ -34,7 +38,7 @@ def command(
         MonotonicClock(),
         ports=ports,
         buses=[_bus(text) for text in buses] or None,
-        mocap=MocapConfig(server=mocap) if mocap else None,
+        mocap=_server(mocap) if mocap else None,
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
     text = found.to_toml()
@@ -52,7 +56,7 @@ def command(
     return EXIT_PASS
 
 
-def _bus(text: str):  # type: ignore[no-untyped-def]
+def _bus(text: str) -> EncodersConfig:
     from hil.config.encoders import EncodersConfig
     from hil.errors import UsageError
 
@@ -60,5 +64,21 @@ def _bus(text: str):  # type: ignore[no-untyped-def]
     channel, _, port = rest.partition(":")
     if not channel or (port and not port.isdigit()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
-    options = {"port": int(port)} if port else {}
+    options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
     return EncodersConfig(interface=interface, channel=channel, options=options)
+
+
+def _server(text: str) -> MocapConfig:
+    from pydantic import ValidationError
+
+    from hil.config.mocap import MocapConfig
+    from hil.errors import UsageError
+
+    address, _, port = text.partition(":")
+    try:
+        return MocapConfig.model_validate({"server": address, **({"command_port": port} if port else {})})
+    except ValidationError as error:
+        raise UsageError(
+            f"--mocap {text!r}: {error.errors()[0]['msg']}",
+            expected="an IPv4 address, or ADDRESS:COMMAND_PORT",
+        ) from None

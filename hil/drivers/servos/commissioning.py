@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 from hil.clock import Clock
-from hil.config.xh430 import BAUD_CODES, BAUD_RATES, TABLE
+from hil.config.xh430 import BAUD_CODES, BAUD_RATES, TABLE, Register
 from hil.drivers.servos import packets
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
@@ -166,12 +166,21 @@ def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[st
         if before == raw:
             continue
         register = TABLE[name]
-        bus.demand(servo_id, register.address, register.encode(raw), name)
-        if name == "id":
-            servo_id = raw
-        elif name == "baud_rate":
-            bus.port.setBaudRate(BAUD_RATES[raw])
+        if name in _LAST:
+            _rename(bus, servo_id, register, raw)
+            servo_id = raw if name == "id" else servo_id
+        else:
+            bus.demand(servo_id, register.address, register.encode(raw), name)
         check = bus.read(servo_id, register.address, register.size)
         if check.status is not Status.OK or register.decode(check.data) != raw:
             raise bus.failure(check, f"servo {servo_id}: {name} = {raw} did not stay")
     return changes
+
+
+def _rename(bus: Bus, servo_id: int, register: Register, raw: int) -> None:
+    """Write ID or baud rate. Firmware may acknowledge as old or as new, so silence proves nothing here."""
+    answer = bus.write(servo_id, register.address, register.encode(raw))
+    if answer.status not in (Status.OK, Status.TIMEOUT):
+        raise bus.failure(answer, f"servo {servo_id}: {register.name} cannot be written")
+    if register.name == "baud_rate":
+        bus.port.setBaudRate(BAUD_RATES[raw])

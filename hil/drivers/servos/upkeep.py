@@ -96,8 +96,13 @@ class Upkeep:
         self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
         self.torque = False
 
-    def audit(self, ids: Sequence[int]) -> dict[int, tuple[int, int]]:
-        """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors."""
+    def audit(self, ids: Sequence[int], *, patience_s: float = 0.0) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors.
+
+        Args:
+            ids: servos to ask.
+            patience_s: beside what the wire needs: outside the cycle a busy host may take its time.
+        """
         if not ids:
             return {}
         address, length = (
@@ -105,7 +110,7 @@ class Upkeep:
         )
         group = GroupRead(ids, address, length, fast=self._fast)
         delays = 1 if self._fast else len(ids)
-        timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
+        timeout_s = patience_s + self._bus.port.reply_s(len(group.request), group.expected, delays)
         answers = group.answers(self._bus.exchange(group, timeout_s).data)
         state = {}
         for servo_id, answer in answers.items():

@@ -292,13 +292,13 @@ class XH430Servos(Actuators):
                 expected="an answer from all eight servos",
                 remedy="check cable, power and IDs",
             )  # fmt: skip
-        self._upkeep.audit(self._cycle.live_ids)
+        self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
         self._upkeep.refuse_hardware_errors()
         self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
         for _ in range(_VERIFY_ATTEMPTS):
             bus.send(self._goal_write.packet(self._goals))
             self._upkeep.arm()
-            state = self._upkeep.audit(self._cycle.live_ids)
+            state = self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
             if sum(torque for torque, _ in state.values()) == 8:
                 self.read()
                 return

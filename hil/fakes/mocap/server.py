@@ -95,6 +95,7 @@ class NatNetServer(Scheduled):
         self._outlets: list[Outlet] = [self._network]
         self._clients: dict[Address, Client] = {}
         self._arrived_ns = 0
+        self._last: tuple[int, tuple[SeenBody, ...], encode.FrameTimes] | None = None
         self._start(-round(float(self._rng.uniform(100.0, 10_000.0)) * NS_PER_S))
         self._due_ns = int(self._rng.integers(0, round(NS_PER_S / self._options.rate_hz)))
         world.add(self)
@@ -157,7 +158,7 @@ class NatNetServer(Scheduled):
         """The server's clock and frame counter begin (before the world did, if `t_ns` is negative)."""
         self._started_ns, self._boot_ns = t_ns, max(t_ns, 0)
         self._number = round(max(0, -t_ns) * 1e-9 * self._options.rate_hz)
-        self._last: tuple[int, tuple[SeenBody, ...], encode.FrameTimes] | None = None
+        self._last = None
 
     def _stall_s(self) -> float:
         options = self._options

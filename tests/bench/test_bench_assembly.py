@@ -1,0 +1,151 @@
+"""`open_bench`: the same devices and loop in virtual time, at the wire and mixed; a seed decides all."""
+
+import hashlib
+import pickle
+
+import numpy as np
+import pytest
+
+import hil
+from hil.config.bench import load_bench
+from hil.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
+from hil.trajectories import line
+
+STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
+
+
+def drive(seed, **options):
+    with hil.open_bench("emulated", seed=seed, **options) as bench:
+        return bench.drive(STRAIGHT, hold_s=0.2)
+
+
+def log_hash(motion):
+    """Of everything that the devices said and were told; the loop's own timing is the host's."""
+    told = [(r.inputs, r.setpoint, r.state.pose_body_in_wall.tobytes()) for r in motion.records]
+    return hashlib.sha256(pickle.dumps(told)).hexdigest()
+
+
+def test_a_seed_decides_every_bit_of_a_run():
+    first, again, other = drive(1), drive(1), drive(2)
+    assert log_hash(first) == log_hash(again)
+    assert log_hash(first) != log_hash(other)
+
+
+def test_a_line_is_driven_and_the_truth_agrees_with_the_estimate():
+    with hil.open_bench("emulated", seed=1) as bench:
+        motion = bench.drive(STRAIGHT, hold_s=0.5)
+        truth = bench.truth().pose_body_in_wall
+        began = motion.estimate[0]
+        assert np.linalg.norm(motion.estimate[-1] - truth)[()] < 0.01
+        assert np.linalg.norm((truth - began)[:2] - [0.1, 0.0]) < 0.015
+        assert np.all(np.abs(bench.truth().joint_velocity_rad_s[:4]) < 0.02)
+        assert bench.statistics.summary()["cycles"] == len(motion.records)
+        assert bench.header()["seed"] == 1
+        assert bench.has("mocap")
+
+
+def test_true_imperfections_come_from_the_configuration():
+    def camera_end(**options):
+        with hil.open_bench("emulated", seed=1, overrides=options) as bench:
+            return bench.drive(STRAIGHT, hold_s=0.2, feedback="odometry")
+
+    normal = camera_end()
+    adversary = camera_end(**{"emulation.tracker": {"scale_sigma": 0.2}})
+    assert log_hash(normal) != log_hash(adversary)
+    with pytest.raises(ConfigError, match=r"emulation\.tracker\.scale_sigmma: unknown; one of scale_sigma"):
+        hil.open_bench("emulated", overrides={"emulation.tracker": {"scale_sigmma": 0.2}})
+    with pytest.raises(ConfigError, match=r"emulation\.imu\."):
+        hil.open_bench("emulated", overrides={"emulation.imu": {"position_m": "left"}})
+
+
+def test_faults_need_an_emulated_device_that_can_produce_them():
+    with pytest.raises(FaultNotSupportedError, match="every device of sensors is real"):
+        hil.open_bench("sensors", faults=("imu:stuck",)) if not load_bench("sensors").emulated() else None
+    with pytest.raises(FaultNotSupportedError, match="imu cannot produce"):
+        hil.open_bench("emulated", faults=("imu:bus_off",))
+    with pytest.raises(FaultNotSupportedError, match="no emulated device of that name"):
+        hil.open_bench("emulated", faults=("camera:off",))
+    with pytest.raises(UsageError, match="unknown"):
+        hil.open_bench("emulated", faults=("imu:melted",))
+
+
+def test_a_fault_timeline_acts_like_the_specs(tmp_path):
+    timeline = tmp_path / "faults.toml"
+    timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 1.0\nduration_s = 0.5\n')
+    by_spec = drive(1, faults=("tracker:off@1+0.5",))
+    assert log_hash(drive(1, faults=(str(timeline),))) == log_hash(by_spec)
+    assert log_hash(drive(1, overrides={"emulation.faults": [str(timeline)]})) == log_hash(by_spec)
+    timeline.write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat = 1.0\n[[fault]]\nkind = 3\n')
+    with pytest.raises(
+        ConfigError, match=r"(?s)faults\.toml: not a fault timeline.*fault\.0\.at: .*fault\.1"
+    ):
+        hil.open_bench("emulated", faults=(str(timeline),))
+    with pytest.raises(ConfigError, match="No such file"):
+        hil.open_bench("emulated", faults=("absent.toml",))
+
+
+def test_what_the_limits_cannot_follow_is_refused_before_anything_moves():
+    with hil.open_bench("emulated", seed=1, overrides={"safety.x_range_m": [-1.0, 1.0]}) as bench:
+        before = bench.clock.now_ns()
+        with pytest.raises(TrajectoryError, match="x"):
+            bench.drive(line((0.0, 0.0, 0.0), (1.5, 0.0, 0.0), duration_s=30.0))
+        with pytest.raises(TrajectoryError, match="speed"):
+            bench.drive(line((0.0, 0.0, 0.0), (0.9, 0.0, 0.0), duration_s=12.0))
+        with pytest.raises(UsageError, match="feedback"):
+            bench.drive(STRAIGHT, feedback="hope")
+        with pytest.raises(UsageError, match="controller"):
+            bench.drive(STRAIGHT, controller="hope")
+        assert bench.clock.now_ns() == before
+
+
+def test_lost_adhesion_ends_in_a_held_robot():
+    with hil.open_bench("emulated", seed=1, faults=("plant:adhesion_loss@2.5",)) as bench:
+        with pytest.raises(SafetyStop, match=r"adhesion|sliding"):
+            bench.drive(line((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), duration_s=20.0))
+        for _ in range(30):
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+            held = bench.rig.servos.read()[-1]
+        assert np.all(np.abs(held.velocity_rad_s[:4]) < 0.05)
+
+
+def test_closing_twice_or_without_entering_is_harmless():
+    bench = hil.open_bench("emulated")
+    bench.close()
+    bench.close()
+
+
+def test_the_same_drive_at_the_wire_in_real_time():
+    with hil.open_bench("emulated", seed=1, realtime=True) as bench:
+        assert bench.world is None
+        assert bench.truth() is None
+        motion = bench.drive(STRAIGHT, hold_s=0.5)
+        measured = motion.mocap[np.isfinite(motion.mocap[:, 0])][-1]
+        assert np.linalg.norm(motion.estimate[-1][:2] - measured[:2]) < 0.01
+        assert not motion.events
+
+
+def test_a_mix_of_real_and_emulated_devices(emulator, tmp_path):
+    """To the bench, servos and mocap of another process are as real as hardware; the rest it emulates."""
+    mixed = tmp_path / "mixed.toml"
+    mixed.write_text(
+        f"""schema = 1
+name = "mixed"
+surface = "wall"
+[servos]
+port = "{emulator["servos"]["port"]}"
+baud = {emulator["servos"]["baud"]}
+[mocap]
+command_port = {emulator["mocap"]["command_port"]}
+[imu]
+[tracker]
+[encoders]
+"""
+    )
+    with hil.open_bench(mixed, emulate="imu,tracker,encoders") as bench:
+        assert bench.config.emulated() == ("encoders", "imu", "tracker")
+        motion = bench.drive(STRAIGHT, feedback="odometry", hold_s=0.3)
+        assert np.linalg.norm(motion.mocap[np.isfinite(motion.mocap[:, 0])][-1][:2] - [0.1, 0.0]) < 0.02
+        inputs = motion.records[-1].inputs
+        assert inputs.servos
+        assert any(r.inputs.imu for r in motion.records[-20:])
+        assert any(r.inputs.tracker for r in motion.records[-20:])
