@@ -147,6 +147,7 @@ def test_without_slip_the_floor_robot_moves_as_kinematics_says():
 
 
 def test_a_tenth_of_the_step_gives_the_same_path():
+    """The issue's 0.1 mm per metre, along and across gravity, with steering overshoot and play."""
     ends = []
     for step_ns in (MS_NS, MS_NS // 10):
         plant = build(step_ns=step_ns)
@@ -162,7 +163,7 @@ def test_a_tenth_of_the_step_gives_the_same_path():
 
 def test_creep_is_per_metre_rolled_not_per_second():
     short_m = []
-    for duration_s in (20.0, 60.0):
+    for duration_s in (30.0, 60.0):
         path = type(X_LINE)("x", (type(X_LINE.segments[0])(X_LINE.segments[0].path, duration_s),))
         error, _, _ = play_back(build(), path, WheelGeometry.nominal())
         short_m.append(-error[0])
@@ -185,7 +186,8 @@ def _energy(plant) -> float:
 def _work(plant, before, after) -> float:
     """Work of motors and propellers between two states one step apart, J."""
     p, dt_s = plant.parameters, (after.t_ns - before.t_ns) * 1e-9
-    motors = p.joints.torque_constant_n_m_a * after.joint_current_a * after.joint_velocity_rad_s
+    turned_rad = after.joint_position_rad - before.joint_position_rad
+    motors = p.joints.torque_constant_n_m_a * after.joint_current_a * turned_rad
     mean = 0.5 * dt_s * before.twist_body[2] + before.pose_body_in_wall[2]
     c, s = math.cos(mean), math.sin(mean)
     moved = (after.pose_body_in_wall - before.pose_body_in_wall)[:2]
@@ -198,7 +200,7 @@ def _work(plant, before, after) -> float:
     turned = after.pose_body_in_wall[2] - before.pose_body_in_wall[2]
     fan = 0.0 if after.fallen else 1.0
     propellers = p.thrust_n * (c * moved[0] + s * moved[1] + turned * p.centre_of_mass_m[1])
-    return float(motors.sum() * dt_s + fan * (propellers + p.thrust_torque_n_m * turned))
+    return float(motors.sum() + fan * (propellers + p.thrust_torque_n_m * turned))
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -63,9 +63,9 @@ def clip(value: float, limit: float) -> float:
 
 
 def motor(
-    j: int, pull: float, drag: float, friction: float, c: Array, s: Array, q: Array
+    j: int, dt: float, pull: float, drag: float, friction: float, c: Array, s: Array, q: Array
 ) -> tuple[float, float, float, float]:
-    """Rate of joint `j` at the step's end under an outer torque `pull - drag * rate`.
+    """Rate of joint `j` after an implicit step `dt` under an outer torque `pull - drag * rate`.
 
     Returns:
         (rate, branch, free, compliance): rate = free + compliance * pull while the branch holds; a
@@ -73,8 +73,8 @@ def motor(
     """
     kt, ke, ohm = c[KT + j], c[KE + j], c[OHM + j]
     mode, limit_a, limit_v = q[MODE + j], q[AMPS_LIMIT + j], c[SUPPLY] * q[DUTY_LIMIT + j]
-    base = c[JOINT_INERTIA + j] / c[DT] * s[RATE + j] + pull
-    slope = c[JOINT_INERTIA + j] / c[DT] + c[VISCOUS + j] + drag
+    base = c[JOINT_INERTIA + j] / dt * s[RATE + j] + pull
+    slope = c[JOINT_INERTIA + j] / dt + c[VISCOUS + j] + drag
     push, gain, kind = 0.0, 0.0, 0.0
     if mode == MODE_CURRENT:
         push = kt * clip(q[GOAL + j], limit_a)
@@ -82,7 +82,7 @@ def motor(
         if abs(volts) > limit_v:
             push, gain, kind = kt / ohm * clip(volts, limit_v), kt / ohm * ke, math.copysign(2.0, volts)
     elif mode != MODE_OFF:
-        level, fall = demand(j, c, s, q)
+        level, fall = demand(j, dt, c, s, q)
         push, gain = kt / ohm * level, kt / ohm * (fall + ke)
         rate = threshold(base + push, friction) / (slope + gain)
         volts = level - fall * rate
@@ -106,18 +106,18 @@ def threshold(value: float, friction: float) -> float:
     return math.copysign(max(abs(value) - friction, 0.0), value)
 
 
-def demand(j: int, c: Array, s: Array, q: Array) -> tuple[float, float]:
-    """Voltage asked for by the firmware: (level, fall) of level - fall * rate at the step's end."""
+def demand(j: int, dt: float, c: Array, s: Array, q: Array) -> tuple[float, float]:
+    """Voltage asked for by the firmware: (level, fall) of level - fall * rate after an implicit step."""
     mode = q[MODE + j]
     if mode == MODE_VELOCITY:
-        gain = c[VELOCITY_P] + c[VELOCITY_I] * c[DT]
+        gain = c[VELOCITY_P] + c[VELOCITY_I] * dt
         return gain * clip(q[GOAL + j], q[RATE_LIMIT + j]) + s[INTEGRAL + j], gain
     if mode == MODE_POSITION:
-        return c[POSITION_P] * (s[REFERENCE + j] - s[ANGLE + j]), c[POSITION_P] * c[DT]
+        return c[POSITION_P] * (s[REFERENCE + j] - s[ANGLE + j]), c[POSITION_P] * dt
     return c[SUPPLY] * q[GOAL + j], 0.0
 
 
-def finish_joint(j: int, rate: float, c: Array, s: Array, q: Array) -> None:
+def finish_joint(j: int, dt: float, rate: float, c: Array, s: Array, q: Array) -> None:
     """Store a joint's new rate, angle, current and integrator (which rests while a limit acts)."""
     mode, limit_a, limit_v = q[MODE + j], q[AMPS_LIMIT + j], c[SUPPLY] * q[DUTY_LIMIT + j]
     amps = 0.0
@@ -125,7 +125,7 @@ def finish_joint(j: int, rate: float, c: Array, s: Array, q: Array) -> None:
         volts = clip(clip(q[GOAL + j], limit_a) * c[OHM + j] + c[KE + j] * rate, limit_v)
         amps = (volts - c[KE + j] * rate) / c[OHM + j]
     elif mode != MODE_OFF:
-        level, fall = demand(j, c, s, q)
+        level, fall = demand(j, dt, c, s, q)
         wanted = level - fall * rate
         amps = (clip(wanted, limit_v) - c[KE + j] * rate) / c[OHM + j]
         error = clip(q[GOAL + j], q[RATE_LIMIT + j]) - rate
@@ -139,12 +139,19 @@ def finish_joint(j: int, rate: float, c: Array, s: Array, q: Array) -> None:
 
 
 def steer(c: Array, s: Array, q: Array) -> None:
-    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step."""
+    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step.
+
+    No contact force reaches these joints, so they go by the implicit midpoint rule: where an overshoot
+    leaves a wheel within its play must not depend on the step.
+    """
     middle = s[BODY + 2] + 0.5 * c[DT] * s[VELOCITY + 2]
     for i in range(4):
         j = i + 4
-        rate, _, _, _ = motor(j, 0.0, 0.0, c[COULOMB + j], c, s, q)
-        finish_joint(j, rate, c, s, q)
+        start, dt = s[RATE + j], 0.5 * c[DT] if q[MODE + j] == MODE_POSITION else c[DT]
+        rate, _, _, _ = motor(j, dt, 0.0, 0.0, c[COULOMB + j], c, s, q)
+        finish_joint(j, dt, rate, c, s, q)
+        if q[MODE + j] == MODE_POSITION and rate != 0.0:
+            s[RATE + j] = 2.0 * rate - start
         before, angle = s[HEADING + i], s[ANGLE + j] + c[OFFSET + i]
         s[HEADING + i] = min(max(before, angle - c[PLAY + i]), angle + c[PLAY + i])
         direction = middle + 0.5 * (before + s[HEADING + i])
@@ -214,7 +221,7 @@ def judge(vx: float, vy: float, turn: float, c: Array, s: Array, q: Array) -> bo
         pull = r * share * (s[ALONG + i] + s[ALONG_SLOPE + i] * along)
         friction = c[COULOMB + i] + c[ROLLING] * s[LOAD + i] * r
         drag = r * r * share * s[ALONG_SLOPE + i]
-        s[SPIN + i], branch, s[FREE + i], s[COMPLIANCE + i] = motor(i, pull, drag, friction, c, s, q)
+        s[SPIN + i], branch, s[FREE + i], s[COMPLIANCE + i] = motor(i, c[DT], pull, drag, friction, c, s, q)
         s[SLIP + 2 * i], s[SLIP + 2 * i + 1] = along - r * s[SPIN + i], across
         force = math.hypot(
             s[ALONG + i] + s[ALONG_SLOPE + i] * s[SLIP + 2 * i], s[ACROSS + i] + s[ACROSS_SLOPE + i] * across
@@ -273,7 +280,7 @@ def move(vx: float, vy: float, turn: float, c: Array, s: Array, q: Array) -> Non
         force = c[STIFFNESS] * math.hypot(along, across)
         s[USE + i] = min(force / s[GRIP + i], 1.0) if s[GRIP + i] > 0.0 else 1.0
         holding += 1 if load > 0.0 and share == 1.0 else 0
-        finish_joint(i, s[SPIN + i], c, s, q)
+        finish_joint(i, c[DT], s[SPIN + i], c, s, q)
     s[SLID] = s[SLID] + c[DT] * math.hypot(vx, vy) if holding == 0 else 0.0
     if s[SLID] > c[FALL_SLIDE] and c[GRAVITY] > 0.0:
         s[FALLEN] = 1.0

@@ -139,8 +139,18 @@ def _spread(rng: np.random.Generator, share: float) -> float:
     return float(1.0 + rng.uniform(-share, share))
 
 
-def draw(nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator) -> TrueParameters:
-    """One robot of the series: every figure off its nominal value, by amounts a workshop would produce."""
+def draw(
+    nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator, geometry_share: float = 1.0
+) -> TrueParameters:
+    """One robot of the series: every figure off its nominal value, by amounts a workshop would produce.
+
+    Args:
+        nominal: truth that equals the configuration.
+        propeller_y_m: lever of the propellers' imbalance.
+        rng: source of the deviations.
+        geometry_share: share of the deviations of wheel positions, radii and steering zeros that is left;
+            the same seed draws the same robot, nearer to its nominal geometry.
+    """
     x, y, height = nominal.centre_of_mass_m
     thrust_n = nominal.thrust_n * _spread(rng, 0.01)
     imbalance = rng.uniform(-0.005, 0.005)
@@ -149,10 +159,10 @@ def draw(nominal: TrueParameters, propeller_y_m: float, rng: np.random.Generator
     )
     return replace(
         nominal,
-        wheel_x_m=nominal.wheel_x_m * rng.uniform(0.985, 1.015, 4),
-        wheel_y_m=nominal.wheel_y_m * rng.uniform(0.985, 1.015, 4),
-        wheel_radius_m=nominal.wheel_radius_m * rng.uniform(0.99, 1.01, 4),
-        steering_offset_rad=steering,
+        wheel_x_m=nominal.wheel_x_m * (1.0 + geometry_share * rng.uniform(-0.015, 0.015, 4)),
+        wheel_y_m=nominal.wheel_y_m * (1.0 + geometry_share * rng.uniform(-0.015, 0.015, 4)),
+        wheel_radius_m=nominal.wheel_radius_m * (1.0 + geometry_share * rng.uniform(-0.01, 0.01, 4)),
+        steering_offset_rad=geometry_share * steering,
         mass_kg=nominal.mass_kg * _spread(rng, 0.005),
         centre_of_mass_m=(x + rng.uniform(-2e-3, 2e-3), y + rng.uniform(-1e-3, 1e-3), height),
         yaw_inertia_kg_m2=nominal.yaw_inertia_kg_m2 * _spread(rng, 0.1),

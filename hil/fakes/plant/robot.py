@@ -7,7 +7,6 @@ not depend on how a stretch of time is split.
 from __future__ import annotations
 
 import math
-from dataclasses import fields
 
 import numpy as np
 
@@ -70,6 +69,7 @@ class WallRobot(Plant):
         self._commands = np.zeros(k.COMMANDS_SIZE)
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
         self._commands[k.DUTY_LIMIT :] = 1.0
+        self._truth: PlantState | None = None
         self._views = tuple(_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
 
     @property
@@ -128,15 +128,23 @@ class WallRobot(Plant):
         return np.array(self._state[k.BRISTLE : k.BRISTLE + 8]).reshape(4, 2)
 
     def truth(self) -> PlantState:
-        """A frozen copy of everything, at `t_ns`."""
-        s, p = self._state.copy(), self.parameters
+        """A frozen copy of everything, at `t_ns`; made once per internal step."""
+        if self._truth is None or self._truth.t_ns != self.t_ns:
+            self._truth = self._look()
+        return self._truth
+
+    def _look(self) -> PlantState:
+        s = self._state.copy()
         x, y, theta, vx, vy, turn = s[k.BODY : k.BODY + 6].tolist()
         c, n = math.cos(theta), math.sin(theta)
-        com_x, com_y, _ = p.centre_of_mass_m
-        state = PlantState(
+        com_x, com_y, _ = self.parameters.centre_of_mass_m
+        s[k.BODY : k.BODY + 2] = x - (c * com_x - n * com_y), y - (n * com_x + c * com_y)
+        s[k.VELOCITY : k.VELOCITY + 2] = c * vx + n * vy + turn * com_y, c * vy - n * vx - turn * com_x
+        s.setflags(write=False)
+        return PlantState(
             t_ns=self.t_ns,
-            pose_body_in_wall=np.array([x - (c * com_x - n * com_y), y - (n * com_x + c * com_y), theta]),
-            twist_body=np.array([c * vx + n * vy + turn * com_y, c * vy - n * vx - turn * com_x, turn]),
+            pose_body_in_wall=s[k.BODY : k.BODY + 3],
+            twist_body=s[k.VELOCITY : k.VELOCITY + 3],
             acceleration_body=s[k.ACCELERATION : k.ACCELERATION + 2],
             joint_position_rad=s[k.ANGLE : k.ANGLE + 8],
             joint_velocity_rad_s=s[k.RATE : k.RATE + 8],
@@ -147,11 +155,6 @@ class WallRobot(Plant):
             tilt_rad=self.tilt_rad,
             fallen=bool(s[k.FALLEN]),
         )
-        for item in fields(state):
-            value = getattr(state, item.name)
-            if isinstance(value, np.ndarray):
-                value.setflags(write=False)
-        return state
 
 
 def _view(array: Array) -> Array:
@@ -242,6 +245,7 @@ def make_plant(
     start_pose: ArrayLike = (0.0, 0.0, 0.0),
     rng: np.random.Generator,
     randomise_truth: bool = True,
+    geometry_share: float = 1.0,
     faults: FaultPlan | None = None,
     step_ns: int = STEP_NS,
     compiled: bool | None = None,
@@ -255,6 +259,7 @@ def make_plant(
         start_pose: (3,) in the wall frame.
         rng: source of the truth's deviations from nominal.
         randomise_truth: whether the truth deviates at all.
+        geometry_share: see `hil.fakes.plant.parameters.draw`.
         faults: see `WallRobot`.
         step_ns: see `WallRobot`.
         compiled: see `WallRobot`.
@@ -265,7 +270,7 @@ def make_plant(
     ground = find_surface(surface) if isinstance(surface, str) else surface
     truth = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2)
     if randomise_truth:
-        truth = draw(truth, robot.propeller_y_m, rng)
+        truth = draw(truth, robot.propeller_y_m, rng, geometry_share)
     return WallRobot(
         truth,
         patches=ground.patches,
