@@ -60,6 +60,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         rng=random_stream(seed, "plant"),
         randomise_truth=emulation.randomise_truth,
         geometry_share=emulation.geometry_share,
+        geometry_share=emulation.geometry_share,
         faults=plan,
     )
     return World(plant, seed=seed, faults=plan)

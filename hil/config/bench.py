@@ -96,6 +96,8 @@ class EmulationConfig(Strict):
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
             robot as delivered, less is what a calibration would have left of them.
+        geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
+            robot as delivered, less is what a calibration would have left of them.
         servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
             in `ServoBusOptions`, `EncoderTruthOptions`, `ImuTruthOptions`, `TrackerTruthOptions` and
             `MocapTruthOptions` of `hil.fakes`.
@@ -105,6 +107,7 @@ class EmulationConfig(Strict):
     tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
     start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     randomise_truth: bool = True
+    geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()
     servos: dict[str, Any] = {}
