@@ -42,6 +42,11 @@ class ServoFaults:
             for name in names[1:]:
                 plan.declare(name, SERVO_FAULTS)
 
+    @property
+    def none(self) -> bool:
+        """Whether no fault of any device is planned."""
+        return self._plan.empty
+
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """The active fault of that kind on a servo under any of its names."""
         for name in self._names[joint]:

@@ -26,17 +26,22 @@ STALL_OHM, BACK_EMF = 9.23, 2.12
 
 
 class Sensing:
-    """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0."""
+    """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0.
+
+    Attributes:
+        ticks: samples of the grid taken so far.
+    """
 
     def __init__(self, plant: Plant, rng: np.random.Generator) -> None:
         self._plant, self._rng = plant, rng
         self._history = np.zeros((_ROWS, 8))
         self._history[:] = np.rint(plant.joints()[0] * _COUNTS_PER_RAD)
         self._dither = rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
-        self._row = 0
+        self._row = self.ticks = 0
 
     def tick(self) -> None:
         """Take one sample of the grid."""
+        self.ticks += 1
         row = self._row = (self._row + 1) % _ROWS
         if row == 0:
             self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))

@@ -74,7 +74,7 @@ class Servo:
         self.trajectory = Trajectory()
         self.dead = False
         self.busy_until_ns = 0
-        self.pending: tuple[int, bytes] | None = None
+        self._pending: tuple[int, bytes] | None = None
         self._backup: dict[str, int] | None = None
         self._encoder = 0
         self._velocity = 0
@@ -111,7 +111,7 @@ class Servo:
                 self.table.restore(self._backup, eeprom=False)
         self.booted_ns = self.busy_until_ns = t_ns
         self.busy_until_ns += round(self._options.boot_s * 1e9)
-        self.tripped, self.pending = False, None
+        self.tripped, self._pending = False, None
         self._torque = self._shut_down = False
         self._load()
         self._wrap()
@@ -120,6 +120,10 @@ class Servo:
         self._plant.command(self.joint, OFF)
         if startup & 1 and self.firmware >= 45:
             self._set_torque(True)
+
+    def reboot(self, t_ns: int) -> None:
+        """Start over where it stands."""
+        self.boot(t_ns, self._encoder)
 
     def lose_power(self) -> None:
         """No supply: the motor is free."""
@@ -171,6 +175,22 @@ class Servo:
         self.trajectory.advance(dt_s)
         self._drive()
 
+    def register_write(self, address: int, data: bytes) -> int:
+        """Keep a write for the action that will follow; the error number."""
+        error = self.write(address, data, dry=True)
+        if error == protocol.OK:
+            self._pending = (address, data)
+            self.table.put("registered_instruction", 1)
+        return error
+
+    def act(self) -> int:
+        """Carry out the write that was kept; the error number."""
+        if self._pending is None:
+            return protocol.INSTRUCTION_ERROR
+        (address, data), self._pending = self._pending, None
+        self.table.put("registered_instruction", 0)
+        return self.write(address, data)
+
     def watchdog_ns(self) -> int:
         """Silence that trips the bus watchdog, 0 when it is off."""
         return self._watchdog_ns if self._torque and not self.tripped else 0
@@ -221,10 +241,8 @@ class Servo:
         self.table.restore(backup, eeprom=False)
         self._load()
 
-    def factory_reset(self, level: int, t_ns: int) -> int:
+    def factory_reset(self, level: int, t_ns: int) -> None:
         """Instruction 0x06: 0xFF everything, 1 keeps the ID, 2 keeps ID and baud rate."""
-        if level not in (0xFF, 1, 2):
-            return protocol.DATA_RANGE
         kept = {"model_number": 0, "firmware_version": 0}
         kept |= {"id": 0} if level in (1, 2) else {}
         kept |= {"baud_rate": 0} if level == 2 else {}
@@ -234,7 +252,6 @@ class Servo:
             self.table.put(name, raw)
         self._backup = None
         self.boot(t_ns, self._encoder)
-        return protocol.OK
 
     def _check(self, register: Register, raw: int) -> None:
         self.table.check(register, raw, self._torque)

@@ -1,0 +1,56 @@
+"""What load does to the servos: heat, voltage drop, overload, and the hardware errors that come of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from hil.fakes.servos.options import ServoBusOptions
+from hil.fakes.servos.sensing import STALL_OHM, Sensing
+from hil.fakes.servos.servo import Servo
+
+_HEATING_K_PER_W, _HEATING_S = 4.0, 300.0
+_VOLTAGE, _OVERHEATED, _OVERLOAD = 0x01, 0x04, 0x20
+
+
+class Wear:
+    """Supply and temperatures of eight servos.
+
+    Args:
+        sensing: tells the motor currents.
+        options: supply, air temperature, overload limits.
+
+    Attributes:
+        volts: at the servos' plugs.
+        celsius: (8,) of the motors.
+    """
+
+    def __init__(self, sensing: Sensing, options: ServoBusOptions) -> None:
+        self._sensing, self._options = sensing, options
+        self.volts = options.supply_v
+        self.celsius = np.full(8, options.ambient_c)
+        self._overloaded_s = np.zeros(8)
+
+    def step(self, servos: Iterable[Servo], dt_s: float) -> None:
+        """Let `dt_s` pass, and raise errors in servos that have had enough."""
+        options = self._options
+        current = np.abs(self._sensing.currents_a())
+        self.volts = options.supply_v - options.supply_ohm * float(current.sum())
+        target = options.ambient_c + _HEATING_K_PER_W * STALL_OHM * current**2
+        self.celsius += (target - self.celsius) * (dt_s / _HEATING_S)
+        heavy = current >= options.overload_a
+        self._overloaded_s = np.where(heavy, self._overloaded_s + dt_s, 0.0)
+        for servo in servos:
+            if not servo.dead:
+                self._judge(servo, bool(self._overloaded_s[servo.joint] >= options.overload_s))
+
+    def _judge(self, servo: Servo, overloaded: bool) -> None:
+        get = servo.table.get
+        bits = _OVERLOAD if overloaded else 0
+        if self.celsius[servo.joint] > get("temperature_limit"):
+            bits |= _OVERHEATED
+        if not get("min_voltage_limit") <= self.volts * 10 <= get("max_voltage_limit"):
+            bits |= _VOLTAGE
+        if bits & ~get("hardware_error_status"):
+            servo.raise_error(bits)
