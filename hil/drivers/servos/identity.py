@@ -5,7 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from hil.config.servos import STEER_MODES, ServosConfig
-from hil.config.xh430 import BAUD_RATES, MODE_NAMES, TABLE, VELOCITY, hardware_error_text
+from hil.config.xh430 import (
+    BAUD_RATES,
+    MODE_NAMES,
+    RAD_PER_COUNT,
+    TABLE,
+    VELOCITY,
+    ZERO_COUNTS,
+    hardware_error_text,
+)
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import Answer
@@ -159,4 +167,27 @@ def findings(config: ServosConfig, blocks: list[bytes], *, fast: bool, mapped: b
             ", ".join(f"0x{s:02X}" for s in sorted(set(shutdown))), f"0x{protection:02X}",
             "let overload, shock and heat switch the motor off",
         ),
+        _limits(config, blocks),
+    )  # fmt: skip
+
+
+def _limits(config: ServosConfig, blocks: list[bytes]) -> Finding:
+    """Limits in the EEPROM against those of the bench: a goal beyond the servo's own is ignored."""
+
+    def values(name: str, joints: slice = slice(0, 8)) -> list[float]:
+        return [reg.from_block(b, name) * TABLE[name].scale for b in blocks[joints]]
+
+    rate = min(values("velocity_limit", slice(0, 4)))
+    low = max((v - ZERO_COUNTS) * RAD_PER_COUNT for v in values("min_position_limit", slice(4, 8)))
+    high = min((v - ZERO_COUNTS) * RAD_PER_COUNT for v in values("max_position_limit", slice(4, 8)))
+    wide = high >= config.steer_limit_rad and low <= -config.steer_limit_rad
+    enough = rate >= config.velocity_limit_rad_s and (wide or config.steer_mode == "extended")
+    return Finding(
+        "limits", "ok" if enough else "warning",
+        f"wheels {rate:.2f} rad/s, steering {low:.2f} to {high:.2f} rad, "
+        f"{min(values('current_limit')):.2f} A, "
+        f"{max(values('min_voltage_limit')):.1f} to {min(values('max_voltage_limit')):.1f} V, "
+        f"{min(values('temperature_limit')):.0f} C",
+        f"wheels {config.velocity_limit_rad_s:g} rad/s, steering +-{config.steer_limit_rad:.2f} rad",
+        "write velocity_limit, min_ and max_position_limit with `hil setup`, or lower the bench's limits",
     )  # fmt: skip
