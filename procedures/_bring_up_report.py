@@ -1,0 +1,117 @@
+"""Tables and figures of a bring-up: sample streams, clocks, and which way each wheel pushes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.geometry import Array
+from hil.procedure import Context
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+from hil.signals import WHEELS
+from procedures._jogs import DriveJogs
+from procedures._streams import Stream
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+
+def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
+    """Rates, gaps and ages."""
+    rows = [
+        [name, f"{s.rate_hz:.1f}", f"{100 * s.delivered:.1f}",
+         *(f"{1e3 * v:.2f}" for v in (*s.gap_s, *s.age_s))]
+        for name, s in streams.items()
+    ]  # fmt: skip
+    head = [
+        "device",
+        "rate (Hz)",
+        "usable (%)",
+        "gap median",
+        "gap 99 %",
+        "gap largest",
+        "age median",
+        "age 99 %",
+    ]
+    ctx.table("Sample streams at rest", head, rows, "ms; age is the time from measurement to arrival.")
+
+
+def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
+    """Gaps of every stream: median to 99th percentile as a bar, the largest as a mark."""
+    names = list(streams)
+    figure = new_figure(6.4, 0.8 + 0.42 * len(names))
+    axes = style(figure.add_subplot(), "time between samples (ms)", "")
+    for row, stream in enumerate(streams.values()):
+        middle, late, largest = (1e3 * v for v in stream.gap_s)
+        axes.plot([middle, late], [row, row], color=SERIES[0], lw=6, solid_capstyle="butt",
+                  label="median to 99 %" if row == 0 else None)  # fmt: skip
+        axes.plot([middle], [row], "|", color=PALETTE["truth"], ms=12, mew=2)
+        axes.plot([largest], [row], "D", color=SERIES[1], ms=5, label="largest" if row == 0 else None)
+    axes.set_xscale("log")
+    axes.set_xticks([5, 10, 20, 50, 100, 200, 500], minor=False)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set_yticks(range(len(names)), names)
+    axes.invert_yaxis()
+    legend(axes, columns=2)
+    ctx.figure(figure, "Time between samples", "The upright mark is the median.")
+
+
+def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
+    """How the devices' clocks run away from the bench's."""
+    figure = new_figure(6.4, 3.0)
+    axes = style(figure.add_subplot(), "time (s)", "delay against own clock (ms)")
+    for colour, (name, stream) in zip(SERIES, streams.items(), strict=False):
+        if stream.lag.shape[1]:
+            label = f"{name} {stream.drift_ppm:+.1f} ± {stream.drift_uncertainty_ppm:.1f} ppm"
+            axes.plot(stream.lag[0], 1e3 * stream.lag[1], "o-", ms=3, lw=1.0, color=colour, label=label)
+    legend(axes)
+    ctx.figure(
+        figure, "Clocks",
+        "Smallest delay per stretch of time; a line that falls is a device clock that is fast.",
+    )  # fmt: skip
+
+
+def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
+    """Plan of the robot: where each wheel pushed the body, and where it should have."""
+    robot = ctx.source.config.robot
+    figure = new_figure(6.4, 3.6)
+    for column, jogs in enumerate(rounds, start=1):
+        title = f"steering {np.degrees(jogs.steering_rad):.0f}°"
+        axes = style(figure.add_subplot(1, len(rounds), column), "to the right (m)", "forwards (m)", title)
+        length, width = robot.outline_m
+        axes.plot(
+            np.array([1, 1, -1, -1, 1]) * width / 2, np.array([1, -1, -1, 1, 1]) * length / 2,
+            color=PALETTE["reference"], lw=0.8,
+        )  # fmt: skip
+        for k, wheel in enumerate(WHEELS):
+            x, y = robot.wheel_x_m[k], robot.wheel_y_m[k]
+            _arrow(axes, x, y, jogs.expected[k], PALETTE["reference"], 3.5)
+            right = jogs.agreement()[k] >= 0.5
+            _arrow(axes, x, y, jogs.found[k], SERIES[0] if right else PALETTE["c5"], 1.5)
+            axes.annotate(
+                f"{wheel}\n{jogs.agreement()[k]:+.2f}", (-np.sign(y) * 0.22, x), fontsize=8,
+                ha="center", va="center",
+            )  # fmt: skip
+        axes.set_xlim(-0.28, 0.28)
+        axes.set_ylim(-0.28, 0.28)
+        axes.set_aspect("equal")
+    ctx.figure(
+        figure, "Directions of the drives",
+        "Grey: where rolling this wheel forwards should take the place it stands on. Colour: where it did "
+        "(red: elsewhere), with the cosine between them. Seen from outside, front up.",
+    )  # fmt: skip
+
+
+def _arrow(axes: Axes, x: float, y: float, push: Array, colour: str, width: float) -> None:
+    """Displacement of a wheel's place under a body displacement (unit vector), drawn 80 mm long."""
+    reach = np.hypot(x, y)
+    turn = push[2] / reach
+    step = np.array([push[0] - turn * y, push[1] + turn * x])
+    step *= 0.08 / max(float(np.linalg.norm(step)), 1e-9)
+    axes.annotate(
+        "", (-(y + step[1]), x + step[0]), (-y, x),
+        arrowprops={"arrowstyle": "-|>", "color": colour, "lw": width, "shrinkA": 0, "shrinkB": 0},
+    )  # fmt: skip

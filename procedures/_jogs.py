@@ -1,0 +1,163 @@
+"""Small motions of single joints: which way does a wheel push the body, and which axis turns?
+
+A jog goes out and back. What the body does on the way out minus what it does on the way back leaves
+out what happens anyway (sag on a wall), so that a tenth of a millimetre is enough to see a direction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.geometry import Array
+from hil.motion import Motion
+from hil.signals import WHEELS
+from procedures._samples import Series, encoders, poses, wheels
+from procedures._scripted import Stretch, play
+
+_OUT_S, _REST_S, _LOOK_S = 0.4, 0.35, 0.2
+_SETTLE_S = 1.5
+
+
+@dataclass(frozen=True)
+class DriveJogs:
+    """What one round of drive jogs at one steering angle showed.
+
+    Attributes:
+        steering_rad: of all wheels, commanded.
+        expected, found: (4, 3) body displacement per wheel as unit vectors; the turn counts with the
+            wheels' distance from the centre.
+        moved_m: (4,) length of the displacement, half of out minus back.
+    """
+
+    steering_rad: float
+    expected: Array
+    found: Array
+    moved_m: Array
+
+    def agreement(self) -> Array:
+        """(4,) cosine between found and expected: 1 as it should be, -1 the other way round."""
+        return np.asarray(np.sum(self.expected * self.found, axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class SteerJogs:
+    """Turn of every axis over the commanded turn of one: `[moved, commanded]`, (4, 4) each.
+
+    Without encoders theirs is NaN.
+    """
+
+    servo: Array
+    encoder: Array
+
+
+def jog_steering(bench: Bench, angle_rad: float) -> SteerJogs:
+    """Turn one steering axis after the other out and back."""
+    pose = bench.settle(0.3)
+    stretches, marks, t_s = [], [], 0.0
+    for wheel in range(4):
+        turned = np.zeros(4)
+        turned[wheel] = angle_rad
+        for goal in (turned, -turned):
+            stretches.append(Stretch(_OUT_S + _REST_S, steering_rad=goal, ramp=False))
+            t_s += _OUT_S + _REST_S
+            marks.append(t_s)
+    stretches.append(Stretch(0.5, steering_rad=np.zeros(4), ramp=False))
+    motion = play(bench, stretches, pose, np.zeros(4))
+    found = []
+    for series, columns in ((wheels(motion), slice(8, 12)), _encoder_columns(bench, motion)):
+        if series is None:
+            found.append(np.full((4, 4), np.nan))
+            continue
+        rows = [series.between(t - _LOOK_S, t)[columns] for t in marks]
+        found.append(np.array([(rows[2 * k] - rows[2 * k + 1]) / (2.0 * angle_rad) for k in range(4)]).T)
+    return SteerJogs(found[0], found[1])
+
+
+def _encoder_columns(bench: Bench, motion: Motion) -> tuple[Series | None, slice]:
+    return (encoders(motion, bench.config) if bench.has("encoders") else None), slice(0, 4)
+
+
+def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float) -> DriveJogs:
+    """Roll one wheel after the other out and back, all steered to one angle.
+
+    Args:
+        bench: open and enabled.
+        source: whose poses show the body's motion, `mocap` or `tracker`.
+        steering_rad: at which to do it.
+        rate_rad_s: of the wheel.
+    """
+    pose = bench.settle(0.3)
+    angles = np.full(4, steering_rad)
+    now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
+    play(bench, [Stretch(_SETTLE_S, steering_rad=angles)], pose, now)
+    stretches, marks, t_s = [Stretch(_REST_S, steering_rad=angles)], [_REST_S], _REST_S
+    for wheel in range(4):
+        rate = np.zeros(4)
+        rate[wheel] = rate_rad_s
+        for way in (rate, -rate):
+            stretches += [Stretch(_OUT_S, way), Stretch(_REST_S)]
+            t_s += _OUT_S + _REST_S
+            marks.append(t_s)
+    motion = play(bench, stretches, pose, angles)
+    seen = poses(motion, source)
+    at = np.array([seen.between(t - _LOOK_S, t) for t in marks])
+    reach = math.hypot(*_arms(bench.config).mean(axis=0))
+    steps = np.diff(at, axis=0) * np.array([1.0, 1.0, reach])
+    moved = 0.5 * (steps[0::2] - steps[1::2])
+    size = np.linalg.norm(moved, axis=1)
+    expected = expected_push(bench.config, steering_rad, reach)
+    heading = float(pose[2])
+    c, s = math.cos(heading), math.sin(heading)
+    moved = moved @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    return DriveJogs(steering_rad, expected, moved / np.maximum(size, 1e-9)[:, None], size)
+
+
+def _arms(config: BenchConfig) -> Array:
+    return np.asarray(np.abs(np.array([config.robot.wheel_x_m, config.robot.wheel_y_m]).T), dtype=np.float64)
+
+
+def expected_push(config: BenchConfig, steering_rad: float, reach_m: float) -> Array:
+    """(4, 3) unit vectors: where a push of each wheel along its heading takes the body."""
+    x, y = np.array(config.robot.wheel_x_m), np.array(config.robot.wheel_y_m)
+    c, s = math.cos(steering_rad), math.sin(steering_rad)
+    push = np.stack([np.full(4, c), np.full(4, s), (x * s - y * c) / reach_m], axis=1)
+    return np.asarray(push / np.linalg.norm(push, axis=1)[:, None], dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Signs:
+    """Signs found, relative to the configured ones: (4,) of 1, -1, or 0 where it cannot be said."""
+
+    drive: Array
+    steer: Array
+    encoder: Array
+
+
+def find_signs(straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> Signs:
+    """Which drives, steering axes and encoders run the other way than the bench believes.
+
+    A drive that is the other way round pushes backwards at every steering angle; a steering axis that
+    is, pushes backwards only across.
+    """
+    first, second = _sign(straight.agreement()), _sign(across.agreement())
+    turned = _sign(np.diag(steer.encoder))
+    return Signs(first, first * second, first * second * turned)
+
+
+def _sign(cosine: Array) -> Array:
+    clear = np.abs(np.nan_to_num(cosine)) > 0.3
+    return np.asarray(np.where(clear, np.sign(np.nan_to_num(cosine)), 0.0), dtype=np.float64)
+
+
+def reversed_names(found: Array, what: str) -> list[str]:
+    """Names of the joints whose sign is not the configured one."""
+    return [
+        f"{what} {w} {'unclear' if s == 0 else 'reversed'}"
+        for w, s in zip(WHEELS, found, strict=True)
+        if s != 1
+    ]

@@ -1,0 +1,104 @@
+"""How well the samples of a device come: rate, gaps, age on arrival, drift of the device's clock."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import theilslopes
+
+from hil.config.bench import BenchConfig
+from hil.geometry import Array
+from hil.motion import Motion
+from procedures._samples import Series, camera, encoders, inertial, poses, wheels
+
+TRACKER_HZ = 200.0
+_BLOCKS = 24
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Facts about one stream.
+
+    Attributes:
+        rate_hz: usable samples per second.
+        delivered: usable samples over those that were due.
+        gap_s: between samples as they were measured: median, 99th percentile, largest.
+        age_s: from measurement to arrival: median and 99th percentile.
+        drift_ppm: device clock against the bench clock, positive when it runs fast; NaN without one.
+        drift_uncertainty_ppm: half of the 95 % interval.
+        lag: (2, n) time and delay against the device's clock, s, smallest per block, for a figure.
+    """
+
+    rate_hz: float
+    delivered: float
+    gap_s: tuple[float, float, float]
+    age_s: tuple[float, float]
+    drift_ppm: float
+    drift_uncertainty_ppm: float
+    lag: Array
+
+
+def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
+    """Usable samples of a device by its name."""
+    if device == "servos":
+        return wheels(motion)
+    if device == "encoders":
+        return encoders(motion, config)
+    if device == "imu":
+        return inertial(motion)
+    return camera(motion) if device == "tracker" else poses(motion, device)
+
+
+def due(device: str, series: Series, duration_s: float, config: BenchConfig) -> float:
+    """How many samples a device should have delivered."""
+    if device in ("servos", "imu"):
+        return duration_s * config.loop.rate_hz
+    if device == "encoders" and config.encoders is not None:
+        return duration_s * config.encoders.rate_hz
+    if device == "tracker":
+        return duration_s * TRACKER_HZ
+    period_s = float(np.median(np.diff(series.t_s))) if len(series) > 2 else duration_s
+    return duration_s / period_s
+
+
+def judge_stream(device: str, motion: Motion, config: BenchConfig) -> Stream:
+    """Facts about a device's samples in a motion (a rest, for ages that mean something)."""
+    series = series_of(device, motion, config).since(0.0)
+    duration_s = float(motion.t_s[-1])
+    if len(series) < 10:
+        nothing = (np.nan,) * 3
+        return Stream(len(series) / duration_s, 0.0, nothing, nothing[:2], np.nan, np.nan, np.empty((2, 0)))
+    gaps, age = np.diff(series.t_s), series.host_s - series.t_s
+    drift, uncertainty, lag = clock_drift(series, series.t_s if device == "encoders" else series.host_s)
+    return Stream(
+        len(series) / duration_s,
+        min(1.0, len(series) / due(device, series, duration_s, config)),
+        (float(np.median(gaps)), float(np.percentile(gaps, 99)), float(gaps.max())),
+        (float(np.median(age)), float(np.percentile(age, 99))),
+        drift, uncertainty, lag,
+    )  # fmt: skip
+
+
+def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:
+    """Drift of a device's clock in ppm, half of its 95 % interval, and the delays it was found from.
+
+    Transport only delays: the smallest delay in each block of time is the one to look at, and a
+    straight line through these (Theil and Sen's) forgives the blocks in which none came quickly.
+
+    Args:
+        series: with the device's own times.
+        arrived_s: (n,) on the bench clock. Frames that wait for the loop in a queue (encoders) have
+            their arrival in the measured time instead.
+    """
+    known = np.isfinite(series.device_s)
+    if known.sum() < 4 * _BLOCKS:
+        return np.nan, np.nan, np.empty((2, 0))
+    at, device = arrived_s[known], series.device_s[known]
+    delay = at - device
+    edges = np.linspace(at[0], at[-1], _BLOCKS + 1)[1:-1]
+    blocks = [b for b in np.split(np.arange(len(at)), np.searchsorted(at, edges)) if len(b)]
+    best = np.array([b[np.argmin(delay[b])] for b in blocks])
+    slope, _, low, high = theilslopes(delay[best], device[best], 0.95)
+    lag = np.stack([at[best], delay[best] - delay[best].min()])
+    return -1e6 * float(slope), 0.5e6 * float(high - low), lag

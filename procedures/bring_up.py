@@ -1,0 +1,281 @@
+"""The first run on a bench, and after every change to it: is everything there and the right way round?
+
+Who answers, with which firmware and limits; how fast and how evenly the samples come; how the devices'
+clocks drift; and, by motions of millimetres, whether every drive, steering axis, encoder, gyro and camera
+goes the way the bench believes. Signs that are wrong are left as a fragment of `bench.toml`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+from scipy.integrate import trapezoid
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError
+from hil.geometry import Array
+from hil.motion import Motion
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.signals import WHEELS
+from hil.trajectories import Trajectory, line
+from procedures._bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from procedures._fragment import write_fragment
+from procedures._jogs import DriveJogs, SteerJogs, find_signs, jog_drives, jog_steering, reversed_names
+from procedures._samples import inertial, poses
+from procedures._streams import Stream, judge_stream
+from procedures._tracking import stand
+
+Device = Literal["servos", "encoders", "imu", "tracker", "mocap"]
+DEVICES: tuple[Device, ...] = ("servos", "encoders", "imu", "tracker", "mocap")
+
+_DEG = float(np.degrees(1.0))
+_GAP_MS = {"servos": 50.0, "encoders": 50.0, "imu": 100.0, "tracker": 100.0, "mocap": 500.0}
+_AGE_MS = {"servos": 5.0, "encoders": 20.0, "imu": 30.0, "tracker": 50.0, "mocap": 50.0}
+_DELIVERED = {"servos": 0.98, "encoders": 0.98, "imu": 0.95, "tracker": 0.95, "mocap": 0.8}
+_OWN_CLOCK = ("encoders", "tracker", "mocap")
+
+
+class Parameters(BaseModel):
+    """Which devices there should be, how long to watch them, and how far to move."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    devices: tuple[Device, ...] = DEVICES
+    watch_s: float = Field(20.0, ge=2.0, le=600)
+    steer_deg: float = Field(5.0, ge=2.0, le=20)
+    drive_rad_s: float = Field(0.5, ge=0.2, le=2.0)
+    step_m: float = Field(0.04, ge=0.02, le=0.5)
+    turn_deg: float = Field(6.0, ge=3.0, le=12.0)
+
+    @property
+    def body(self) -> str:
+        """Whose poses show how the body moves."""
+        return "mocap" if "mocap" in self.devices else "tracker"
+
+    @model_validator(mode="after")
+    def _enough(self) -> Parameters:
+        if "servos" not in self.devices or not {"mocap", "tracker"} & set(self.devices):
+            raise ValueError("devices must hold servos, and mocap or tracker to see the body move")
+        return self
+
+
+def measurements(p: Parameters) -> Iterator[Measurement]:
+    """One set per device, one per joint."""
+    yield Measurement(
+        "devices", "1", low=float(len(p.devices)), rationale="that opened and told who they are"
+    )
+    yield Measurement(
+        "servos.failed_checks", "1", high=0.0, rationale="hardware errors and the like; see the table"
+    )
+    yield Measurement("servos.warnings", "1", rationale="firmware, delays, limits; see the table")
+    yield Measurement(
+        "servos.supply_lowest", "V", low=9.5, marginal=0.5, rationale="below, the servos switch off"
+    )
+    yield Measurement("servos.hottest", "degC", high=70.0, marginal=5.0, rationale="80 switches off")
+    for name in p.devices:
+        yield Measurement(f"{name}.rate", "Hz", rationale="usable samples")
+        yield Measurement(
+            f"{name}.delivered", "1", low=_DELIVERED[name], marginal=0.01, rationale="usable over due"
+        )
+        yield Measurement(
+            f"{name}.largest_gap", "ms", high=_GAP_MS[name], rationale="before estimate or supervisor suffer"
+        )
+        yield Measurement(
+            f"{name}.age", "ms", low=0.0, high=_AGE_MS[name], rationale="median, from measurement to arrival"
+        )
+        if name in _OWN_CLOCK:
+            yield Measurement(
+                f"{name}.clock_drift", "ppm", low=-90.0, high=90.0, marginal=10.0,
+                rationale="device against bench clock, positive fast; drivers follow 100",
+            )  # fmt: skip
+            yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
+    yield from _of_directions(p)
+
+
+def _of_directions(p: Parameters) -> Iterator[Measurement]:
+    for wheel in WHEELS:
+        yield Measurement(
+            f"steer_{wheel}.servo_response", "1", low=0.9, high=1.1, rationale="turned over commanded"
+        )
+        if "encoders" in p.devices:
+            yield Measurement(
+                f"steer_{wheel}.encoder_response", "1", low=0.85, high=1.15, marginal=0.03,
+                rationale="play and an eccentric magnet cost 8 %; another axis or sign shows at once",
+            )  # fmt: skip
+        for way in ("straight", "across"):
+            yield Measurement(
+                f"drive_{wheel}.{way}", "1", low=0.5, marginal=0.1,
+                rationale="cosine, push against expected push; -1 is reversed, near 0 another wheel",
+            )  # fmt: skip
+    yield Measurement("steering.crosstalk", "1", high=0.1, rationale="turn of an axis that was not commanded")
+    sensors = ["odometry"] + ["tracker"] * ("tracker" in p.devices and p.body != "tracker")
+    for name in sensors:
+        for axis in ("x", "y", "heading"):
+            yield Measurement(
+                f"{name}.{axis}_response", "1", low=0.7, high=1.3, marginal=0.05,
+                rationale=f"motion seen over that seen by {p.body}; slip costs some",
+            )  # fmt: skip
+    if "imu" in p.devices:
+        yield Measurement(
+            "imu.gyro_response", "1", low=0.9, high=1.1, marginal=0.03, rationale="turn over that of the body"
+        )
+
+
+def steps(p: Parameters, start: Array) -> list[Trajectory]:
+    """Small motions of the whole body: forwards, to the left, and a turn."""
+    pose = np.asarray(start, dtype=np.float64)
+    ways = {"x": [p.step_m, 0.0, 0.0], "y": [0.0, p.step_m, 0.0], "heading": [0.0, 0.0, p.turn_deg / _DEG]}
+    return [line(pose, pose + way, speed_m_s=0.05, name=f"step {name}") for name, way in ways.items()]
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """All steps; only the last follows trajectories."""
+    for title in ("identity", "streams", "steering", "drives"):
+        yield PlannedStep(title)
+    yield PlannedStep("body", tuple(steps(p, np.array(config.emulation.start_pose))))
+
+
+@procedure(name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan)
+def run(ctx: Context) -> None:
+    """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""
+    p: Parameters = ctx.parameters
+    absent: dict[str, object] = {n: None for n in DEVICES if n not in p.devices}
+    lacking = [n for n in p.devices if getattr(ctx.source.config, n) is None]
+    if lacking:
+        raise ConfigError(
+            f"procedure bring_up looks at {', '.join(lacking)}, "
+            f"which the bench {ctx.source.config.name!r} lacks",
+            remedy="add the section(s) to the bench file, or say --set devices=servos,mocap,...",
+        )  # fmt: skip
+    bench = ctx.reopen(overrides=absent)
+    with ctx.step("identity"):
+        identify(ctx, bench)
+    with ctx.step("streams", timeout_s=p.watch_s + 30.0):
+        watch(ctx, bench)
+    with ctx.step("steering", timeout_s=60.0):
+        steer = jog_steering(bench, p.steer_deg / _DEG)
+        _measure_steering(ctx, steer)
+    with ctx.step("drives", timeout_s=120.0):
+        straight = jog_drives(bench, p.body, 0.0, p.drive_rad_s)
+        across = jog_drives(bench, p.body, np.pi / 2.0, p.drive_rad_s)
+        _measure_drives(ctx, straight, across, steer)
+    with ctx.step("body", timeout_s=120.0):
+        move_body(ctx, bench)
+
+
+def identify(ctx: Context, bench: Bench) -> None:
+    """Who is there, and what the servos' registers say."""
+    found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
+    ctx.measure("devices", sum(bool(f) for f in found.values()))
+    rows = [[name, key, value] for name, facts in found.items() for key, value in facts.items()]
+    ctx.table("Devices", ["device", "fact", "found"], rows)
+    servos: Any = bench.rig.actuators()
+    findings = servos.diagnose()
+    ctx.measure("servos.failed_checks", sum(f.level == "failure" for f in findings))
+    ctx.measure("servos.warnings", sum(f.level == "warning" for f in findings))
+    ctx.table(
+        "Servo registers", ["check", "level", "found", "expected", "remedy if not"],
+        [[f.check, f.level, f.found, f.expected, f.remedy if f.level != "ok" else ""] for f in findings],
+    )  # fmt: skip
+
+
+def watch(ctx: Context, bench: Bench) -> None:
+    """Rest, and look at the streams of all devices."""
+    p: Parameters = ctx.parameters
+    stand(bench)
+    motion = bench.observe(p.watch_s, feedback="odometry")
+    streams: dict[str, Stream] = {name: judge_stream(name, motion, bench.config) for name in p.devices}
+    for name, stream in streams.items():
+        _measure_stream(ctx, name, stream)
+    health = [h for r in motion.records for h in r.inputs.health]
+    ctx.measure("servos.supply_lowest", min((np.nanmin(h.voltage_v) for h in health), default=np.nan))
+    ctx.measure("servos.hottest", max((np.nanmax(h.temperature_c) for h in health), default=np.nan))
+    stream_table(ctx, streams)
+    draw_streams(ctx, streams)
+    draw_clocks(ctx, streams)
+
+
+def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
+    ctx.measure(f"{name}.rate", stream.rate_hz)
+    ctx.measure(f"{name}.delivered", stream.delivered)
+    ctx.measure(f"{name}.largest_gap", 1e3 * stream.gap_s[2])
+    ctx.measure(f"{name}.age", 1e3 * stream.age_s[0])
+    if name in _OWN_CLOCK:
+        ctx.measure(f"{name}.clock_drift", stream.drift_ppm)
+        ctx.measure(f"{name}.clock_drift_uncertainty", stream.drift_uncertainty_ppm)
+
+
+def _measure_steering(ctx: Context, steer: SteerJogs) -> None:
+    others = ~np.eye(4, dtype=bool)
+    crosstalk = np.abs(steer.servo[others]).max()
+    for k, wheel in enumerate(WHEELS):
+        ctx.measure(f"steer_{wheel}.servo_response", steer.servo[k, k])
+        if "encoders" in ctx.parameters.devices:
+            ctx.measure(f"steer_{wheel}.encoder_response", steer.encoder[k, k])
+    if "encoders" in ctx.parameters.devices:
+        crosstalk = max(crosstalk, np.abs(steer.encoder[others]).max())
+        rows = [[f"commanded {w}", *(f"{v:+.3f}" for v in steer.encoder[:, k])] for k, w in enumerate(WHEELS)]
+        ctx.table("Encoder turn over commanded turn", ["", *WHEELS], rows)
+    ctx.measure("steering.crosstalk", crosstalk)
+
+
+def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer: SteerJogs) -> None:
+    for way, jogs in (("straight", straight), ("across", across)):
+        for wheel, cosine in zip(WHEELS, jogs.agreement(), strict=True):
+            ctx.measure(f"drive_{wheel}.{way}", cosine)
+    draw_directions(ctx, (straight, across))
+    signs, config = find_signs(straight, across, steer), ctx.source.config
+    told = reversed_names(signs.drive, "drive") + reversed_names(signs.steer, "steering")
+    values: dict[str, dict[str, Any]] = {
+        "alignment": {
+            "drive_sign": _turned(config.alignment.drive_sign, signs.drive),
+            "steer_sign": _turned(config.alignment.steer_sign, signs.steer),
+        }
+    }
+    if "encoders" in ctx.parameters.devices and config.encoders is not None:
+        told += reversed_names(signs.encoder, "encoder")
+        values["encoders"] = {"sign": _turned(config.encoders.sign, signs.encoder)}
+    ctx.note("Directions: " + (", ".join(told) if told else "all as configured") + ".")
+    write_fragment(ctx, values, "Signs as found by small motions; unclear ones are left as they were.")
+
+
+def _turned(configured: tuple[int, ...], found: Array) -> list[int]:
+    return [c * (int(f) or 1) for c, f in zip(configured, found, strict=True)]
+
+
+def move_body(ctx: Context, bench: Bench) -> None:
+    """Move the whole body a little along each axis and hold the sensors against each other."""
+    p: Parameters = ctx.parameters
+    rows = []
+    for axis, name in enumerate(("x", "y", "heading")):
+        pose = stand(bench)
+        motion = bench.drive(steps(p, pose)[axis], feedback="odometry", hold_s=0.5, start_pose=pose)
+        true = _went(motion, p.body, axis)
+        row = [name, f"{true * (_DEG if axis == 2 else 1e3):+.2f}"]
+        seen = {"odometry": float((motion.estimate[-1] - motion.estimate[0])[axis])}
+        if "tracker" in p.devices and p.body != "tracker":
+            seen["tracker"] = _went(motion, "tracker", axis)
+        for sensor, went in seen.items():
+            ctx.measure(f"{sensor}.{name}_response", went / true)
+            row.append(f"{went * (_DEG if axis == 2 else 1e3):+.2f}")
+        if axis == 2 and "imu" in p.devices:
+            data = inertial(motion)
+            ctx.measure("imu.gyro_response", float(trapezoid(data[0], data.t_s)) / true)
+        rows.append(row)
+    head = ["step", p.body, *seen]
+    ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")
+
+
+def _went(motion: Motion, source: str, axis: int) -> float:
+    """Change of one coordinate, in body axes at the start, from the first to the last 0.2 s."""
+    series, end_s = poses(motion, source), float(motion.t_s[-1])
+    first, last = series.between(-1.0, 0.1), series.between(end_s - 0.2, end_s + 1.0)
+    if axis == 2:
+        return float(last[2] - first[2])
+    start = float(poses(motion, source).between(-1.0, 0.1)[2]) if source == "mocap" else 0.0
+    c, s = np.cos(start), np.sin(start)
+    dx, dy = (last - first)[:2]
+    return float((c * dx + s * dy, c * dy - s * dx)[axis])

@@ -1,0 +1,317 @@
+"""The BNO055 on the robot: its own offsets stored and restored, its noise, and its heading from gravity.
+
+The chip learns its gyro offsets at rest. They are read out, kept in a file, and written back after the
+chip was started anew; what it then measures says whether that worked. Noise and bias stability come
+from the Allan deviation of the turn rate at rest. On a wall, gravity lies in the plane of motion and
+gives the heading; motion capture says by how much it is off, which is put into the mount's rotation.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+from scipy.stats import t as student
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError, DeviceError
+from hil.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+from hil.trajectories import Trajectory, line
+from procedures._fragment import write_fragment
+from procedures._noise import Allan, allan, evenly
+from procedures._samples import inertial, poses
+from procedures._tracking import stand
+
+_DEG = float(np.degrees(1.0))
+_GRAVITY_LSB_M_S2, _STANDARD_GRAVITY = 0.01, 9.80665
+_GYRO_LSB_DEG_S = 1.0 / 16.0
+_LEARNT = 3
+
+
+class Parameters(BaseModel):
+    """How long to rest, and how far to turn on the wall."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    rest_s: float = Field(120.0, ge=5.0, le=7200)
+    learn_s: float = Field(20.0, ge=1.0, le=600)
+    heading_deg: float = Field(10.0, gt=1.0, le=60.0)
+    headings: int = Field(5, ge=3, le=21)
+    dwell_s: float = Field(3.0, ge=0.5, le=60)
+    turn_speed_m_s: float = Field(0.03, gt=0)
+
+
+class StoresOffsets(Protocol):
+    """What is asked of the IMU beside its samples: `hil.drivers.imu.Bno055Imu`."""
+
+    def read_calibration(self) -> Any:
+        """Offsets that the chip has learnt; a value with `save(path)`."""
+
+
+def measurements(p: Parameters) -> Iterable[Measurement]:
+    """Limits are the data sheet's where it has any (BST-BNO055-DS000, table 0-2)."""
+    yield Measurement(
+        "gyro_level", "1", low=3.0, rationale="0 to 3, by the chip: it says that its gyro is calibrated"
+    )
+    for axis in "xyz":
+        yield Measurement(
+            f"gyro_offset_{axis}", "deg/s", low=-3.0, high=3.0, marginal=0.5,
+            rationale="stored; zero-rate offset within 3 deg/s, else the chip is damaged or was moved",
+        )  # fmt: skip
+    yield Measurement(
+        "gyro_bias", "deg/s", low=-0.1, high=0.1, marginal=0.02,
+        rationale="mean turn rate about the wall normal at rest, after learning",
+    )  # fmt: skip
+    yield Measurement(
+        "gyro_noise", "deg/s/√Hz", low=0.002, high=0.03, marginal=0.002,
+        rationale="data sheet 0.014 typical; next to none is a sensor that does not measure",
+    )  # fmt: skip
+    yield Measurement("gyro_noise_uncertainty", "deg/s/√Hz", rationale="half of the 95 % interval")
+    yield Measurement(
+        "gyro_bias_instability", "deg/h", high=60.0, marginal=10.0,
+        rationale="lowest point of the Allan deviation; an upper bound when the rest was short",
+    )  # fmt: skip
+    yield Measurement("accelerometer_noise", "mg/√Hz", high=0.6, marginal=0.1, rationale="0.15 typical")
+    yield Measurement(
+        "heading_offset", "deg", low=-5.0, high=5.0, marginal=1.0,
+        rationale="gravity minus motion capture at the mean heading; 80 mg of offset make 4.6 deg",
+    )  # fmt: skip
+    yield Measurement("heading_offset_uncertainty", "deg", high=0.2, rationale="half of the 95 % interval")
+    yield Measurement(
+        "heading_scatter", "deg", high=0.15, marginal=0.03, rationale="about the fitted line, one dwell each"
+    )
+    yield Measurement(
+        "restored_difference", "1", high=1.0, rationale="counts, largest of the stored and read back offsets"
+    )
+    yield Measurement("restored_bias", "deg/s", low=-0.1, high=0.1, marginal=0.02, rationale="as gyro_bias")
+    yield Measurement(
+        "corrected_heading", "deg", low=-0.3, high=0.3, marginal=0.05,
+        rationale="gravity minus motion capture with the corrected mount, chip started anew",
+    )  # fmt: skip
+
+
+def headings(p: Parameters) -> Array:
+    """Headings relative to the start, rad, one after the other."""
+    return np.radians(np.linspace(-p.heading_deg, p.heading_deg, p.headings))
+
+
+def turns(p: Parameters, start: Array) -> list[Trajectory]:
+    """From the start through all headings and back to the start's."""
+    stops = np.array([0.0, *headings(p), 0.0])
+    poses_in_wall = np.asarray(start, dtype=np.float64) + stops[:, None] * np.array([0.0, 0.0, 1.0])
+    return [
+        line(a, b, speed_m_s=p.turn_speed_m_s, name=f"heading {b[2] * _DEG:+.0f}")
+        for a, b in pairwise(poses_in_wall)
+    ]
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """Rests and small turns."""
+    yield PlannedStep("learn")
+    yield PlannedStep("store")
+    yield PlannedStep("rest")
+    yield PlannedStep("headings", tuple(turns(p, np.array(config.emulation.start_pose))))
+    yield PlannedStep("restore")
+
+
+@procedure(
+    name="imu_calibration", needs=("servos", "imu", "mocap"), parameters=Parameters,
+    measurements=measurements, plan=plan,
+)  # fmt: skip
+def run(ctx: Context) -> None:
+    """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""
+    p: Parameters = ctx.parameters
+    if ctx.source.config.surface != "wall":
+        raise ConfigError(
+            f"bench {ctx.source.config.name} is not on a wall: gravity does not show the heading",
+            expected='surface = "wall"', remedy="run it on the wall bench",
+        )  # fmt: skip
+    bench = ctx.reopen(overrides={"tracker": None, "encoders": None})
+    with ctx.step("learn", timeout_s=p.learn_s + 30.0):
+        ctx.measure("gyro_level", learn(bench, p))
+    with ctx.step("store"):
+        stored, path = store(ctx, bench)
+    with ctx.step("rest", timeout_s=p.rest_s + 60.0):
+        rest(ctx, bench)
+    with ctx.step("headings"):
+        offset_rad = turn_and_compare(ctx, bench)
+    with ctx.step("restore"):
+        restore(ctx, stored, path, offset_rad)
+
+
+def learn(bench: Bench, p: Parameters) -> float:
+    """Rest until the chip says that its gyro is calibrated, or time is over; its level."""
+    stand(bench)
+    level = 0
+    for _ in range(int(np.ceil(p.learn_s))):
+        samples = [s for r in bench.observe(1.0, feedback="odometry").records for s in r.inputs.imu]
+        level = samples[-1].calibration[1] if samples else 0
+        if level >= _LEARNT:
+            break
+    return float(level)
+
+
+def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
+    """Read the offsets out and keep them in a file."""
+    stored = cast(StoresOffsets, bench.rig.imu).read_calibration()
+    path = ctx.folder / "imu_offsets.toml"
+    stored.save(path)
+    ctx.attach("IMU offsets", path)
+    for axis, counts in zip("xyz", stored.gyroscope_offset, strict=True):
+        ctx.measure(f"gyro_offset_{axis}", counts * _GYRO_LSB_DEG_S)
+    rows = [
+        ["gyroscope", *(f"{c * _GYRO_LSB_DEG_S:+.4f}" for c in stored.gyroscope_offset), "deg/s"],
+        ["accelerometer", *(f"{c * _GRAVITY_LSB_M_S2:+.2f}" for c in stored.accelerometer_offset), "m/s²"],
+        ["magnetometer", *(f"{c / 16.0:+.1f}" for c in stored.magnetometer_offset), "µT"],
+    ]
+    ctx.table(
+        "Stored offsets", ["sensor", "x", "y", "z", "unit"], rows,
+        "Axes of the chip. The accelerometer only learns when it is held in several attitudes: by hand, "
+        "off the wall.",
+    )  # fmt: skip
+    return stored, path
+
+
+def rest(ctx: Context, bench: Bench) -> None:
+    """Noise and bias of the turn rate, and noise of the accelerometer, at rest."""
+    stand(bench)
+    data = inertial(bench.observe(ctx.parameters.rest_s, feedback="odometry"))
+    if len(data) < 100:
+        raise DeviceError("imu", f"{len(data)} usable samples at rest", remedy="run procedures/bring_up.py")
+    period_s = float(np.median(np.diff(data.t_s)))
+    curves = {
+        axis: allan(evenly(data.t_s, data[k] * _DEG, period_s), period_s)
+        for axis, k in zip("xyz", (2, 3, 4), strict=True)
+    }
+    normal = allan(evenly(data.t_s, data[0] * _DEG, period_s), period_s)
+    density, spread = normal.white_noise()
+    instability, at_s = normal.bias_instability()
+    ctx.measure("gyro_bias", data.mean(0) * _DEG)
+    ctx.measure("gyro_noise", density)
+    ctx.measure("gyro_noise_uncertainty", 2.0 * spread)
+    ctx.measure("gyro_bias_instability", 3600.0 * instability)
+    force = (data.values[:, 5:8] + data.values[:, 8:11]) / _STANDARD_GRAVITY * 1e3
+    densities = [allan(evenly(data.t_s, force[:, k], period_s), period_s).white_noise()[0] for k in range(3)]
+    ctx.measure("accelerometer_noise", max(densities))
+    _draw_allan(ctx, curves, density)
+    ctx.note(
+        f"The Allan deviation was lowest at {at_s:.3g} s of averaging. Noise includes the chip's resolution "
+        f"of {_GYRO_LSB_DEG_S:g} deg/s."
+    )
+
+
+def _draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> None:
+    figure = new_figure(6.4, 3.8)
+    axes = style(figure.add_subplot(), "averaging time (s)", "Allan deviation (deg/s)")
+    for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
+        axes.loglog(curve.tau_s, curve.deviation, color=colour, lw=1.5, label=f"chip {axis}")
+        axes.fill_between(
+            curve.tau_s, curve.deviation * (1 - curve.spread), curve.deviation * (1 + curve.spread),
+            color=colour, alpha=0.15, lw=0,
+        )  # fmt: skip
+    tau = curves["x"].tau_s
+    axes.loglog(
+        tau, density / np.sqrt(tau), color=PALETTE["reference"], lw=1.0, ls="--",
+        label=f"white noise {density:.4f} deg/s/√Hz",
+    )  # fmt: skip
+    axes.grid(which="minor", color=PALETTE["grid"], lw=0.3)
+    legend(axes)
+    ctx.figure(figure, "Turn rate at rest", "Bands: one standard deviation of the estimate.")
+
+
+def turn_and_compare(ctx: Context, bench: Bench) -> float:
+    """Dwell at several headings; returns gravity minus motion capture at the mean heading, rad."""
+    p: Parameters = ctx.parameters
+    found = []
+    pose = stand(bench)
+    path = turns(p, pose)
+    for number, trajectory in enumerate(path):
+        bench.drive(trajectory, feedback="odometry", hold_s=0.3, start_pose=pose)
+        pose = stand(bench)
+        if number < len(path) - 1:
+            found.append(_dwell(bench, p))
+        ctx.progress("headings", number + 1, len(path))
+    true, seen = np.array(found).T
+    error = wrap_array(seen - true)
+    slope, _ = np.polyfit(true - true.mean(), error, 1)
+    offset = float(error.mean())
+    scatter = error - offset - slope * (true - true.mean())
+    freedom = len(error) - 2
+    sigma = np.hypot(
+        np.sqrt(np.sum(scatter**2) / freedom), _GRAVITY_LSB_M_S2 / _STANDARD_GRAVITY / np.sqrt(12)
+    )
+    half = float(student.ppf(0.975, freedom)) * sigma / np.sqrt(len(error))
+    ctx.measure("heading_offset", offset * _DEG)
+    ctx.measure("heading_offset_uncertainty", float(half) * _DEG)
+    ctx.measure("heading_scatter", float(np.sqrt(np.mean(scatter**2))) * _DEG)
+    _draw_headings(ctx, true, error, offset, float(slope))
+    return offset
+
+
+def _dwell(bench: Bench, p: Parameters) -> tuple[float, float]:
+    motion = bench.observe(p.dwell_s, feedback="odometry")
+    truth, seen = poses(motion, "mocap"), inertial(motion)
+    if not len(truth) or not len(seen):
+        missing = "mocap" if not len(truth) else "imu"
+        raise DeviceError(missing, "no usable samples at rest", remedy="run procedures/bring_up.py")
+    return truth.mean(2), seen.mean(1)
+
+
+def _draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope: float) -> None:
+    figure = new_figure(6.4, 3.2)
+    axes = style(
+        figure.add_subplot(), "heading by motion capture (deg)", "gravity minus motion capture (deg)"
+    )
+    axes.plot(true * _DEG, error * _DEG, "o", color=SERIES[0], ms=5, label="one dwell each")
+    fitted = (offset + slope * (true - true.mean())) * _DEG
+    axes.plot(true * _DEG, fitted, color=PALETTE["reference"], lw=1.2, ls="--", label="fitted line")
+    axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
+    legend(axes)
+    ctx.figure(
+        figure, "Heading from gravity",
+        "A constant part is a turned mount or an offset across; a slope is an offset along.",
+    )  # fmt: skip
+    rows = [
+        [f"{t:+.2f}", f"{t + e:+.2f}", f"{e:+.3f}"] for t, e in zip(true * _DEG, error * _DEG, strict=True)
+    ]
+    ctx.table("Heading from gravity", ["motion capture (deg)", "gravity (deg)", "difference (deg)"], rows)
+
+
+def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
+    """Start the chip anew with the stored offsets and the corrected mount, and look whether both hold.
+
+    What the bench believes changes; how an emulated chip is mounted does not.
+    """
+    config = ctx.source.config.imu
+    assert config is not None
+    mount = quat_multiply(quat_from_yaw(offset_rad), config.mount_rotation_wxyz)
+    emulation = ctx.source.config.emulation.imu
+    values = {
+        "imu": {"calibration_file": path.name, "mount_rotation_wxyz": [round(float(v), 6) for v in mount]}
+    }
+    bench = ctx.reopen(
+        "restored",
+        overrides={
+            "tracker": None, "encoders": None, "imu.calibration_file": str(path),
+            "imu.mount_rotation_wxyz": values["imu"]["mount_rotation_wxyz"],
+            "emulation.imu": {"mount_rotation_wxyz": config.mount_rotation_wxyz, **emulation},
+        },
+    )  # fmt: skip
+    back = cast(StoresOffsets, bench.rig.imu).read_calibration()
+    pairs = zip(
+        (*stored.accelerometer_offset, *stored.magnetometer_offset, *stored.gyroscope_offset),
+        (*back.accelerometer_offset, *back.magnetometer_offset, *back.gyroscope_offset), strict=True,
+    )  # fmt: skip
+    ctx.measure("restored_difference", max(abs(a - b) for a, b in pairs))
+    stand(bench)
+    motion = bench.observe(max(ctx.parameters.dwell_s, 2.0), feedback="odometry")
+    data, truth = inertial(motion), poses(motion, "mocap")
+    ctx.measure("restored_bias", data.mean(0) * _DEG)
+    ctx.measure("corrected_heading", (data.mean(1) - truth.mean(2)) * _DEG)
+    write_fragment(ctx, values, "Offsets for the chip, written at every start, and the corrected mount.")
