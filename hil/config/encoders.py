@@ -16,6 +16,7 @@ class EncodersConfig(BaseModel):
     """How the AS5045 node is reached, decoded and judged.
 
     Attributes:
+        backend: `real`, or `emulated` for a device that the bench emulates.
         interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
         options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         dbc: path of a DBC file; the shipped `as5045.dbc` when None.
@@ -27,6 +28,7 @@ class EncodersConfig(BaseModel):
         horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
         backlash_limit_rad: largest direction-dependent part of that difference.
         startup_discard: sample sets dropped after open and after a node reset.
+        open_timeout_s: longest wait for the first sample set.
         fail_after_s: uninterrupted silence that raises.
     """
 

@@ -14,8 +14,11 @@ class ImuConfig(BaseModel):
     """How the IMU is reached, set up and judged.
 
     Attributes:
+        backend: `real`, or `emulated` for a device that the bench emulates.
         port: any pyserial URL or device path.
+        baud: of the link; the BNO055 has 115200 only.
         fusion_mode: `imu` ignores the magnetometer (steel walls, motors); `ndof` uses it.
+        external_crystal: whether a 32 kHz crystal is fitted (better clock and fusion).
         axis_map, axis_sign: registers 0x41 and 0x42; right-handed maps only (datasheet 3.4).
         mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
             (`facts/robot.md`).
@@ -25,6 +28,7 @@ class ImuConfig(BaseModel):
         reply_timeout_s: longest silence before a request counts as lost.
         retry_budget_s: time one `read` may spend on repeating requests.
         retry_gap_s: pause before a request is repeated after an error reply.
+        open_timeout_s: longest wait for a chip that is still booting.
         check_period_s: how often mode and system status are looked at.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.

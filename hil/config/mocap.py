@@ -14,6 +14,7 @@ class MocapConfig(BaseModel):
     """How the capture server is reached and its poses are judged.
 
     Attributes:
+        backend: `real`, or `emulated` for a device that the bench emulates.
         server: IPv4 address of the computer that runs Motive.
         command_port, data_port: as set in Motive's streaming pane.
         multicast: group that Motive streams to; None for unicast.
@@ -25,11 +26,13 @@ class MocapConfig(BaseModel):
         transit_s: smallest time from the server's sending to the host.
         jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and
             `max_rate_rad_s` explain; anything larger is a swapped body.
+        max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
         stuck_after_s: bit-identical poses for longer than this are marked stale.
         keepalive_s: time between signs of life to a unicast server.
         reconnect_after_s: silence after which the connection is asked for again.
+        open_timeout_s: longest wait for the server and the rigid body.
         fail_after_s: uninterrupted silence (or garbage) that raises.
     """
 

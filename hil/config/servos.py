@@ -28,6 +28,7 @@ class ServosConfig(BaseModel):
     """How the servo bus is reached, checked, set up and judged.
 
     Attributes:
+        backend: `real`, or `emulated` for a device that the bench emulates.
         port: any pyserial URL or device path.
         baud: of the bus; the codes of the servo's Baud Rate register.
         drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.

@@ -25,7 +25,12 @@ angular velocity rad/s, tracker confidence."""
 
 
 class FeedEndpoint(BaseModel):
-    """Where an emulated camera streams its poses (`hil emulate` prints it)."""
+    """Where an emulated camera streams its poses (`hil emulate` prints it).
+
+    Attributes:
+        host: IPv4 address or name.
+        port: UDP port.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -37,6 +42,7 @@ class TrackerConfig(BaseModel):
     """How the camera is found and its poses are judged.
 
     Attributes:
+        backend: `real`, or `emulated` for a device that the bench emulates.
         serial: serial number of the camera to use; any T265 when None.
         endpoint: poses come from an emulated camera in another process instead of the USB library.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (`facts/robot.md`);
@@ -44,9 +50,11 @@ class TrackerConfig(BaseModel):
         latency_s: smallest time from exposure to the host, which no host clock can see.
         jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and
             `max_rate_rad_s` explain; anything larger is a relocalisation.
+        max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
         stuck_after_s: bit-identical poses for longer than this are marked stale.
+        open_timeout_s: longest wait for the first pose.
         fail_after_s: uninterrupted silence (or garbage) that raises.
         queue_length: poses kept between two reads; the oldest are dropped and counted.
     """
