@@ -38,7 +38,14 @@ class Strict(BaseModel):
 
 
 class LoopConfig(Strict):
-    """Rate and real-time behaviour of the control loop."""
+    """Rate and real-time behaviour of the control loop.
+
+    Attributes:
+        rate_hz: cycles per second.
+        late_after_s: a cycle that starts later than this after its deadline counts as late.
+        fifo_priority: priority under SCHED_FIFO, where the system allows it; none leaves the scheduler alone.
+        cpu: number of the core that the loop is bound to; none leaves it to the system.
+    """
 
     rate_hz: float = Field(100.0, gt=0, le=1000)
     late_after_s: float = Field(0.001, gt=0)
@@ -51,6 +58,7 @@ class SafetyConfig(Strict):
 
     Attributes:
         servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
+        wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
         heading_limit_rad: on a wall; beyond it the thrust no longer points up.
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
@@ -72,7 +80,12 @@ class SafetyConfig(Strict):
 
 
 class AlignmentConfig(Strict):
-    """Signs and zeros between servo angles and body angles, wheel order FL, BL, BR, FR."""
+    """Signs and zeros between servo angles and body angles, wheel order FL, BL, BR, FR.
+
+    Attributes:
+        drive_sign, steer_sign: 1, or -1 where the servo is mounted the other way round.
+        steer_zero_rad: servo angle at which the wheel points along body x (`procedures/steering_zero.py`).
+    """
 
     drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     steer_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
@@ -90,12 +103,11 @@ class EmulationConfig(Strict):
     """The emulated world: only read when at least one device is emulated.
 
     Attributes:
-        surface: what the robot stands on; `tilt_rad` 0 floor, pi/2 wall.
+        surface: what the robot stands on: `floor`, `concrete`, `melamine` or `patchy`.
+        tilt_rad: of the surface: 0 floor, pi/2 wall.
         start_pose: (x m, y m, theta rad) in the wall frame.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
-        geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
-            robot as delivered, less is what a calibration would have left of them.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
             robot as delivered, less is what a calibration would have left of them.
         servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
@@ -108,7 +120,6 @@ class EmulationConfig(Strict):
     start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     randomise_truth: bool = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
-    geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()
     servos: dict[str, Any] = {}
     encoders: dict[str, Any] = {}
@@ -118,13 +129,24 @@ class EmulationConfig(Strict):
 
 
 class ExitConfig(Strict):
-    """What happens to the robot when the work ends: held (default) or released."""
+    """What happens to the robot when the work ends.
+
+    Attributes:
+        policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
+    """
 
     policy: Literal["hold", "release"] = "hold"
 
 
 class BenchConfig(Strict):
-    """Everything about one bench. A missing device section means that the bench lacks the device."""
+    """Everything about one bench. A missing device section means that the bench lacks the device.
+
+    Attributes:
+        schema: version of this format: 1.
+        name: of the bench, in every result and recording.
+        surface: `wall` (gravity in the plane of motion, heading guarded) or `floor`.
+        calibration: path of the `calibration.toml` to apply; nominal geometry without one.
+    """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str = Field(min_length=1)
