@@ -1,45 +1,11 @@
 """The emulated servo's control table: rights, ranges, locks, modes, errors, restart, indirect access."""
 
 import pytest
+from servo_client import ACTION, BACKUP, CLEAR, FACTORY, PING, READ, REBOOT, REG_WRITE, WRITE, Client
 
-from hil.config.xh430 import BAUD_RATES, TABLE
+from hil.config.xh430 import BAUD_RATES
 from hil.drivers.servos.packets import find_statuses, instruction
 from hil.fakes.servos import protocol
-
-PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
-FACTORY, REBOOT, CLEAR, BACKUP = 6, 8, 0x10, 0x20
-
-
-class Client:
-    """Single instructions to one servo by register name; answers are (error, parameters) or None."""
-
-    def __init__(self, bench, servo_id=1):
-        self.bench, self.servo_id = bench, servo_id
-
-    def do(self, code, parameters=b"", wait_ms=3):
-        data = self.bench.send(instruction(self.servo_id, code, parameters), wait_ns=int(wait_ms * 1e6))
-        found = find_statuses(data)
-        return (found[0][1].error, found[0][1].data) if found else None
-
-    def get(self, name):
-        register = TABLE[name]
-        where = register.address.to_bytes(2, "little") + register.size.to_bytes(2, "little")
-        error, data = self.do(READ, where)
-        assert error & 0x7F == 0
-        return register.decode(data)
-
-    def put(self, name, raw, code=WRITE):
-        register = TABLE[name]
-        answer = self.do(code, register.address.to_bytes(2, "little") + register.encode(raw))
-        return None if answer is None else answer[0]
-
-    def raw(self, address, data):
-        return self.do(WRITE, address.to_bytes(2, "little") + bytes(data))[0]
-
-    def wait(self, seconds):
-        world = self.bench.world
-        world.advance_to(world.now_ns + round(seconds * 1e9))
-        world.sync_plant()
 
 
 @pytest.fixture

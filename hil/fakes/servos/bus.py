@@ -8,6 +8,7 @@ heat, voltage and overload.
 from __future__ import annotations
 
 from hil.fakes.servos import protocol
+from hil.fakes.servos.cadence import Cadence
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -58,6 +59,8 @@ class ServoBus(SerialChip, Scheduled):
         self._due_ns = GRID_NS
         self._traffic_ns = 0
         world.add(self)
+        if options.cadence_s > 0.0:
+            world.add(Cadence(options, rng, self._live.hold))
 
     def next_due_ns(self) -> int:
         """Next point of the measurement grid."""

@@ -26,15 +26,21 @@ class LiveRegisters:
     def __init__(self, sensing: Sensing, wear: Wear, faults: ServoFaults) -> None:
         self._sensing, self._wear, self._faults = sensing, wear, faults
         self._stamp = (-1, -1)
+        self._holding = False
         self._all: tuple[list[int], list[int], list[int]] = ([], [], [])
+
+    def hold(self) -> None:
+        """Measure now; from the first call on, this is what the servos know until the next."""
+        self._holding = True
+        self._measure()
 
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
         """Let a servo sense; its velocity and current counts in the joint's direction."""
         sensing, faults, j = self._sensing, self._faults, servo.joint
         stamp = (t_ns, sensing.ticks)
-        if self._stamp != stamp:
+        if self._stamp != stamp and not self._holding:
             self._stamp = stamp
-            self._all = (sensing.counts(), sensing.velocity(), sensing.current())
+            self._measure()
         counts, velocity, current = (row[j] for row in self._all)
         if not faults.none:
             age_ns = faults.age_ns(j, t_ns)
@@ -56,3 +62,7 @@ class LiveRegisters:
         wear, j = self._wear, servo.joint
         duty = float(self._sensing.duty(wear.volts)[j])
         servo.show(t_ns, velocity, current, duty, int(wear.volts * 10), int(wear.celsius[j]))
+
+    def _measure(self) -> None:
+        sensing = self._sensing
+        self._all = (sensing.counts(), sensing.velocity(), sensing.current())

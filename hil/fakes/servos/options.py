@@ -26,6 +26,8 @@ class ServoBusOptions:
         boot_s: silence after power-up and reboot.
         supply_v, supply_ohm: pack voltage and its drop by current.
         ambient_c: air temperature.
+        cadence_s: the servos renew what they show every so often, as in the recordings (0.016), with
+            `cadence_jitter_s`, `cadence_gaps_per_s` and `cadence_longest_gap_s`; 0: at every look.
         drive_start_counts: encoder counts of the drives at joint angle 0.
         overload_a, overload_s: current that counts as overload, and for how long.
     """
@@ -46,6 +48,10 @@ class ServoBusOptions:
     supply_v: float = 11.1
     supply_ohm: float = 0.08
     ambient_c: float = 27.0
+    cadence_s: float = 0.0
+    cadence_jitter_s: float = 0.00005
+    cadence_gaps_per_s: float = 0.13
+    cadence_longest_gap_s: float = 0.029
     drive_start_counts: tuple[int, int, int, int] = (317, 1204, 2911, 3870)
     overload_a: float = 1.1
     overload_s: float = 2.0
