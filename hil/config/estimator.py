@@ -165,7 +165,7 @@ class TimeConfig(_Strict):
 
 
 _WALL = SlipModel(slip_m_s=0.002, creep=0.05)
-_FLOOR = SlipModel(slip_m_s=0.0002, creep=0.0, yaw_rad_m=0.005)
+_FLOOR = SlipModel(slip_m_s=0.0002, creep=0.0, yaw_rad_m=0.015)
 
 _NO_SLIP = {
     "slip_m_s": 0.0, "creep": 0.0, "creep_per_sqrt_m": 0.0, "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,

@@ -42,7 +42,7 @@ GUARDED = 58
 DUPLICATES = 59
 GYRO_T, MOCAP_T = 60, 61
 WINDOW = 62
-WHEEL_SET = 70
+ROLLING = 70
 MEMORY = 72
 GRAVITY = 5
 """Slot of the gravity heading in the per-sensor tables of the memory (sensor ids take 1 to 4)."""

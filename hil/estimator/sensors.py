@@ -3,7 +3,9 @@
 * Wheels: displacement of the body since the last servo read, cloned pose to present pose, as eight scalar
   equations u_i = (P d)_i or as one body displacement. With d = (d_x, d_y, turn) in the frame half-way:
   rolled = d_xy - R' (s dt + c rho), turned = turn - kappa rho, both times (1 + scale) where the wheel
-  scale is free; rho is the mean displacement of the wheels.
+  scale is free; rho is the mean displacement of the wheels at
+  their speed of the last half second: with the step's own displacement its errors would correlate with
+  the row and be taken for slip.
 * Gyro: omega + bias, and on the wall theta + offset from gravity.
 * Camera: pose in its own, cloned and drifting frame: (1 + scale) R(theta_f)' (p - p_f), theta - theta_f.
 * Motion capture: the pose.
@@ -24,6 +26,7 @@ from hil.estimator.process import sinc, sinc_slope
 from hil.geometry import Array
 
 QUALITY_FACTOR = 4.0
+ROLLING_S = 0.5
 
 
 @compiled
@@ -36,7 +39,7 @@ def observe(
     Args:
         kind: sensor id of `layout`.
         t_ns: stamp since the start.
-        m: sensor memory (72,) before the sample; the friction window in it takes the new step.
+        m: sensor memory (72,) before the sample; its rolling speed and friction window take the new step.
         data: event row (16,).
         par: `layout.parameters`.
         wheels: (4, 4), and
@@ -94,7 +97,8 @@ def observe_wheels(
         count += 1
     if count == 0:
         return 0
-    aux[0], aux[1] = dt, rolled / count
+    m[L.ROLLING] += (1.0 - math.exp(-dt / ROLLING_S)) * (rolled / (count * dt) - m[L.ROLLING])
+    aux[0], aux[1] = dt, m[L.ROLLING] * dt
     if par[L.WHEEL_ROWS] > 3.0:
         z[:] = u
         var[:] = noise
