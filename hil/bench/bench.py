@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import platform
-import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
-from importlib import metadata
 from types import TracebackType
-from typing import Any
 
 import numpy as np
 
-from hil import __version__
-from hil.alignment import Alignment, AlignmentParameters, Mount
-from hil.clock import Clock, MonotonicClock, nanoseconds
+from hil.alignment import Alignment
+from hil.bench.settings import alignment_parameters, real_time, safety_limits
+from hil.bench.versions import versions
+from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
-from hil.errors import ConfigError, UsageError
+from hil.errors import UsageError
 from hil.estimator import make_estimator
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
@@ -28,19 +25,18 @@ from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
 from hil.motion_limits import MotionLimits, check
-from hil.realtime import RealTime, warm_up
+from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.rig import Rig
 from hil.signals import CycleRecord, RobotState
-from hil.supervisor import SafetyLimits, Supervisor
+from hil.supervisor import Supervisor
 from hil.trajectories import Trajectory
 
 FEEDBACK = ("odometry", "ekf", "ukf")
 
 _SETTLE_S = 0.5
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
-_PACKAGES = ("numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "filterpy")
 
 OnCycle = Callable[[CycleRecord], None]
 
@@ -76,7 +72,7 @@ class Bench:
         self.geometry, self.calibration, self.seed = geometry, calibration, seed
         self.alignment_parameters = alignment_parameters(config)
         self.statistics = LoopStatistics()
-        self.real_time = _real_time(config, clock)
+        self.real_time = real_time(config, clock)
         self._sinks = list(sinks)
         self._stack = ExitStack()
 
@@ -84,10 +80,9 @@ class Bench:
         try:
             self.rig.open()
         except BaseException:
-            self._stack.close()
+            self._let_go()
             raise
         self._stack.callback(self.rig.close)
-        self._stack.callback(self._close_sinks)
         return self
 
     def __exit__(
@@ -97,10 +92,16 @@ class Bench:
 
     def close(self) -> None:
         """Hold the robot (or release it, as configured), close sinks and devices. Idempotent."""
-        if self.rig.servos is not None and self.rig.servos.identity():
-            self.rig.servos.stop()
-            if self.config.exit.policy == "release":
-                self.rig.servos.release()
+        try:
+            if self.rig.servos is not None and self.rig.servos.identity():
+                self.rig.servos.stop()
+                if self.config.exit.policy == "release":
+                    self.rig.servos.release()
+        finally:
+            self._let_go()
+
+    def _let_go(self) -> None:
+        self._close_sinks()
         self._stack.close()
 
     def on_close(self, callback: Callable[[], object]) -> None:
@@ -134,13 +135,7 @@ class Bench:
 
     def versions(self) -> dict[str, str]:
         """Versions of what the result depends on."""
-        found = {"hil": __version__, "python": platform.python_version(), "platform": sys.platform}
-        for package in _PACKAGES:
-            try:
-                found[package] = metadata.version(package)
-            except metadata.PackageNotFoundError:
-                found[package] = "absent"
-        return found
+        return versions()
 
     def header(self) -> dict[str, object]:
         """What a recording says about its origin, enough to build the brain of every run again."""
@@ -285,9 +280,11 @@ class Bench:
     def run(self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool]) -> None:
         """Run a brain from a known state until `until(record)` says so; the robot is held at the end.
 
-        Everything is compiled and loaded before the first cycle, and recorders are told how it began.
+        Everything is compiled and loaded before the first cycle, what the devices have piled up
+        meanwhile is let go, and recorders are told how it began.
         """
         warm_up(brain, start.state)
+        self.rig.read(0)
         begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
         brain.reset(begun.state)
         for sink in self._sinks:
@@ -322,43 +319,3 @@ class Bench:
     def release(self) -> None:
         """Drop torque: on a wall the robot slides."""
         self.rig.actuators().release()
-
-
-def _real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
-    """Scheduling of the loop on the host's clock; virtual time waits for whoever needs long."""
-    if not isinstance(clock, MonotonicClock):
-        return None
-    return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
-
-
-def safety_limits(config: BenchConfig) -> SafetyLimits:
-    """Supervisor limits of a configuration."""
-    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
-    return SafetyLimits(**values, on_wall=config.surface == "wall")
-
-
-def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
-    """Zeros, signs and mounts of a configuration."""
-    mounts: dict[str, Any] = {
-        name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
-        for name in ("imu", "tracker")
-        if (device := getattr(config, name)) is not None
-    }
-    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.surface == "wall")
-
-
-def geometry_of(config: BenchConfig) -> WheelGeometry:
-    """Nominal wheel geometry of the configured robot."""
-    robot = config.robot
-    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
-
-
-def check_origin(geometry: WheelGeometry, config: BenchConfig, path: str) -> None:
-    """Refuse a calibration whose nominal geometry is not the configured robot's; raises `ConfigError`."""
-    mine = geometry_of(config).vector()
-    if not np.allclose(geometry.vector()[:12], mine[:12], rtol=0.0, atol=1e-6):
-        raise ConfigError(
-            f"{path}: the calibration was made for another nominal geometry than [robot] of the bench",
-            expected="the same wheel positions and radii",
-            remedy="calibrate this robot, or correct [robot]",
-        )

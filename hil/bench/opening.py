@@ -10,10 +10,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.bench.bench import Bench, check_origin, geometry_of
+from hil.bench.bench import Bench
 from hil.bench.drivers import Connections, make_rig
 from hil.bench.emulation import build_world, connect_in_process
 from hil.bench.process import EmulatorProcess
+from hil.bench.settings import check_origin, geometry_of
 from hil.calibration.artefact import read_calibration
 from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench

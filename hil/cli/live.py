@@ -12,6 +12,7 @@ from hil.errors import EXIT_PASS, UsageError
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.live import LiveSession
     from hil.monitor import RerunMonitor
     from hil.recording.mcap_writer import McapRecorder
 
@@ -88,25 +89,20 @@ def command(
         bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration
     )
     try:
-        with opened:
-            recorder = _recorder(opened, record)
-            monitor = _monitor(opened, view)
-            plan = LivePlan(
-                None if source is None else load_trajectory(source), lines, duration_s, feedback,
-                observers, controller, dead_man_s,
-            )  # fmt: skip
-            session = LiveSession(opened, plan, recorder=recorder)
-            try:
+        plan = LivePlan(
+            None if source is None else load_trajectory(source), lines, duration_s, feedback, observers,
+            controller, dead_man_s,
+        )  # fmt: skip
+        recorder, monitor = _recorder(opened, record), _monitor(opened, view)
+        session = LiveSession(opened, plan, recorder=recorder)
+        try:
+            with opened:
                 session.run()
-            finally:
-                for sink in (monitor, recorder):
-                    if sink is not None:
-                        opened.remove_sink(sink)
-                summary = session.summary()
-                if monitor is not None:
-                    summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
-                click.echo(json.dumps(summary) if as_json else _text(summary))
+        finally:
+            opened.close()
+            _report(session, monitor, as_json=as_json)
     finally:
+        opened.close()
         if lines is not None:
             lines.close()
     return EXIT_PASS
@@ -130,6 +126,13 @@ def _monitor(bench: Bench, view: str | None) -> RerunMonitor | None:
     monitor = RerunMonitor(view, lossless=False, geometry=bench.geometry)
     bench.add_sink(monitor)
     return monitor
+
+
+def _report(session: LiveSession, monitor: RerunMonitor | None, *, as_json: bool) -> None:
+    summary = session.summary()
+    if monitor is not None:
+        summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
+    click.echo(json.dumps(summary) if as_json else _text(summary))
 
 
 def _text(summary: dict[str, Any]) -> str:

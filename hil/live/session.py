@@ -62,10 +62,10 @@ class LivePlan:
 
 
 class LiveSession:
-    """Runs a plan on a bench that has been entered.
+    """Runs a plan on a bench; to be made before the bench is entered, because loading code takes time.
 
     Args:
-        bench: devices, clock, sinks.
+        bench: devices, clock, sinks; warmed up here.
         plan: what to do.
         recorder: told how each run begins; also a sink of the bench, as is the monitor.
 
@@ -80,6 +80,8 @@ class LiveSession:
         self._samples = SampleCounter()
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
+        here = np.array(bench.config.emulation.start_pose, dtype=np.float64)
+        warm_up(self._brain(_standing(here) if self._moving else None), self._start(here))
 
     def run(self) -> None:
         """Settle, then cycle until the end.
@@ -124,19 +126,20 @@ class LiveSession:
 
     def _run(self) -> None:
         bench, plan = self.bench, self.plan
-        moving = plan.trajectory is not None or plan.commands is not None
-        here = np.array(bench.config.emulation.start_pose, dtype=np.float64)
-        warm_up(self._brain(_standing(here) if moving else None), self._start(here))
-        if moving:
+        if self._moving:
             bench.rig.actuators().enable()
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
         pose = self._start_pose(rest.mocap)
-        trajectory = self._trajectory(pose) if moving else None
+        trajectory = self._trajectory(pose) if self._moving else None
         brain = self._brain(trajectory)
         if plan.commands is not None:
             self._velocity = self._obey(plan.commands, pose)
             brain.reference_at = self._velocity
         self._cycle(brain, trajectory, pose)
+
+    @property
+    def _moving(self) -> bool:
+        return self.plan.trajectory is not None or self.plan.commands is not None
 
     def _brain(self, trajectory: Trajectory | None) -> Brain:
         plan = self.plan

@@ -1,0 +1,55 @@
+"""What a configuration means to the parts of the loop: limits, mounts, geometry, scheduling."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hil.alignment import AlignmentParameters, Mount
+from hil.clock import Clock, MonotonicClock
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError
+from hil.kinematics import WheelGeometry
+from hil.realtime import RealTime
+from hil.supervisor import SafetyLimits
+
+
+def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
+    """Scheduling of the loop on the host's clock; virtual time waits for whoever needs long."""
+    if not isinstance(clock, MonotonicClock):
+        return None
+    return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
+
+
+def safety_limits(config: BenchConfig) -> SafetyLimits:
+    """Supervisor limits of a configuration."""
+    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
+    return SafetyLimits(**values, on_wall=config.surface == "wall")
+
+
+def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
+    """Zeros, signs and mounts of a configuration."""
+    mounts: dict[str, Any] = {
+        name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
+        for name in ("imu", "tracker")
+        if (device := getattr(config, name)) is not None
+    }
+    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.surface == "wall")
+
+
+def geometry_of(config: BenchConfig) -> WheelGeometry:
+    """Nominal wheel geometry of the configured robot."""
+    robot = config.robot
+    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
+
+
+def check_origin(geometry: WheelGeometry, config: BenchConfig, path: str) -> None:
+    """Refuse a calibration whose nominal geometry is not the configured robot's; raises `ConfigError`."""
+    mine = geometry_of(config).vector()
+    if not np.allclose(geometry.vector()[:12], mine[:12], rtol=0.0, atol=1e-6):
+        raise ConfigError(
+            f"{path}: the calibration was made for another nominal geometry than [robot] of the bench",
+            expected="the same wheel positions and radii",
+            remedy="calibrate this robot, or correct [robot]",
+        )
