@@ -3,28 +3,73 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hil.calibration.evaluation import Track
+from hil.calibration.calibrate import Calibration
+from hil.calibration.evaluation import Track, evaluate
+from hil.calibration.problem import Setting
 from hil.kinematics import WheelGeometry
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from procedures._rounds import Driven, improve, nominal_geometry, tracks
+
+if TYPE_CHECKING:
+    from procedures.odometry_calibration import Parameters
 
 
-def parameter_table(ctx: Context, columns: Mapping[str, WheelGeometry]) -> None:
-    """Table I: wheel parameters by method."""
+def show(
+    ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, setting: Setting,
+    p: Parameters,
+) -> None:  # fmt: skip
+    """Everything that a person needs to judge the result."""
+    fitted = next(d for d in rounds if d.recordings[0] is result.recordings[0])
+    columns = {"nominal": nominal_geometry(ctx.source.config), p.method: result.geometry}
+    for method in p.compared_methods:
+        columns[method] = improve(ctx, fitted, setting, method).geometry
+    parameter_table(ctx, columns, result)
+    before = tracks(rounds[0].recordings, rounds[0].geometry, setting)
+    after = tracks(fresh.recordings, fresh.geometry, setting)
+    error_table(ctx, "Table II: errors before calibration", evaluate(before))
+    error_table(ctx, "Table III: errors after calibration", evaluate(after))
+    method_table(ctx, columns, fresh, setting)
+    draw_rounds(ctx, [*rounds, fresh], setting)
+    draw_validation(ctx, tracks(fresh.recordings, rounds[0].geometry, setting), after)
+    for line in result.warnings:
+        ctx.note(line[0].upper() + line[1:] + ".")
+
+
+def method_table(ctx: Context, columns: Mapping[str, WheelGeometry], fresh: Driven, setting: Setting) -> None:
+    """Every method's parameters on the validation run."""
+    rows: list[list[Any]] = []
+    for name, geometry in columns.items():
+        table: Any = evaluate(tracks(fresh.recordings, geometry, setting))
+        rows.append([name, *(f"{1e3 * row['rmse_position_m']:.2f}" for row in table["motions"].values())])
+    motions = list(dict.fromkeys(r.motion.replace("_", " ") for r in fresh.recordings))
+    ctx.table(
+        "Validation run under every method's parameters: position RMSE (mm)", ["parameters", *motions], rows,
+        "Motions driven with the result; the other rows only re-compute odometry from the same wheels.",
+    )  # fmt: skip
+
+
+def parameter_table(ctx: Context, columns: Mapping[str, WheelGeometry], result: Calibration) -> None:
+    """Table I: wheel parameters by method, with the standard errors of the result."""
+    z_std = result.intervals.std.reshape(4, 4)
     rows = []
-    for label, key, scale in (
+    quantities = (
         ("x_w (mm)", "x_m", 1e3), ("y_w (mm)", "y_m", 1e3), ("r (mm)", "radius_m", 1e3),
         ("steering zero (deg)", "steering_zero_rad", float(np.degrees(1.0))),
-    ):  # fmt: skip
+    )  # fmt: skip
+    for (label, key, scale), stds in zip(quantities, z_std, strict=True):
         for wheel in range(4):
             values = [getattr(g, key)[wheel] * scale for g in columns.values()]
-            rows.append([f"{label[:-1].replace(' (', f' {wheel + 1} (')})", *(f"{v:.3f}" for v in values)])
+            name, unit = label.split(" (")
+            rows.append(
+                [f"{name} {wheel + 1} ({unit}", *(f"{v:.3f}" for v in values), f"{stds[wheel] * scale:.3f}"]
+            )
     ctx.table(
-        "Table I: wheel parameters", ["parameter", *columns], rows,
+        "Table I: wheel parameters", ["parameter", *columns, "std"], rows,
         "Wheels 1 to 4 are FL, BL, BR, FR. Effective values: motions determine combinations, not each alone.",
     )  # fmt: skip
 
@@ -44,21 +89,25 @@ def error_table(ctx: Context, title: str, table: Any) -> None:
     )  # fmt: skip
 
 
-def draw_rounds(ctx: Context, errors_m: Sequence[float]) -> None:
-    """Position error of every round, driven and evaluated with the parameters of its time."""
-    names = [f"round {k}" for k in range(1, len(errors_m))] + ["validation"]
-    figure = new_figure(5.6, 3.0)
+def draw_rounds(ctx: Context, runs: Sequence[Driven], setting: Setting) -> None:
+    """Position error of every round and of the validation run, with the parameters that drove it."""
+    figure = new_figure(5.6, 3.2)
     axes = style(figure.add_subplot(), "", "position RMSE (mm)")
-    values = 1e3 * np.array(errors_m)
-    axes.bar(
-        range(len(values)), values, color=[SERIES[1], *[SERIES[0]] * (len(values) - 2), SERIES[2]], width=0.6
-    )
+    rng = np.random.default_rng(0)
+    for k, run in enumerate(runs):
+        values = 1e3 * run.rmse_m(setting)
+        colour = SERIES[1] if k == 0 else SERIES[2] if run is runs[-1] else SERIES[0]
+        axes.plot(k + rng.uniform(-0.18, 0.18, len(values)), values, ".", color=colour, ms=4, alpha=0.55)
+        axes.plot([k - 0.3, k + 0.3], [values.mean()] * 2, color=colour, lw=2)
+        axes.annotate(f" {values.mean():.2f}", (k + 0.3, values.mean()), va="center", fontsize=8)
     axes.set_yscale("log")
-    axes.set_xticks(range(len(values)), names, fontsize=8)
-    for k, v in enumerate(values):
-        axes.annotate(f"{v:.1f}", (k, v), ha="center", va="bottom", fontsize=8)
-    axes.set_ylim(top=2 * values.max())
-    ctx.figure(figure, "Rounds", "Each round is driven with the parameters found by the rounds before it.")
+    axes.set_xlim(-0.5, len(runs) - 0.2)
+    axes.set_xticks(range(len(runs)), [r.label for r in runs], fontsize=8)
+    ctx.figure(
+        figure, "Rounds",
+        "One point per recording, the line is the mean. Each round was driven with the parameters found "
+        "by the rounds before it, so none is judged on what it was fitted to.",
+    )  # fmt: skip
 
 
 def draw_validation(ctx: Context, before: Sequence[Track], after: Sequence[Track]) -> None:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import multiprocessing
 import signal
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -134,32 +135,45 @@ def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:
 def collect(
     ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
 ) -> list[str]:
-    """Drive repetitions, each in a fresh world; in several processes where time is virtual.
+    """Drive repetitions, each in a fresh world and a checkpoint; in several processes where time is virtual.
 
     Returns:
         File names in order; the same whatever the number of processes.
     """
-    total = len(repetitions)
+    titles = {f"{label}, repetition {k}": r for k, r in enumerate(repetitions, start=1)}
+    missing = [r for title, r in titles.items() if not ctx.finished(title)]
     names: list[str] = []
-    if processes > 1 and ctx.source.virtual:
-        source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
-        with multiprocessing.get_context("spawn").Pool(processes, ignore_interrupts) as pool:
-            jobs = [(source, r) for r in repetitions]
-            for number, written in enumerate(pool.imap(_elsewhere, jobs), start=1):
-                names += written
-                ctx.progress(label, number, total)
-        return names
-    for number, repetition in enumerate(repetitions, start=1):
-        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=UNUSED)
-        names += drive_repetition(bench, repetition)
-        ctx.progress(label, number, total)
+    with ctx.step(label), closing(_driven(ctx, label, missing, calibration, processes)) as driven:
+        for number, title in enumerate(titles, start=1):
+            names += ctx.checkpoint(title, lambda: next(driven))
+            ctx.progress(label, number, len(titles))
     return names
 
 
-def _elsewhere(job: tuple[BenchSource, Repetition]) -> list[str]:
+def _driven(
+    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
+) -> Generator[list[str], None, None]:
+    if not repetitions:
+        return
+    if processes > 1 and ctx.source.virtual:
+        source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
+        jobs = [(source, r) for r in repetitions]
+        with multiprocessing.get_context("spawn").Pool(processes, ignore_interrupts) as pool:
+            for names, driven_s in pool.imap(_elsewhere, jobs):
+                ctx.count_bench_time(driven_s)
+                yield names
+        return
+    for repetition in repetitions:
+        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=UNUSED)
+        yield drive_repetition(bench, repetition)
+
+
+def _elsewhere(job: tuple[BenchSource, Repetition]) -> tuple[list[str], float]:
     source, repetition = job
     with source.open() as bench:
-        return drive_repetition(bench, repetition)
+        begin_ns = bench.clock.now_ns()
+        names = drive_repetition(bench, repetition)
+        return names, (bench.clock.now_ns() - begin_ns) / NS_PER_S
 
 
 def ignore_interrupts() -> None:

@@ -1,35 +1,34 @@
 """The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
 
-A round is every motion several times, driven with the parameters found so far. All rounds are fitted
-together: each new set of parameters shows directions that the one before could not. Rounds go on while
-the latest parameters beat the ones before on recordings that neither was fitted to. A last round that
-nothing is fitted to decides whether the result may be used (`docs/procedures.md`).
+A round is every motion several times, driven with the parameters found so far; the fit that follows
+improves these. Rounds go on while one is driven better than the best before it. A last round that
+nothing is fitted to, driven with the best parameters, decides whether the result may be used.
+`docs/procedures.md` tells how to run and read it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.calibration.artefact import read_calibration, write_calibration
-from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import Track, evaluate, position_rmse, track
+from hil.calibration.artefact import write_calibration
+from hil.calibration.calibrate import Calibration
+from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import Setting, make_setting
+from hil.calibration.validation import score
 from hil.config.bench import BenchConfig
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.software import versions
-from procedures._calibration_report import draw_rounds, draw_validation, error_table, parameter_table
+from procedures._calibration_report import show
 from procedures._collecting import MOTIONS, MotionName, Repetition, Sizes, collect, read_round, reference
+from procedures._rounds import Driven, geometry_in, improve, tracks, worth_going_on
 
-_BOOTSTRAP = 2000
-_WORTH = 0.05
+_SIMILAR_MM = 0.5
 
 
 class Parameters(BaseModel):
@@ -70,23 +69,21 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement("heading_rmse_after", "deg", high=0.5, marginal=0.1, rationale="as above")
     yield Measurement("improvement", "1", low=8.0, marginal=1.0, rationale="position RMSE before over after")
     yield Measurement(
-        "later_rounds", "1", high=1.25,
-        rationale="worst position RMSE of a later round over the one before: none may undo the work",
+        "worst_later_round", "mm", high=_SIMILAR_MM,
+        rationale="largest rise of the position RMSE from a round to a later one: none may undo the work",
     )  # fmt: skip
     yield Measurement(
         "rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds), rationale="own stop rule"
     )
-    yield Measurement("rejected_recordings", "1", high=0.1 * p.repetitions * len(p.motions) * p.max_rounds,
-                      rationale="recordings that contradict the others")  # fmt: skip
+    yield Measurement("rejected_recordings", "1", high=0.1 * p.repetitions * len(p.motions),
+                      rationale="recordings that contradict the others in the fit that was kept")  # fmt: skip
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Rounds as far as they are certain, and the references of one repetition."""
     driven = tuple(reference(m, config.emulation.start_pose, p.sizes) for m in p.motions)
-    yield PlannedStep("round 1", driven)
-    yield PlannedStep("fit 1")
-    for number in range(2, p.min_rounds + 1):
-        yield PlannedStep(f"round {number}")
+    for number in range(1, p.min_rounds + 1):
+        yield PlannedStep(f"round {number}", driven if number == 1 else ())
         yield PlannedStep(f"fit {number}")
     yield PlannedStep("validation")
     yield PlannedStep("report")
@@ -99,163 +96,72 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    start = Path(ctx.source.calibration) if ctx.source.calibration else None
     setting = make_setting("recommended", model="exact")
-    files: list[Path | None] = [start]
-    rounds: list[list[Recording]] = []
+    rounds: list[Driven] = []
     results: list[Calibration] = []
-    while len(rounds) < p.max_rounds:
+    files: list[Path | None] = [ctx.source.calibration]
+    best = 0
+    while True:
         number = len(rounds) + 1
-        rounds.append(_round(ctx, f"round {number}", number, p.repetitions, files[-1]))
-        if number > p.min_rounds - 1 and number > 1 and not worth_going_on(ctx, files, rounds[-1], setting):
+        rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, files[-1]))
+        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
+        if rounds[-1].rmse_m(setting).mean() < rounds[best].rmse_m(setting).mean():
+            best = number - 1
+        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
             break
         with ctx.step(f"fit {number}"):
-            results.append(_fit(ctx, rounds, setting, p.method))
-            files.append(_keep(ctx.folder / f"calibration_round_{number}.toml", results[-1], ctx))
-    fresh = _round(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[-1])
+            results.append(improve(ctx, rounds[-1], setting, p.method))
+            files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
+    fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):
-        chosen = _best(files, fresh, setting)
-        _measure(ctx, files, rounds, fresh, chosen, results, setting)
-        _show(ctx, files, rounds, fresh, chosen, results, setting)
-        _install(ctx, results[chosen - 1])
+        _measure(ctx, rounds, fresh, setting)
+        ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
+        if best == 0:
+            ctx.note("No fit was better than the parameters that the run began with; nothing to install.")
+            return
+        result = results[best - 1]
+        ctx.measure("rejected_recordings", len(result.fit.rejected))
+        show(ctx, rounds, fresh, result, setting, p)
+        _install(
+            ctx, replace(result, validation={"fresh_run": score(fresh.recordings, fresh.geometry, setting)})
+        )
 
 
-def _round(
-    ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None
-) -> list[Recording]:
+def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None) -> Driven:
     p: Parameters = ctx.parameters
     folder = ctx.folder / "recordings" / label.replace(" ", "_")
     first = (number - 1) * p.repetitions
     jobs = [Repetition(folder, p.motions, first + k + 1, p.sizes) for k in range(repetitions)]
-    names = ctx.checkpoint(label, lambda: collect(ctx, label, jobs, calibration, p.processes))
-    return read_round(folder, names)
+    names = collect(ctx, label, jobs, calibration, p.processes)
+    return Driven(label, read_round(folder, names), geometry_in(calibration, ctx.source.config))
 
 
-def geometry_of(ctx: Context, file: Path | None) -> WheelGeometry:
-    """Wheel geometry of a calibration file; the bench's nominal one without."""
-    if file is not None:
-        return read_calibration(file).geometry
-    robot = ctx.source.config.robot
-    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
-
-
-def tracks(recordings: list[Recording], geometry: WheelGeometry, setting: Setting) -> list[Track]:
-    """Odometry of recordings under a geometry."""
-    return [track(r, geometry, setting.model, setting.signal) for r in recordings]
-
-
-def rmse_m(recordings: list[Recording], geometry: WheelGeometry, setting: Setting) -> Array:
-    """Position RMSE of each recording, m."""
-    return np.array([position_rmse(t) for t in tracks(recordings, geometry, setting)])
-
-
-def worth_going_on(ctx: Context, files: list[Path | None], newest: list[Recording], setting: Setting) -> bool:
-    """Whether the latest parameters beat the ones before on recordings that neither was fitted to.
-
-    The improvement counts if the lower end of its 95 % bootstrap interval (over the recordings,
-    paired) exceeds 5 %.
-    """
-    before = rmse_m(newest, geometry_of(ctx, files[-2]), setting)
-    after = rmse_m(newest, geometry_of(ctx, files[-1]), setting)
-    low = improvement_bound(before, after, np.random.default_rng(ctx.seed))
-    ctx.note(
-        f"Parameters {len(files) - 1} against {len(files) - 2} on new recordings: position RMSE "
-        f"{1e3 * before.mean():.2f} to {1e3 * after.mean():.2f} mm, improvement at least {100 * low:.0f} %."
-    )
-    return low > _WORTH
-
-
-def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> float:
-    """Lower end of the one-sided 97.5 % bootstrap interval of 1 - mean(after) / mean(before)."""
-    picks = rng.integers(0, len(before), (_BOOTSTRAP, len(before)))
-    gains = 1.0 - after[picks].mean(axis=1) / before[picks].mean(axis=1)
-    return float(np.percentile(gains, 2.5))
-
-
-def _fit(ctx: Context, rounds: list[list[Recording]], setting: Setting, method: str) -> Calibration:
-    pooled = [r for one in rounds for r in one]
-    nominal = geometry_of(ctx, None)
-    return calibrate(
-        pooled, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal, validate=False,
-        report=ctx.progress,
-    )  # fmt: skip
-
-
-def _keep(path: Path, result: Calibration, ctx: Context) -> Path:
+def _keep(ctx: Context, name: str, result: Calibration) -> Path:
+    path = ctx.folder / name
     path.unlink(missing_ok=True)
     write_calibration(path, result, created=ctx.started, software=versions())
     return path
 
 
-def _best(files: list[Path | None], fresh: list[Recording], setting: Setting) -> int:
-    """Index of the parameter set with the smallest error on the validation run, never the untouched one."""
-    found = [rmse_m(fresh, read_calibration(f).geometry, setting).mean() for f in files[1:] if f is not None]
-    return 1 + int(np.argmin(found))
-
-
-def _measure(
-    ctx: Context, files: list[Path | None], rounds: list[list[Recording]], fresh: list[Recording], chosen: int,
-    results: list[Calibration], setting: Setting,
-) -> None:  # fmt: skip
-    before = evaluate(tracks(rounds[0], geometry_of(ctx, files[0]), setting))["mean"]
-    after = evaluate(tracks(fresh, geometry_of(ctx, files[chosen]), setting))["mean"]
-    assert isinstance(before, dict)
-    assert isinstance(after, dict)
+def _measure(ctx: Context, rounds: list[Driven], fresh: Driven, setting: Setting) -> None:
+    first, last = rounds[0], fresh
+    before: Any = evaluate(tracks(first.recordings, first.geometry, setting))["mean"]
+    after: Any = evaluate(tracks(last.recordings, last.geometry, setting))["mean"]
     for name, scale, key in (
         ("position_rmse", 1e3, "rmse_position_m"), ("heading_rmse", np.degrees(1.0), "rmse_theta_rad"),
     ):  # fmt: skip
         ctx.measure(f"{name}_before", scale * before[key])
         ctx.measure(f"{name}_after", scale * after[key])
     ctx.measure("improvement", before["rmse_position_m"] / after["rmse_position_m"])
-    driven = driven_errors(ctx, files, rounds, fresh, setting)
-    later = [b / a for a, b in zip(driven, driven[1:], strict=False)]
-    ctx.measure("later_rounds", max(later))
+    driven = 1e3 * np.array([d.rmse_m(setting).mean() for d in [*rounds, fresh]])
+    ctx.measure("worst_later_round", float(np.max(driven[1:] - np.minimum.accumulate(driven)[:-1])))
     ctx.measure("rounds", len(rounds))
-    ctx.measure("rejected_recordings", len(results[-1].fit.rejected))
-
-
-def driven_errors(
-    ctx: Context, files: list[Path | None], rounds: list[list[Recording]], fresh: list[Recording],
-    setting: Setting,
-) -> list[float]:  # fmt: skip
-    """Position RMSE, m, of each round and of the validation run with the parameters that drove it."""
-    used = [*files[: len(rounds)], files[-1]]
-    return [
-        float(rmse_m(recordings, geometry_of(ctx, file), setting).mean())
-        for recordings, file in zip([*rounds, fresh], used, strict=True)
-    ]
-
-
-def _show(
-    ctx: Context, files: list[Path | None], rounds: list[list[Recording]], fresh: list[Recording], chosen: int,
-    results: list[Calibration], setting: Setting,
-) -> None:  # fmt: skip
-    p: Parameters = ctx.parameters
-    columns: dict[str, WheelGeometry] = {"nominal": geometry_of(ctx, None)}
-    columns[p.method] = geometry_of(ctx, files[chosen])
-    for method in p.compared_methods:
-        columns[method] = _fit(ctx, rounds, setting, method).geometry
-    parameter_table(ctx, columns)
-    first, last = geometry_of(ctx, files[0]), geometry_of(ctx, files[chosen])
-    error_table(ctx, "Table II: errors before calibration", evaluate(tracks(rounds[0], first, setting)))
-    error_table(ctx, "Table III: errors after calibration", evaluate(tracks(fresh, last, setting)))
-    rows: list[list[Any]] = []
-    for name, geometry in columns.items():
-        table: Any = evaluate(tracks(fresh, geometry, setting))
-        rows.append([name, *(f"{1e3 * row['rmse_position_m']:.2f}" for row in table["motions"].values())])
-    motions = list(dict.fromkeys(r.motion for r in fresh))
-    ctx.table("Validation run, every method: position RMSE (mm)", ["parameters", *motions], rows)
-    draw_rounds(ctx, driven_errors(ctx, files, rounds, fresh, setting))
-    draw_validation(ctx, tracks(fresh, first, setting), tracks(fresh, last, setting))
-    ctx.note(f"Parameter set {chosen} of {len(files) - 1} had the smallest error on the validation run.")
-    for line in results[chosen - 1].warnings:
-        ctx.note(line[0].upper() + line[1:] + ".")
 
 
 def _install(ctx: Context, result: Calibration) -> None:
     """The transaction: a file that others use changes only when every limit holds."""
     p: Parameters = ctx.parameters
-    ctx.attach("calibration", _keep(ctx.folder / "calibration.toml", result, ctx))
+    ctx.attach("calibration", _keep(ctx, "calibration.toml", result))
     if not p.install:
         return
     if not ctx.passing():

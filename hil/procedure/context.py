@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.clock import NS_PER_S, Clock
+from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.errors import HilError, UsageError
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
@@ -215,6 +215,10 @@ class Context:
             self._journal.add("value", {"title": title, "value": kept})
         return kept
 
+    def finished(self, title: str) -> bool:
+        """Whether a resumed run will take this checkpoint from the journal."""
+        return title in self._past
+
     def _replay(self, title: str) -> Any:
         *entries, last = self._past[title]
         for entry in entries:
@@ -296,6 +300,10 @@ class Context:
         answer = self._operator.ask(question)
         self._journal.add("answer", {"question": question, "answer": answer})
         return answer
+
+    def count_bench_time(self, driven_s: float) -> None:
+        """Add time that a bench of this run has driven in another process, s."""
+        self.guard.driven_ns += nanoseconds(driven_s)
 
     def progress(self, what: str, done: int, total: int) -> None:
         """Say how far the work is."""

@@ -1,0 +1,96 @@
+"""Rounds of an odometry calibration: what was driven with which parameters, and when to stop.
+
+Each set of parameters is judged on the recordings that it drove. Those were made after it was fitted,
+so no set is judged on what it was fitted to.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hil.calibration.artefact import read_calibration
+from hil.calibration.calibrate import Calibration, calibrate
+from hil.calibration.datasets import Recording
+from hil.calibration.evaluation import Track, position_rmse, track
+from hil.calibration.problem import Setting
+from hil.config.bench import BenchConfig
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry
+from hil.procedure import Context
+
+WORTH = 0.05
+_BOOTSTRAP = 2000
+
+
+@dataclass(frozen=True)
+class Driven:
+    """Recordings and the parameters that drove them.
+
+    Attributes:
+        label: `round 1`, ..., `validation`.
+        geometry: in use while driving, for inverse kinematics and odometry alike.
+    """
+
+    label: str
+    recordings: list[Recording]
+    geometry: WheelGeometry
+
+    def rmse_m(self, setting: Setting) -> Array:
+        """Position RMSE of odometry for each recording, m."""
+        return np.array([position_rmse(t) for t in tracks(self.recordings, self.geometry, setting)])
+
+
+def nominal_geometry(config: BenchConfig) -> WheelGeometry:
+    """Wheel geometry of the configured robot."""
+    robot = config.robot
+    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
+
+
+def geometry_in(file: Path | None, config: BenchConfig) -> WheelGeometry:
+    """Wheel geometry of a calibration file; the bench's own without one."""
+    known = file or (Path(config.calibration) if config.calibration else None)
+    return nominal_geometry(config) if known is None else read_calibration(known).geometry
+
+
+def tracks(recordings: Sequence[Recording], geometry: WheelGeometry, setting: Setting) -> list[Track]:
+    """Odometry of recordings under a geometry."""
+    return [track(r, geometry, setting.model, setting.signal) for r in recordings]
+
+
+def improve(ctx: Context, latest: Driven, setting: Setting, method: str) -> Calibration:
+    """Fit the latest round, starting from the parameters that drove it.
+
+    The prior stands at those parameters: of all sets that explain what they did wrong the nearest is
+    taken. What the data cannot show stays as it was, and what the model does not know (unequal wheel
+    loads, friction) shrinks from round to round instead of being hidden in those directions.
+    """
+    config = ctx.source.config
+    return calibrate(
+        latest.recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal_geometry(config),
+        prior=latest.geometry, validate=False, report=ctx.progress,
+    )  # fmt: skip
+
+
+def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> float:
+    """Lower end of the one-sided 97.5 % bootstrap interval of 1 - mean(after) / mean(before)."""
+    picks = rng.integers(0, len(before), (_BOOTSTRAP, len(before)))
+    gains = 1.0 - after[picks].mean(axis=1) / before[picks].mean(axis=1)
+    return float(np.percentile(gains, 2.5))
+
+
+def worth_going_on(ctx: Context, before: Driven, after: Driven, setting: Setting) -> bool:
+    """Whether the latest round was driven better than the best before it, by more than chance and 5 %.
+
+    Recordings are paired by motion and repetition; the interval is over those pairs.
+    """
+    old, new = before.rmse_m(setting), after.rmse_m(setting)
+    low = improvement_bound(old, new, np.random.default_rng(ctx.seed))
+    ctx.note(
+        f"Driven position RMSE {1e3 * old.mean():.2f} mm in {before.label}, {1e3 * new.mean():.2f} mm in "
+        f"{after.label}: improvement of at least {100 * low:.0f} % (97.5 % confidence)."
+    )
+    return low > WORTH
