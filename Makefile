@@ -3,14 +3,17 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := fast,rerun,parquet,test,lint
+CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo test test-long lint bench clean
+.PHONY: help demo demo-calibration docs test test-long lint bench clean
 
 help:
-	@echo "make demo       calibrate on a generated data set and name the pages"
+	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
+	@echo "make demo-calibration  calibrate on a generated data set and name the pages"
 	@echo "make test       run the default test suite"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
+	@echo "make docs       write docs/bench-file.md afresh"
 	@echo "make bench      print the measured ratios"
 
 $(BIN)/.installed: pyproject.toml
@@ -20,12 +23,21 @@ $(BIN)/.installed: pyproject.toml
 	@touch $@
 
 demo: $(BIN)/.installed
-	$(BIN)/hil demo-data out/demo/data --corrupt circle_cw_2
-	$(BIN)/hil evaluate out/demo/data
-	$(BIN)/hil calibrate out/demo/data --out out/demo/calibration.toml --plots out/demo/calibration
-	$(BIN)/hil evaluate out/demo/data --calibration out/demo/calibration.toml --plots out/demo/evaluation
-	@echo "calibration file: out/demo/calibration.toml"
-	@echo "open out/demo/calibration/index.html and out/demo/evaluation/index.html"
+	rm -rf out/demo
+	$(BIN)/hil run wall_tracking --seed 1 --out out/demo
+	$(BIN)/hil replay $(CLIMB).mcap --verify
+	$(BIN)/hil replay $(CLIMB).mcap --page out/demo/replay.html --rerun $(CLIMB).rrd
+	@echo "report:           out/demo/report.html   (estimators on the same recording: out/demo/replay.html)"
+	@echo "recording:        $(CLIMB).mcap"
+	@echo "look at it:       $(BIN)/rerun $(CLIMB).rrd"
+
+demo-calibration: $(BIN)/.installed
+	$(BIN)/hil demo-data out/demo-calibration/data --corrupt circle_cw_2
+	$(BIN)/hil evaluate out/demo-calibration/data
+	$(BIN)/hil calibrate out/demo-calibration/data --out out/demo-calibration/calibration.toml --plots out/demo-calibration/fit
+	$(BIN)/hil evaluate out/demo-calibration/data --calibration out/demo-calibration/calibration.toml --plots out/demo-calibration/after
+	@echo "calibration file: out/demo-calibration/calibration.toml"
+	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
 test: $(BIN)/.installed
 	$(BIN)/python -m pytest
@@ -41,6 +53,9 @@ lint: $(BIN)/.installed
 
 bench: $(BIN)/.installed
 	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+
+docs: $(BIN)/.installed
+	$(BIN)/python docs/make_bench_reference.py
 
 clean:
 	rm -rf $(VENV) out build *.egg-info

@@ -83,7 +83,9 @@ def _table(model: type[BaseModel], path: str) -> Iterator[str]:
         if inner is not None:
             nested.append((inner, f"{path}.{name}".lstrip(".")))
             continue
-        default = "required" if field.is_required() else f"`{_toml(field.get_default(call_default_factory=True))}`"
+        default = (
+            "required" if field.is_required() else f"`{_toml(field.get_default(call_default_factory=True))}`"
+        )
         rows.append(f"| `{field.alias or name}` | {default} | {told.get(field.alias or name, '')} |\n")
     if path:
         yield f"\n## `[{path}]`\n\n"

@@ -1,0 +1,76 @@
+"""What README and guides print works as printed: links, commands, and every example."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hil.cli import COMMANDS
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")])
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+def blocks(text, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_links_and_pictures_lead_somewhere(page):
+    targets = re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text(encoding="utf-8"))
+    missing = [t for t in targets if "://" not in t and not (page.parent / t).exists()]
+    assert missing == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: p.name)
+def test_every_command_shown_exists(page):
+    shown = [
+        shlex.split(line, comments=True)
+        for block in blocks(page.read_text(encoding="utf-8"), "sh")
+        for line in block.replace("\\\n", " ").splitlines()
+    ]
+    calls = [words[words.index("hil") + 1] for words in shown if "hil" in words[:2]]
+    assert [c for c in calls if c not in COMMANDS and not c.startswith("-")] == []
+
+
+def test_the_reference_of_the_bench_file_is_current():
+    script = ROOT / "docs" / "make_bench_reference.py"
+    code = f"import runpy; print(runpy.run_path({str(script)!r})['page'](), end='')"
+    now = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert (ROOT / "docs" / "bench-file.md").read_text(encoding="utf-8") == now
+    assert re.findall(r"\| `(\w+)` \| [^|]* \|  \|", now) == []
+
+
+def python_block(containing):
+    found = [b for b in blocks(README, "python") if containing in b]
+    assert len(found) == 1
+    return found[0]
+
+
+def run(*command, cwd):
+    done = subprocess.run([sys.executable, *command], cwd=cwd, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_the_ten_line_procedure_runs_as_printed(tmp_path):
+    block = python_block("@procedure")
+    assert len([line for line in block.splitlines() if line.strip()]) <= 10
+    (tmp_path / "short_line.py").write_text(block)
+    assert "PASS: short_line" in run("-m", "hil.cli", "run", "short_line.py", cwd=tmp_path)
+    assert list(tmp_path.glob("out/short_line/*/report.html"))
+
+
+def test_the_script_runs_as_printed(tmp_path):
+    (tmp_path / "script.py").write_text(python_block("open_bench"))
+    printed = run("script.py", cwd=tmp_path)
+    assert [line.split()[0] for line in printed.splitlines()] == ["truth", "EKF", "odometry"]
+
+
+def test_the_test_runs_as_printed(tmp_path):
+    (tmp_path / "test_mine.py").write_text(python_block("pytest.mark.fault"))
+    assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
