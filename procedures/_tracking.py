@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.config.bench import BenchConfig
 from hil.geometry import Array, wrap_array
+from hil.kinematics import WheelGeometry
 from hil.motion import Motion
+from hil.motion_limits import check
+from hil.procedure.dry_run import motion_limits
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.trajectories import Trajectory
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -17,6 +23,23 @@ if TYPE_CHECKING:
 
 _END_S = 0.3
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
+LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, optimal law"}
+_DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
+_LOOKS: dict[str, dict[str, Any]] = {
+    "reference": {"color": PALETTE["reference"], "lw": 2.4},
+    "truth": {"lw": 1.4},
+    "estimate": {"color": PALETTE["truth"], "lw": 1.0, "ls": (0, (4, 2))},
+}
+
+
+def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Trajectory]) -> None:
+    """Hold every reference of a run against the bench's limits before anything is opened or moved.
+
+    Raises:
+        TrajectoryError: with the first offending time and value.
+    """
+    for trajectory in references:
+        check(trajectory, WheelGeometry.nominal().projection(), motion_limits(config))
 
 
 def stand(bench: Bench, duration_s: float = 0.5) -> Array:
@@ -66,41 +89,59 @@ def series(motion: Motion) -> dict[str, Any]:
 
 
 def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """Where the robot went, by feedback, beside the reference; X up the wall, Y to the left."""
+    """Where the robot went, by feedback, beside the reference; X up the wall, Y to the left.
+
+    What a line's reference does not move in is drawn in mm, enlarged.
+    """
+    first = next(iter(runs.values()))["reference"]
+    way = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
+    factor, unit = zip(*((1e3, "mm") if w < 0.05 else (1.0, "m") for w in way), strict=True)
     figure = new_figure(6.4, 4.2)
-    axes = style(figure.add_subplot(), "Y, left (m)", "X, up the wall (m)")
-    first = next(iter(runs.values()))
-    axes.plot(*_up(first["reference"]), color=PALETTE["reference"], lw=1.6, label="reference")
-    for name, run in runs.items():
-        axes.plot(*_up(run["truth"]), color=COLOURS.get(name, SERIES[4]), lw=1.4, label=name)
+    axes = style(figure.add_subplot(), f"Y, left ({unit[1]})", f"X, up the wall ({unit[0]})")
+    for name, run in {"reference": {"truth": first}, **runs}.items():
+        x, y = (np.array(run["truth"][k], dtype=np.float64) * factor[k] for k in range(2))
+        axes.plot(y, x, color=_colour(name), ls=_DASHES.get(name, "-"), lw=1.5, label=LABELS.get(name, name))
     axes.invert_xaxis()
-    across = np.ptp(np.array(first["reference"][1])), np.ptp(np.array(first["reference"][0]))
-    if min(across) > 0.1:
+    if min(way) > 0.05:
         axes.set_aspect("equal", adjustable="datalim")
     legend(axes)
     return figure
 
 
 def time_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """x, y and heading against time: reference, truth (full line) and estimate (dashed)."""
-    figure = new_figure(6.4, 6.4)
-    labels = ("x (m)", "y (m)", "heading (deg)")
-    for k, label in enumerate(labels):
-        axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
-        factor = np.degrees(1.0) if k == 2 else 1.0
-        first = next(iter(runs.values()))
-        axes.plot(
-            first["t"], np.array(first["reference"][k], float) * factor, color=PALETTE["reference"], lw=1.6,
-            label="reference",
-        )  # fmt: skip
-        for name, run in runs.items():
-            colour = COLOURS.get(name, SERIES[4])
-            axes.plot(run["t"], np.array(run["truth"][k], float) * factor, color=colour, lw=1.3, label=name)
-            axes.plot(run["t"], np.array(run["estimate"][k], float) * factor, color=colour, lw=1.0, ls="--")
-        if k == 0:
-            legend(axes, columns=2)
+    """x, y and heading against time, one column per feedback: reference, truth and estimate."""
+    figure = new_figure(2.4 * len(runs) + 0.8, 5.6)
+    grid = figure.subplots(3, len(runs), sharex=True, sharey="row", squeeze=False)
+    for column, (name, run) in enumerate(runs.items()):
+        for k, label in enumerate(("x (m)", "y (m)", "heading (deg)")):
+            axes = style(grid[k, column], "time (s)" if k == 2 else "", "" if column else label)
+            factor = np.degrees(1.0) if k == 2 else 1.0
+            for which, look in _LOOKS.items():
+                colour = look.get("color") or _colour(name)
+                values = np.array(run[which][k], dtype=np.float64) * factor
+                axes.plot(run["t"], values, label=which, **{**look, "color": colour})
+        grid[0, column].set_title(LABELS.get(name, name), fontsize=10, loc="left")
+        legend(grid[0, column])
     return figure
 
 
-def _up(pose: list[list[float]]) -> tuple[Array, Array]:
-    return np.array(pose[1], dtype=np.float64), np.array(pose[0], dtype=np.float64)
+def error_figure(runs: dict[str, dict[str, Any]]) -> Figure:
+    """Truth minus reference in x, y and heading against time, all feedbacks together."""
+    figure = new_figure(6.4, 5.6)
+    units = (("x error (mm)", 1e3), ("y error (mm)", 1e3), ("heading error (deg)", np.degrees(1.0)))
+    for k, (label, factor) in enumerate(units):
+        axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
+        axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
+        for name, run in runs.items():
+            error = np.array(run["truth"][k], dtype=np.float64) - np.array(run["reference"][k], np.float64)
+            axes.plot(
+                run["t"], (wrap_array(error) if k == 2 else error) * factor, color=_colour(name),
+                ls=_DASHES.get(name, "-"), lw=1.3, label=LABELS.get(name, name),
+            )  # fmt: skip
+        if k == 0:
+            legend(axes, columns=len(runs))
+    return figure
+
+
+def _colour(name: str) -> str:
+    return PALETTE["reference"] if name == "reference" else COLOURS.get(name, SERIES[4])

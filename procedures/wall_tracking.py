@@ -1,7 +1,8 @@
 """Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
-are those that the paper's experiments call for (`facts/plant_and_control.md`, closed loop).
+are those that the paper's experiments call for (`facts/plant_and_control.md`, closed loop). Limits on
+means hold for several seeds: in a single world the camera's scale, drawn once, decides such a figure.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import multiprocessing
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,11 +22,20 @@ from hil.geometry import ArrayLike
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, line, scan
 from procedures._collecting import ignore_interrupts
-from procedures._tracking import path_figure, series, stand, time_figure, tracking_errors
+from procedures._tracking import (
+    error_figure,
+    path_figure,
+    refuse_what_cannot_be_followed,
+    series,
+    stand,
+    time_figure,
+    tracking_errors,
+)
 
 Case = Literal["x_line", "y_line", "scan"]
 Feedback = Literal["odometry", "ekf", "ukf"]
 _REFERENCE_M = 1.5
+_SEEDS_FOR_MEANS = 5
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
 
 
@@ -85,13 +96,9 @@ def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
     """Limits for 1.5 m on melamine; what odometry must show scales with the way."""
-    way = p.length_m / _REFERENCE_M
     for case in p.cases:
         for feedback in p.feedbacks:
-            if feedback == "odometry":
-                yield from _of_odometry(case, way)
-            else:
-                yield from _of_filter(case, feedback, "odometry" in p.feedbacks, way)
+            yield from _of_odometry(case, p) if feedback == "odometry" else _of_filter(case, feedback, p)
     if Drive("y_line", "ekf", "optimal") in drives(p):
         yield Measurement(
             "y_line.optimal.cross_track_ratio", "1", high=0.7, marginal=0.05,
@@ -99,9 +106,9 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         )  # fmt: skip
 
 
-def _of_odometry(case: str, way: float) -> Iterator[Measurement]:
-    why = "odometry must fail as in the paper, or slip and sag are not being tested"
-    name = f"{case}.odometry"
+def _of_odometry(case: str, p: Parameters) -> Iterator[Measurement]:
+    why = "odometry must fail as in the paper, or slip and sag are not being tested; mean over the seeds"
+    name, way = f"{case}.odometry", p.length_m / _REFERENCE_M
     if case == "scan":
         yield Measurement(f"{name}.rmse_worse_axis", "mm", low=50.0, rationale=why)
         return
@@ -112,34 +119,39 @@ def _of_odometry(case: str, way: float) -> Iterator[Measurement]:
     yield Measurement(f"{name}.heading_drift", "deg", low=1.0 * way, rationale=why)
 
 
-def _of_filter(case: str, feedback: str, compared: bool, way: float) -> Iterator[Measurement]:
-    name = f"{case}.{feedback}"
+def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]:
+    name, several = f"{case}.{feedback}", p.seeds >= _SEEDS_FOR_MEANS
     high = 6.0 if case == "scan" else 8.0
+    mean = "mean over the seeds" if several else "one world: only the worst is limited"
     for axis in ("x", "y"):
         yield Measurement(
-            f"{name}.rmse_{axis}", "mm", high=high, marginal=1.0, rationale="mean over the seeds"
-        )
-        if case != "scan":
-            yield Measurement(f"{name}.rmse_{axis}_worst", "mm", high=15.0, rationale="worst seed")
+            f"{name}.rmse_{axis}", "mm", high=high if several else None, marginal=1.0 if several else 0.0,
+            rationale=mean,
+        )  # fmt: skip
+        yield Measurement(f"{name}.rmse_{axis}_worst", "mm", high=15.0, rationale="worst seed")
     if case == "scan":
         return
     yield Measurement(
         f"{name}.end", "mm", high=25.0, marginal=3.0, rationale="distance at the end, worst seed"
     )
     yield Measurement(f"{name}.rmse_heading", "deg", high=0.4, marginal=0.05, rationale="mean over the seeds")
-    if compared and way > 0.5:
+    if "odometry" in p.feedbacks:
         yield Measurement(
-            f"{name}.improvement", "1", low=6.0,
-            rationale="shortfall (X line) or sag (Y line) of odometry over that of the filter",
+            f"{name}.improvement", "1", low=6.0 if several and p.length_m >= 1.0 else None,
+            rationale=f"shortfall (X line) or sag (Y line) of odometry over that of the filter; {mean}",
         )  # fmt: skip
 
 
+def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
+    """What is driven in each world, from the configured start."""
+    return tuple(reference(d.case, p, config.emulation.start_pose) for d in drives(p))
+
+
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
-    """One step per seed, with its references."""
-    start = config.emulation.start_pose
+    """The references' check, one step per seed, the evaluation."""
+    yield PlannedStep("check the references", references(p, config))
     for number in range(p.seeds):
-        references = tuple(reference(d.case, p, start) for d in drives(p)) if number == 0 else ()
-        yield PlannedStep(f"world {number + 1} of {p.seeds}", references)
+        yield PlannedStep(f"world {number + 1} of {p.seeds}")
     yield PlannedStep("evaluate")
 
 
@@ -166,10 +178,10 @@ def _elsewhere(job: tuple[BenchSource, Drive, Parameters]) -> dict[str, Any]:
 def run(ctx: Context) -> None:
     """Wall tracking with feedback from odometry, EKF and UKF."""
     p: Parameters = ctx.parameters
+    with ctx.step("check the references"):
+        refuse_what_cannot_be_followed(ctx.source.config, references(p, ctx.source.config))
     worlds = [
-        ctx.checkpoint(
-            f"world {number + 1} of {p.seeds}", lambda number=number: one_world(ctx, ctx.seed + number)
-        )
+        ctx.checkpoint(f"world {number + 1} of {p.seeds}", partial(one_world, ctx, ctx.seed + number))
         for number in range(p.seeds)
     ]
     with ctx.step("evaluate"):
@@ -217,11 +229,13 @@ def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
             for label, run in worlds[0].items()
             if label.startswith(case + " ")
         }
-        ctx.figure(path_figure(shown), f"{_NAMES[case]}: path", "Truth from motion capture, by feedback.")
+        name = _NAMES[case]
+        ctx.figure(path_figure(shown), f"{name}: path", "Truth from motion capture, by feedback.")
         ctx.figure(
-            time_figure(shown), f"{_NAMES[case]}: x, y and heading",
-            "Full lines: truth. Dashed: the estimate that was fed back.",
+            time_figure(shown), f"{name}: x, y and heading",
+            "The estimate is what was fed back: odometry believes that it follows the reference.",
         )  # fmt: skip
+        ctx.figure(error_figure(shown), f"{name}: errors", "Truth minus reference.")
     if "y_line optimal" in errors:
         ratio = errors["y_line optimal"]["rmse_x"].mean() / errors["y_line ekf"]["rmse_x"].mean()
         ctx.measure("y_line.optimal.cross_track_ratio", ratio)
@@ -233,20 +247,19 @@ def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> 
     lost = "end_x"
     if feedback == "odometry":
         if case == "scan":
-            ctx.measure(f"{name}.rmse_worse_axis", np.maximum(own["rmse_x"], own["rmse_y"]).min())
+            ctx.measure(f"{name}.rmse_worse_axis", np.maximum(own["rmse_x"], own["rmse_y"]).mean())
             return
-        ctx.measure(f"{name}.{'shortfall' if case == 'x_line' else 'sag'}", (-own[lost]).min())
-        ctx.measure(f"{name}.heading_drift", np.abs(own["end_heading"]).min())
+        ctx.measure(f"{name}.{'shortfall' if case == 'x_line' else 'sag'}", (-own[lost]).mean())
+        ctx.measure(f"{name}.heading_drift", np.abs(own["end_heading"]).mean())
         return
     for axis in ("x", "y"):
         ctx.measure(f"{name}.rmse_{axis}", own[f"rmse_{axis}"].mean())
-        if case != "scan":
-            ctx.measure(f"{name}.rmse_{axis}_worst", own[f"rmse_{axis}"].max())
+        ctx.measure(f"{name}.rmse_{axis}_worst", own[f"rmse_{axis}"].max())
     if case == "scan":
         return
     ctx.measure(f"{name}.end", np.hypot(own["end_x"], own["end_y"]).max())
     ctx.measure(f"{name}.rmse_heading", own["rmse_heading"].mean())
-    if any(m.name == f"{name}.improvement" for m in measurements(ctx.parameters)):
+    if "odometry" in ctx.parameters.feedbacks:
         before = np.abs(errors[f"{case} odometry"][lost]).mean()
         ctx.measure(f"{name}.improvement", before / np.abs(own[lost]).mean())
 

@@ -1,0 +1,76 @@
+"""How many times faster than real time the emulated robot is, at its 1 kHz step: driving on the wall.
+
+    python benchmarks/plant.py --seconds 20 --repeat 5
+
+Ratios are the best of the repetitions; anything else on the machine makes them worse. Ends with 1 when
+the compiled physics is below the 150 that a campaign of many virtual runs was planned with.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import time
+
+import numpy as np
+
+from hil.clock import nanoseconds
+from hil.config.robot import RobotConfig
+from hil.fakes.plant import WallRobot, make_plant
+from hil.fakes.plant.compiled import numba_available
+from hil.fakes.plant_api import JointCommand
+
+_NEEDED = 150.0
+_PERIOD_NS = nanoseconds(0.01)
+
+
+def driving(compiled: bool) -> WallRobot:
+    """A robot of the series that drives up the wall at two thirds of its speed."""
+    plant = make_plant(RobotConfig(), rng=np.random.default_rng(0), compiled=compiled)
+    for wheel in range(4):
+        plant.command(wheel, JointCommand("velocity", 3.0))
+        plant.command(wheel + 4, JointCommand("position", math.radians(10.0)))
+    plant.advance(nanoseconds(0.2))
+    return plant
+
+
+def ratio(plant: WallRobot, seconds: float, repeat: int, *, look: bool) -> float:
+    """Simulated over spent time; with `look`, as in a control loop of 100 Hz that reads the truth."""
+    best = 0.0
+    for _ in range(repeat):
+        begin, target_ns = time.perf_counter(), plant.t_ns + nanoseconds(seconds)
+        if look:
+            for t_ns in range(plant.t_ns, target_ns + 1, _PERIOD_NS):
+                plant.advance(t_ns)
+                plant.truth()
+        else:
+            plant.advance(target_ns)
+        best = max(best, seconds / (time.perf_counter() - begin))
+    return best
+
+
+def main() -> int:
+    """Measure and print one JSON object."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=20.0, help="simulated seconds per repetition")
+    parser.add_argument("--repeat", type=int, default=5)
+    given = parser.parse_args()
+    found: dict[str, object] = {"numba": numba_available(), "needed": _NEEDED}
+    interpreted = ratio(driving(False), min(given.seconds, 0.5), given.repeat, look=False)
+    found["interpreted"] = round(interpreted, 2)
+    if not numba_available():
+        print(json.dumps(found))
+        return 0
+    begin = time.perf_counter()
+    plant = driving(True)
+    found["first_call_s"] = round(time.perf_counter() - begin, 2)
+    compiled = ratio(plant, given.seconds, given.repeat, look=False)
+    found["compiled"] = round(compiled, 1)
+    found["compiled_looked_at_100_hz"] = round(ratio(plant, given.seconds, given.repeat, look=True), 1)
+    print(json.dumps(found))
+    return 0 if compiled >= _NEEDED else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
