@@ -1,0 +1,294 @@
+"""Where the tracking camera sits on the body, and how late its poses really are.
+
+The robot turns and drives small ways while motion capture watches. Camera motion and body motion over
+half-second intervals give mount, scale and time offset together (hand-eye calibration). The result is
+applied and driven again, and left as a fragment of `bench.toml`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.bench import Bench
+from hil.clock import NS_PER_S
+from hil.config.bench import BenchConfig
+from hil.errors import DeviceError
+from hil.geometry import Array
+from hil.motion import Motion
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.trajectories import Trajectory, line
+from procedures._fragment import write_fragment
+from procedures._hand_eye import (
+    Extrinsics,
+    Intervals,
+    Truth,
+    camera_path,
+    intervals,
+    join,
+    lateness_curve,
+    shifted,
+    solve,
+)
+from procedures._samples import Series, camera, poses
+from procedures._tracking import stand
+
+_DEG = float(np.degrees(1.0))
+_HEADING_SHARE = 0.8
+
+
+class Parameters(BaseModel):
+    """How far to turn (on a wall: as far as it allows) and to drive, and how often."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    turn_deg: float = Field(90.0, ge=5.0, le=180.0)
+    way_m: float = Field(0.4, ge=0.1, le=3.0)
+    repetitions: int = Field(2, ge=1, le=20)
+    speed_m_s: float = Field(0.1, gt=0)
+
+
+def measurements(p: Parameters) -> Iterator[Measurement]:
+    """The mount, its lateness, and whether both help."""
+    for axis in "xy":
+        yield Measurement(
+            f"mount_{axis}", "mm", low=-400.0, high=400.0, rationale="within the robot's outline"
+        )
+        yield Measurement(f"mount_{axis}_uncertainty", "mm", high=4.0, rationale="half of the 95 % interval")
+    for axis in ("roll", "pitch", "yaw"):
+        yield Measurement(
+            f"{axis}_correction", "deg", low=-10.0, high=10.0, marginal=3.0,
+            rationale="beyond, the mount's axes are mixed up rather than off",
+        )  # fmt: skip
+        yield Measurement(f"{axis}_uncertainty", "deg", high=1.0, rationale="half of the 95 % interval")
+    yield Measurement(
+        "late",
+        "ms",
+        low=-40.0,
+        high=40.0,
+        marginal=10.0,
+        rationale="stamps minus truth, at the latency believed",
+    )
+    yield Measurement("late_uncertainty", "ms", high=4.0, rationale="half of the 95 % interval")
+    yield Measurement(
+        "scale",
+        "1",
+        low=0.97,
+        high=1.03,
+        marginal=0.01,
+        rationale="way of the camera over true way; 0.5 % is usual",
+    )
+    yield Measurement("scale_uncertainty", "1", rationale="half of the 95 % interval")
+    yield Measurement("residual_position", "mm", high=3.0, marginal=0.5, rationale="per half second and axis")
+    yield Measurement("residual_angle", "mrad", high=5.0, marginal=1.0, rationale="per half second and axis")
+    yield Measurement(
+        "outliers", "1", high=0.1, rationale="intervals beyond four sigma: jumps, lost tracking"
+    )
+    yield Measurement(
+        "before.position_rmse", "mm", rationale="camera against motion capture, mount as configured"
+    )
+    yield Measurement(
+        "applied.position_rmse", "mm", high=8.0, marginal=2.0, rationale="the same way with the result"
+    )
+
+
+def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
+    """Turns to both sides and ways along both axes, back at the start each time."""
+    turn = p.turn_deg / _DEG
+    if config.surface == "wall":
+        turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
+    stops = [(0, 0, turn), (0, 0, -turn), (0, 0, 0), (p.way_m, 0, 0), (0, 0, 0), (0, p.way_m, 0), (0, 0, 0)]
+    pose = np.asarray(start, dtype=np.float64)
+    legs, before = [], np.zeros(3)
+    for stop in stops * p.repetitions:
+        after = np.array(stop, dtype=np.float64)
+        name = "to {:.2g} {:.2g} {:.2g}".format(*stop)
+        legs.append(line(pose + before, pose + after, speed_m_s=p.speed_m_s, name=name))
+        before = after
+    return legs
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """The tour, and its beginning once more."""
+    legs = tuple(tour(p, config, np.array(config.emulation.start_pose)))
+    yield PlannedStep("tour", legs)
+    yield PlannedStep("solve")
+    yield PlannedStep("apply", legs[:5])
+
+
+@procedure(
+    name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
+    measurements=measurements, plan=plan, bench="emulated_floor",
+)  # fmt: skip
+def run(ctx: Context) -> None:
+    """Tracking camera: mount and time offset from motion against motion capture."""
+    unused: dict[str, object] = {"encoders": None, "imu": None}
+    bench = ctx.reopen(overrides=unused)
+    p: Parameters = ctx.parameters
+    with ctx.step("tour"):
+        motions = drive(ctx, bench, len(tour(p, bench.config, np.zeros(3))))
+    with ctx.step("solve"):
+        found = evaluate(ctx, motions)
+    with ctx.step("apply"):
+        apply(ctx, found, unused)
+
+
+def drive(ctx: Context, bench: Bench, legs: int) -> list[Motion]:
+    """The first legs of the tour; odometry goes on from one to the next."""
+    motions: list[Motion] = []
+    begin = stand(bench)
+    for number, leg in enumerate(tour(ctx.parameters, bench.config, begin)[:legs], start=1):
+        here = motions[-1].estimate[-1] if motions else begin
+        motions.append(bench.drive(leg, feedback="odometry", hold_s=0.2, start_pose=here))
+        ctx.progress(ctx.where, number, legs)
+    return motions
+
+
+def collected(motions: list[Motion]) -> tuple[Series, Series, Intervals]:
+    """Truth and camera over all motions on one time axis, and the camera's intervals within each."""
+    first_ns = motions[0].records[0].inputs.t_ns
+    truth, seen, parts = [], [], []
+    for motion in motions:
+        offset_s = (motion.records[0].inputs.t_ns - first_ns) / NS_PER_S
+        truth.append(shifted(poses(motion, "mocap").since(0.0), offset_s))
+        seen.append(shifted(camera(motion).since(0.0), offset_s))
+        if len(seen[-1]) > 2:
+            parts.append(intervals(seen[-1]))
+    if not parts or not any(len(t) for t in truth):
+        raise DeviceError("tracker", "no usable poses on the whole tour", remedy="run procedures/bring_up.py")
+    return _joined(truth), _joined(seen), join(parts)
+
+
+def _joined(parts: list[Series]) -> Series:
+    t_s, host_s, device_s, values = (
+        np.concatenate([getattr(p, k) for p in parts]) for k in ("t_s", "host_s", "device_s", "values")
+    )
+    return Series(t_s, host_s, device_s, values, sum(p.seen for p in parts))
+
+
+def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
+    """Solve, measure, draw."""
+    config = ctx.source.config.tracker
+    assert config is not None
+    truth_series, seen, parts = collected(motions)
+    truth = Truth(truth_series)
+    found = solve(parts, truth, config.mount_position_m, config.mount_rotation_wxyz)
+    for k, axis in enumerate("xy"):
+        ctx.measure(f"mount_{axis}", 1e3 * found.position_m[k])
+        ctx.measure(f"mount_{axis}_uncertainty", 1e3 * found.position_uncertainty_m[k])
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        ctx.measure(f"{axis}_correction", found.angles_rad[k] * _DEG)
+        ctx.measure(f"{axis}_uncertainty", found.angles_uncertainty_rad[k] * _DEG)
+    ctx.measure("late", 1e3 * found.late_s)
+    ctx.measure("late_uncertainty", 1e3 * found.late_uncertainty_s)
+    ctx.measure("scale", found.scale)
+    ctx.measure("scale_uncertainty", found.scale_uncertainty)
+    ctx.measure("residual_position", 1e3 * found.position_rms_m)
+    ctx.measure("residual_angle", 1e3 * found.angle_rms_rad)
+    ctx.measure("outliers", found.outliers)
+    _table(ctx, found)
+    _draw_path(ctx, truth, seen, found)
+    _draw_lateness(ctx, parts, truth, found)
+    ctx.measure("before.position_rmse", 1e3 * disagreement_m(motions[:5]))
+    return found
+
+
+def _table(ctx: Context, found: Extrinsics) -> None:
+    config = ctx.source.config.tracker
+    assert config is not None
+    rows = [
+        [axis, f"{1e3 * config.mount_position_m[k]:+.1f}", f"{1e3 * found.position_m[k]:+.2f}",
+         f"± {1e3 * found.position_uncertainty_m[k]:.2f}", "mm"]
+        for k, axis in enumerate("xy")
+    ]  # fmt: skip
+    rows += [
+        [name, "0", f"{found.angles_rad[k] * _DEG:+.3f}",
+         f"± {found.angles_uncertainty_rad[k] * _DEG:.3f}", "deg"]
+        for k, name in enumerate(("roll", "pitch", "yaw"))
+    ]  # fmt: skip
+    rows.append(
+        ["latency", f"{1e3 * config.latency_s:.1f}", f"{1e3 * (config.latency_s + found.late_s):.2f}",
+         f"± {1e3 * found.late_uncertainty_s:.2f}", "ms"]
+    )  # fmt: skip
+    ctx.table(
+        "Camera on the body", ["", "believed", "found", "95 %", "unit"], rows,
+        "Angles are the turn of the mount against the one believed, about body axes. The height above the "
+        "surface cannot be seen from motion along it.",
+    )  # fmt: skip
+
+
+def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
+    """Path of the camera by motion capture, and by itself laid over it."""
+    by_truth = camera_path(truth, seen.t_s - found.late_s, found)
+    own = seen.values[:, 0:3] / found.scale
+    a, b = own - own.mean(axis=0), np.column_stack([by_truth - by_truth.mean(axis=0), np.zeros(len(own))])
+    u, _, vt = np.linalg.svd(a.T @ b)
+    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    laid = (a @ turn)[:, :2] + by_truth.mean(axis=0)
+    figure = new_figure(6.4, 4.2)
+    axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
+    x, y = thin(*by_truth.T)
+    axes.plot(y, x, color=PALETTE["truth"], lw=2.2, label="motion capture and mount found")
+    x, y = thin(*laid.T)
+    axes.plot(y, x, color=SERIES[0], lw=1.2, label="camera, laid over it")
+    axes.invert_xaxis()
+    axes.set_aspect("equal", adjustable="datalim")
+    legend(axes)
+    ctx.figure(figure, "Path of the camera", "The camera's own path as a whole turned and shifted to fit.")
+
+
+def _draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsics) -> None:
+    config = ctx.source.config.tracker
+    assert config is not None
+    late = found.late_s + np.linspace(-0.03, 0.03, 61)
+    curve = lateness_curve(parts, truth, found, config.mount_rotation_wxyz, late)
+    figure = new_figure(6.4, 3.0)
+    axes = style(figure.add_subplot(), "lateness of the camera's stamps (ms)", "error of the turn (mrad)")
+    axes.plot(1e3 * late, 1e3 * curve, color=SERIES[0], lw=1.5)
+    axes.axvline(1e3 * found.late_s, color=PALETTE["reference"], lw=1.2, ls="--", label="found")
+    axes.axvline(0.0, color=PALETTE["truth"], lw=0.8, label="believed")
+    axes.set_ylim(bottom=0.0)
+    legend(axes)
+    ctx.figure(
+        figure, "Time offset", "RMS over all intervals; the valley is where camera and body turn together."
+    )
+
+
+def disagreement_m(motions: list[Motion]) -> float:
+    """RMS distance of the aligned camera from motion capture, both from the start of each motion."""
+    errors = []
+    for motion in motions:
+        truth, seen = poses(motion, "mocap").since(0.0), poses(motion, "tracker").since(0.0)
+        if len(truth) < 2 or len(seen) < 2:
+            continue
+        track = Truth(truth)
+        way, _ = track.steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
+        own, _ = Truth(seen).steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
+        errors.append(np.sum((way - own) ** 2, axis=1))
+    return float(np.sqrt(np.mean(np.concatenate(errors)))) if errors else float("nan")
+
+
+def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
+    """Drive the beginning of the tour with the result; leave it as a fragment.
+
+    What the bench believes changes; how an emulated camera is mounted does not.
+    """
+    config = ctx.source.config.tracker
+    assert config is not None
+    x, y = found.position_m
+    values: dict[str, Any] = {
+        "mount_position_m": [round(float(v), 5) for v in (x, y, config.mount_position_m[2])],
+        "mount_rotation_wxyz": [round(float(v), 6) for v in found.rotation_wxyz],
+        "latency_s": round(max(0.0, config.latency_s + found.late_s), 5),
+    }
+    true = {
+        "mount_position_m": config.mount_position_m, "mount_rotation_wxyz": config.mount_rotation_wxyz,
+        **ctx.source.config.emulation.tracker,
+    }  # fmt: skip
+    overrides = {**unused, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
+    bench = ctx.reopen("applied", overrides=overrides)
+    ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
+    write_fragment(ctx, {"tracker": values}, "Mount and latency of the tracking camera.")
