@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import socket
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, TypeVar
@@ -59,7 +58,6 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         start_pose=emulation.start_pose,
         rng=random_stream(seed, "plant"),
         randomise_truth=emulation.randomise_truth,
-        geometry_share=emulation.geometry_share,
         geometry_share=emulation.geometry_share,
         faults=plan,
     )
@@ -220,20 +218,10 @@ def _imu_face(config: BenchConfig, world: World) -> Face:
     return SerialPty(_imu(config, world), {"baud": config.imu.baud})
 
 
-def _free_udp_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port
-
-
 def _can_face(config: BenchConfig, world: World) -> Face:
     assert config.encoders is not None
     address = f"239.74.163.{2 + os.getpid() % 250}"
-    return CanFace(
-        _encoders(config, world, "can"), address=address, dbc=config.encoders.dbc_path,
-        options={"port": _free_udp_port()},
-    )  # fmt: skip
+    return CanFace(_encoders(config, world, "can"), address=address, dbc=config.encoders.dbc_path)
 
 
 _SERIAL: dict[str, Callable[[BenchConfig, World, str], SerialLine]] = {"servos": _servos, "imu": _imu}

@@ -8,6 +8,7 @@ on any other python-can interface, by default UDP multicast that never leaves th
 from __future__ import annotations
 
 import contextlib
+import socket
 from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,6 +23,7 @@ from hil.fakes.world import NEVER_NS, World
 
 WIRE_FAULTS = ("drop", "truncate", "duplicate", "bus_off", "unplug", "baud_mismatch")
 DEFAULT_GROUP = "239.74.163.2"
+DEFAULT_PORT = 43113
 
 _QUEUE = 4096
 _PROBABILITY = 0.1
@@ -182,7 +184,9 @@ class CanFace(Face):
         channel: the emulated wire.
         interface, address: python-can interface and channel that clients open too.
         dbc: path told to clients.
-        options: further keyword arguments of the interface.
+        options: further keyword arguments of the interface. Without a `port`, the first face of a
+            host has python-can's own, so that clients need only the group; another has a free one,
+            because a host hears every group at the port that it listens to.
 
     Raises:
         DeviceError: the interface cannot be opened.
@@ -199,11 +203,16 @@ class CanFace(Face):
     ) -> None:
         self._channel, self._dbc = channel, str(dbc)
         self._interface, self._address, self._options = interface, address, dict(options or {})
+        self._claim: socket.socket | None = None
         if interface == "udp_multicast":
-            self._options = {"hop_limit": 0, "port": 43113, **self._options}
+            if "port" not in self._options:
+                self._claim = _claim_default_port()
+                self._options["port"] = DEFAULT_PORT if self._claim else _free_port()
+            self._options.setdefault("hop_limit", 0)
         try:
             self._bus: can.BusABC | None = can.Bus(interface=interface, channel=address, **self._options)
         except (can.CanError, OSError, ValueError, TypeError) as error:
+            self._give_up_claim()
             raise DeviceError(
                 "encoders",
                 f"the emulated CAN bus cannot be served ({error})",
@@ -260,3 +269,33 @@ class CanFace(Face):
             self._channel.leave(self._queue)
             self._bus.shutdown()
             self._bus = None
+        self._give_up_claim()
+
+    def _give_up_claim(self) -> None:
+        if self._claim is not None:
+            self._claim.close()
+            self._claim = None
+
+
+def _claim_default_port() -> socket.socket | None:
+    """The right to python-can's default port, held while the socket is open; None where it is taken.
+
+    The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
+    exclusive and vanishes with its owner.
+    """
+    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        claim.bind(f"\0hil-can-{DEFAULT_PORT}")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            probe.bind(("", DEFAULT_PORT))
+    except OSError:
+        claim.close()
+        return None
+    return claim
+
+
+def _free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port: int = probe.getsockname()[1]
+        return port
