@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
-import contextlib
-import gc
 import json
-import os
 import signal
 import sys
 from types import FrameType
 
 import click
 
-_NICE = -5
+from hil.errors import EXIT_PASS
+
+_ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @click.command()
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
-@click.option("--only", default="", help="Comma-separated device names; default: all of the bench.")
+@click.option("--only", default="", metavar="NAMES", help="Devices, separated by commas [default: all].")
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
-@click.option("--lifeline", is_flag=True, hidden=True, help="End when standard input is closed.")
+@click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")
+@click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
 def command(bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline: bool) -> int:
     """Serve emulated devices on PTYs, a CAN interface and loopback UDP.
 
-    Prints one JSON line of endpoints on stdout, then runs until SIGINT or SIGTERM. Devices that the
-    bench file calls real are emulated as well when they are named with --only.
+    Prints one JSON line of endpoints on stdout, then runs until SIGINT or SIGTERM and ends with 0.
+    Devices that the bench file calls real are emulated as well when they are named with --only.
     """
     from hil.bench import open_emulation
     from hil.config.bench import load_bench
 
-    names = tuple(n for n in only.split(",") if n)
+    names = tuple("encoders" if n == "can" else n for n in only.split(",") if n)
     config = load_bench(bench, emulate=names or ("all",))
     descriptor = sys.stdin.fileno() if lifeline else None
     server = open_emulation(config, only=names, seed=seed, faults=faults, lifeline=descriptor)
@@ -38,18 +38,9 @@ def command(bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline:
     def leave(signum: int, frame: FrameType | None) -> None:
         server.stop()
 
-    signal.signal(signal.SIGINT, leave)
-    signal.signal(signal.SIGTERM, leave)
+    for number in _ENDS:
+        signal.signal(number, leave)
     click.echo(json.dumps(server.endpoints()))
     sys.stdout.flush()
-    _as_prompt_as_hardware()
     server.run()
-    return 0
-
-
-def _as_prompt_as_hardware() -> None:
-    """Hardware does not wait for a busy host: go first where that is allowed, and keep collections short."""
-    with contextlib.suppress(OSError):
-        os.nice(_NICE)
-    gc.collect()
-    gc.freeze()
+    return EXIT_PASS

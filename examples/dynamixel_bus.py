@@ -1,0 +1,73 @@
+"""Stock ROBOTIS dynamixel_sdk: finds the servos, reads them together, turns the first for a second.
+
+Usage: python dynamixel_bus.py endpoints.json
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+
+from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, PacketHandler, PortHandler
+
+TORQUE_ENABLE, GOAL_VELOCITY, PRESENT_POSITION = 64, 104, 132
+RAD_PER_COUNT = 2.0 * math.pi / 4096
+RAD_S_PER_COUNT = 0.229 * 2.0 * math.pi / 60.0
+TURN_COUNTS, TURN_S = 44, 1.0
+
+
+def signed(value: int) -> int:
+    """A 32-bit register as the SDK returns it, with its sign."""
+    return value - (1 << 32) if value & 0x80000000 else value
+
+
+def positions(group: GroupSyncRead, ids: list[int]) -> dict[int, int]:
+    """Present positions of all servos by one sync read, counts; a lost reply is repeated."""
+    for _ in range(5):
+        if group.txRxPacket() == COMM_SUCCESS:
+            return {i: signed(group.getData(i, PRESENT_POSITION, 4)) for i in ids}
+    raise SystemExit("no complete sync read in five")
+
+
+def ask(call, *arguments):
+    """An acknowledged request, up to three times: what it returned beside result and error."""
+    for _ in range(3):
+        *values, result, error = call(*arguments)
+        if result == COMM_SUCCESS and error == 0:
+            return values[0] if values else None
+    raise SystemExit(f"{call.__name__}{arguments[1:]}: result {result}, error {error}")
+
+
+def main() -> None:
+    """Find, read, turn."""
+    with open(sys.argv[1], encoding="utf-8") as file:
+        where = json.load(file)["servos"]
+    ids = where["ids"]
+    port, packets = PortHandler(where["port"]), PacketHandler(2.0)
+    if not (port.openPort() and port.setBaudRate(where["baud"])):
+        raise SystemExit(f"{where['port']} cannot be opened at {where['baud']} baud")
+    for i in ids:
+        print(f"servo {i}: model {ask(packets.ping, port, i)}")
+    group = GroupSyncRead(port, packets, PRESENT_POSITION, 4)
+    for i in ids:
+        group.addParam(i)
+        ask(packets.write1ByteTxRx, port, i, TORQUE_ENABLE, 1)
+    before = positions(group, ids)
+    ask(packets.write4ByteTxRx, port, ids[0], GOAL_VELOCITY, TURN_COUNTS)
+    began = time.monotonic()
+    reads = 0
+    while time.monotonic() < began + TURN_S:
+        positions(group, ids)
+        reads += 1
+    ask(packets.write4ByteTxRx, port, ids[0], GOAL_VELOCITY, 0)
+    turned = (positions(group, ids)[ids[0]] - before[ids[0]]) * RAD_PER_COUNT
+    asked = TURN_COUNTS * RAD_S_PER_COUNT * TURN_S
+    print(f"{reads} sync reads of {len(ids)} servos in {TURN_S:.0f} s")
+    print(f"servo {ids[0]} turned {turned:.2f} rad, asked for {asked:.2f} rad")
+    port.closePort()
+
+
+if __name__ == "__main__":
+    main()
