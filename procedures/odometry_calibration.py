@@ -16,10 +16,11 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.calibration.artefact import write_calibration
+from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import Setting, make_setting
+from hil.calibration.shelf import made_for, shelve
 from hil.calibration.validation import score
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
@@ -138,8 +139,10 @@ def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration:
 
 def _keep(ctx: Context, name: str, result: Calibration) -> Path:
     path = ctx.folder / name
-    path.unlink(missing_ok=True)
-    write_calibration(path, result, created=ctx.started, software=versions())
+    file = calibration_file(
+        result, created=ctx.started, software=versions(), made_for=made_for(ctx.source.config)
+    )
+    save_calibration(path, file)
     return path
 
 
@@ -161,11 +164,21 @@ def _measure(ctx: Context, rounds: list[Driven], fresh: Driven, setting: Setting
 def _install(ctx: Context, result: Calibration) -> None:
     """The transaction: a file that others use changes only when every limit holds."""
     p: Parameters = ctx.parameters
-    ctx.attach("calibration", _keep(ctx, "calibration.toml", result))
+    verdict, config = ctx.verdict().value, ctx.source.config
+    file = calibration_file(
+        result, created=ctx.started, software=versions(), verdict=verdict, made_for=made_for(config)
+    )
+    path = ctx.folder / "calibration.toml"
+    save_calibration(path, file)
+    ctx.attach("calibration", path)
     if not p.install:
         return
-    if not ctx.passing():
-        ctx.note(f"{p.install} was left as it is: validation did not pass.")
-        return
-    file = write_calibration(Path(p.install), result, created=ctx.started, software=versions())
-    ctx.note(f"{p.install} is now version {file.version}; the version before is kept beside it.")
+    target = Path(p.install)
+    kept = shelve(
+        target, result, created=ctx.started, software=versions(), verdict=verdict, config=config
+    )  # fmt: skip
+    ctx.note(
+        f"{target} is now version {kept.file.version}; `hil calibration rollback {target}` takes it back."
+        if kept.in_place
+        else f"{target} was left as it is: validation did not pass. The result is kept as {kept.path}."
+    )

@@ -14,8 +14,9 @@ from hil.bench.bench import Bench
 from hil.bench.drivers import Connections, make_rig
 from hil.bench.emulation import build_world, connect_in_process
 from hil.bench.process import EmulatorProcess
-from hil.bench.settings import check_origin, geometry_of
+from hil.bench.settings import geometry_of
 from hil.calibration.artefact import read_calibration
+from hil.calibration.shelf import check_made_for
 from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.tracker import FeedEndpoint
@@ -113,5 +114,5 @@ def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[WheelGeo
     if path is None:
         return nominal, ""
     found = read_calibration(Path(path))
-    check_origin(found.nominal_geometry, config, str(path))
+    check_made_for(found, config, str(path))
     return found.geometry, f"{Path(path).name} version {found.version}"

@@ -9,7 +9,6 @@ import numpy as np
 from hil.alignment import AlignmentParameters, Mount
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError
 from hil.kinematics import WheelGeometry
 from hil.realtime import RealTime
 from hil.supervisor import SafetyLimits
@@ -42,14 +41,3 @@ def geometry_of(config: BenchConfig) -> WheelGeometry:
     """Nominal wheel geometry of the configured robot."""
     robot = config.robot
     return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
-
-
-def check_origin(geometry: WheelGeometry, config: BenchConfig, path: str) -> None:
-    """Refuse a calibration whose nominal geometry is not the configured robot's; raises `ConfigError`."""
-    mine = geometry_of(config).vector()
-    if not np.allclose(geometry.vector()[:12], mine[:12], rtol=0.0, atol=1e-6):
-        raise ConfigError(
-            f"{path}: the calibration was made for another nominal geometry than [robot] of the bench",
-            expected="the same wheel positions and radii",
-            remedy="calibrate this robot, or correct [robot]",
-        )

@@ -1,13 +1,14 @@
 """`calibration.toml`: a calibration as a versioned file that is never overwritten.
 
 Writing over an existing file first keeps the old one as `NAME.vN.toml` and names it, with its
-SHA-256, as the previous version, so that every state can be restored.
+SHA-256, as the previous version, so that every state can be restored (`hil.calibration.shelf`).
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
+import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -28,6 +29,7 @@ else:
     import tomli as tomllib
 
 Four = tuple[float, float, float, float]
+FourNumbers = tuple[int, int, int, int]
 Row = tuple[float, float, float]
 
 
@@ -41,8 +43,28 @@ class Parameters(BaseModel):
     delta0_rad: Four = (0.0, 0.0, 0.0, 0.0)
 
 
+class MadeFor(BaseModel):
+    """The servos that a calibration belongs to, wheel order FL, BL, BR, FR; empty for not recorded.
+
+    Signs and zeros count: calibrated steering angles are measured from them.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    servo_model: int
+    drive_ids: FourNumbers
+    steer_ids: FourNumbers
+    drive_sign: FourNumbers
+    steer_sign: FourNumbers
+    steer_zero_rad: Four
+
+
 class CalibrationFile(BaseModel):
-    """Content of `calibration.toml`, schema 1."""
+    """Content of `calibration.toml`, schema 1.
+
+    Attributes:
+        verdict: of the validation run on the bench; empty for a calibration that had none.
+        made_for: servos that it was made with, None for recordings of unknown origin.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
     schema_version: Literal[1] = Field(alias="schema")
@@ -64,6 +86,8 @@ class CalibrationFile(BaseModel):
     warnings: list[str] = []
     software: dict[str, str] = {}
     previous: dict[str, str] = {}
+    verdict: Literal["", "PASS", "MARGINAL", "FAIL"] = ""
+    made_for: MadeFor | None = None
 
     @property
     def geometry(self) -> WheelGeometry:
@@ -109,6 +133,67 @@ def read_calibration(path: Path) -> CalibrationFile:
     raise ConfigError(f"{path}: not a calibration of schema 1", problems=problems)
 
 
+def calibration_file(
+    result: Calibration,
+    *,
+    created: str,
+    software: Mapping[str, str],
+    version: int = 1,
+    previous: Mapping[str, str] | None = None,
+    verdict: str = "",
+    made_for: MadeFor | None = None,
+) -> CalibrationFile:
+    """A calibration as the content of a file.
+
+    Args:
+        result: what to keep.
+        created: date and time, ISO 8601.
+        software: versions that it was made with.
+        version: number of this version.
+        previous: name and SHA-256 of the one before it.
+        verdict: of its validation run, empty without one.
+        made_for: servos that it belongs to.
+    """
+    described: Any = result.to_json()
+    tree: dict[str, Any] = {
+        "schema": 1,
+        "version": version,
+        "created": created,
+        "wheel_order": "FL BL BR FR",
+        **{k: described[k] for k in ("method", "setting", "model", "signal", "cost_before", "cost_after")},
+        "parameters": _parameters(result.geometry),
+        "nominal": _parameters(result.nominal),
+        "std": {k: [_finite(x) for x in v] for k, v in described["std"].items()},
+        "twist_correction": result.twist.tolist(),
+        "recordings": {
+            r.name: {"motion": r.motion, "sha256": list(r.sha256), "weight": float(w)}
+            for r, w in zip(result.recordings, result.fit.problem.weights, strict=True)
+        },
+        "validation": result.validation,
+        "warnings": list(result.warnings),
+        "software": dict(software),
+        "previous": dict(previous or {}),
+        "verdict": verdict,
+        "made_for": made_for,
+    }
+    return CalibrationFile.model_validate(tree)
+
+
+def save_calibration(path: Path, file: CalibrationFile) -> None:
+    """Write a file in one step: a reader sees the old content or the new one; raises `ConfigError`."""
+    partial = path.with_suffix(path.suffix + ".part")
+    text = tomli_w.dumps(file.model_dump(mode="python", by_alias=True, exclude_none=True))
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with partial.open("w", encoding="utf-8") as out:
+            out.write(text)
+            out.flush()
+            os.fsync(out.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
+
+
 def write_calibration(
     path: Path, result: Calibration, *, created: str, software: Mapping[str, str]
 ) -> CalibrationFile:
@@ -121,35 +206,21 @@ def write_calibration(
         software: versions that it was made with.
     """
     previous, version = _keep_previous(path)
-    described = result.to_json()
-    tree: dict[str, Any] = {
-        "schema": 1,
-        "version": version,
-        "created": created,
-        "wheel_order": "FL BL BR FR",
-        **{k: described[k] for k in ("method", "setting", "model", "signal", "cost_before", "cost_after")},
-        "parameters": _parameters(result.geometry),
-        "nominal": _parameters(result.nominal),
-        "std": {k: [_finite(x) for x in v] for k, v in described["std"].items()},  # type: ignore[attr-defined]
-        "twist_correction": result.twist.tolist(),
-        "recordings": {
-            r.name: {"motion": r.motion, "sha256": list(r.sha256), "weight": float(w)}
-            for r, w in zip(result.recordings, result.fit.problem.weights, strict=True)
-        },
-        "validation": result.validation,
-        "warnings": list(result.warnings),
-        "software": dict(software),
-        "previous": previous,
-    }
-    checked = CalibrationFile.model_validate(tree)
-    partial = path.with_suffix(path.suffix + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(tomli_w.dumps(tree), encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
-    return checked
+    file = calibration_file(result, created=created, software=software, version=version, previous=previous)
+    save_calibration(path, file)
+    return file
+
+
+def kept_path(path: Path, version: int) -> Path:
+    """Where a version of `path` is kept: `calibration.toml` -> `calibration.v3.toml`."""
+    return path.with_name(f"{path.stem}.v{version}{path.suffix}")
+
+
+def next_version(path: Path) -> int:
+    """One more than the highest version of `path` that exists, kept or in place."""
+    pattern = re.compile(re.escape(path.stem) + r"\.v(\d+)" + re.escape(path.suffix))
+    kept = [int(m[1]) for p in path.parent.glob("*") if (m := pattern.fullmatch(p.name))]
+    return 1 + max([*kept, read_calibration(path).version if path.exists() else 0])
 
 
 def _finite(value: float | None) -> float:
@@ -158,10 +229,18 @@ def _finite(value: float | None) -> float:
 
 def _keep_previous(path: Path) -> tuple[dict[str, str], int]:
     if not path.exists():
-        return {}, 1
+        return {}, next_version(path)
+    return keep(path), next_version(path)
+
+
+def keep(path: Path) -> dict[str, str]:
+    """Keep the file in place under its version number as well; returns name and SHA-256.
+
+    Raises:
+        ConfigError: another content is kept under that number.
+    """
     old = read_calibration(path)
-    kept = path.with_name(f"{path.stem}.v{old.version}{path.suffix}")
-    content = path.read_bytes()
+    kept, content = kept_path(path, old.version), path.read_bytes()
     if not kept.exists():
         kept.write_bytes(content)
     elif kept.read_bytes() != content:
@@ -169,4 +248,4 @@ def _keep_previous(path: Path) -> tuple[dict[str, str], int]:
             f"{kept}: exists and differs from version {old.version} in {path}",
             remedy="move one of them away",
         )
-    return {"file": kept.name, "sha256": hashlib.sha256(content).hexdigest()}, old.version + 1
+    return {"file": kept.name, "sha256": hashlib.sha256(content).hexdigest()}

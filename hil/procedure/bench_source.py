@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.artefact import read_calibration
+from hil.calibration.shelf import check_made_for
 from hil.config.bench import BenchConfig, load_bench
 from hil.interfaces import Sink
 
@@ -79,11 +80,16 @@ class BenchSource:
         )
 
     def describe_calibration(self) -> dict[str, Any] | None:
-        """File, version and SHA-256 of the calibration in use; None without one."""
+        """File, version and SHA-256 of the calibration in use; None without one.
+
+        Raises:
+            ConfigError: it cannot be read, or was made for another robot.
+        """
         path = self.calibration or (Path(self.config.calibration) if self.config.calibration else None)
         if path is None:
             return None
         file = read_calibration(path)
+        check_made_for(file, self.config, str(path))
         digest = hashlib.sha256(path.read_bytes()).hexdigest()
         return {"path": str(path), "version": file.version, "created": file.created, "sha256": digest}
 

@@ -17,7 +17,7 @@ from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
-from hil.procedure.measurements import Measurement, Verdict
+from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator
 
 if TYPE_CHECKING:
@@ -252,10 +252,14 @@ class Context:
         self.findings.values[name] = value
         self.findings.measured_in[name] = where
 
+    def verdict(self) -> Verdict:
+        """The worst outcome of what has been measured so far."""
+        values = self.findings.values
+        return worst(m.judge(values[n]) for n, m in self._declared.items() if n in values)
+
     def passing(self) -> bool:
         """Whether every limit that has been measured so far holds."""
-        values = self.findings.values
-        return all(m.judge(values[n]) is not Verdict.FAIL for n, m in self._declared.items() if n in values)
+        return self.verdict() is not Verdict.FAIL
 
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""

@@ -70,7 +70,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
             journal.add("resume", {"started": options.started})
         context = Context(
             parameters, source, options.folder, declared=declared, journal=journal, clock=options.clock,
-            started=options.started,            operator=options.operator, report=options.report, interrupts=interrupts,
+            started=options.started, operator=options.operator, report=options.report, interrupts=interrupts,
             past=past.checkpoints if past else {},
         )  # fmt: skip
         begin_ns = options.clock.now_ns()

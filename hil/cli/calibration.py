@@ -1,0 +1,112 @@
+"""`hil calibration`: the versions of a calibration.toml, which one is in place, and back again."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+if TYPE_CHECKING:
+    from hil.calibration.shelf import KeptVersion
+    from hil.config.bench import BenchConfig
+
+_FILE = click.argument("file", type=click.Path(path_type=Path))
+_BENCH = click.option("--bench", help="Bench file or profile that uses it: another robot's is refused.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+
+
+@click.group()
+def command() -> None:
+    """List, apply and roll back versions of a calibration.toml."""
+
+
+@command.command("list")
+@_FILE
+@_JSON
+def list_versions(file: Path, as_json: bool) -> int:
+    """Every version kept beside FILE, and which one is in place."""
+    from hil.calibration.shelf import Shelf
+    from hil.errors import ConfigError
+
+    versions = [_described(v) for v in Shelf(file).versions()]
+    if not versions:
+        raise ConfigError(f"{file}: no calibration and no version of one", remedy="run odometry_calibration")
+    if as_json:
+        click.echo(json.dumps({"file": str(file), "versions": versions}))
+        return 0
+    click.echo(f"{'':2}{'version':8}{'verdict':10}{'RMSE mm':>8}  {'created':26}{'method':16}file")
+    for row in versions:
+        error = "-" if row["validation_rmse_m"] is None else f"{1e3 * row['validation_rmse_m']:.2f}"
+        click.echo(
+            f"{'*' if row['in_place'] else '':2}{row['version']:<8}{row['verdict'] or 'none':10}{error:>8}  "
+            f"{row['created']:26}{row['method']:16}{row['path']}"
+        )
+    return 0
+
+
+@command.command("apply")
+@_FILE
+@click.option("--version", type=int, help="Version kept beside FILE.")
+@click.option("--from", "source", type=click.Path(path_type=Path), help="A calibration from elsewhere.")
+@_BENCH
+@_JSON
+def apply_version(
+    file: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool
+) -> int:
+    """Put a version in place as FILE; refused unless its validation passed."""
+    from hil.calibration.artefact import read_calibration
+    from hil.calibration.shelf import Shelf, check_made_for
+    from hil.errors import UsageError
+
+    if (version is None) == (source is None):
+        raise UsageError("which calibration?", expected="either --version N or --from FILE")
+    shelf, config = Shelf(file), _config(bench)
+    if source is not None:
+        found = read_calibration(source)
+        if config is not None:
+            check_made_for(found, config, str(source))
+        version = shelf.add(found).file.version
+    assert version is not None
+    return _done(shelf.apply(version, config), file, as_json)
+
+
+@command.command()
+@_FILE
+@click.option("--version", type=int, help="Version to go back to [default: the one before].")
+@_BENCH
+@_JSON
+def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) -> int:
+    """Put an earlier version back in place as FILE."""
+    from hil.calibration.shelf import Shelf
+
+    return _done(Shelf(file).rollback(version, _config(bench)), file, as_json)
+
+
+def _config(bench: str | None) -> BenchConfig | None:
+    from hil.config.bench import load_bench
+
+    return None if bench is None else load_bench(bench)
+
+
+def _done(kept: KeptVersion, file: Path, as_json: bool) -> int:
+    row = _described(kept)
+    click.echo(json.dumps(row) if as_json else f"{file} is version {row['version']} ({row['created']})")
+    return 0
+
+
+def _described(kept: KeptVersion) -> dict[str, Any]:
+    file = kept.file
+    mean = next((t["mean"] for t in file.validation.values() if "mean" in t), None)
+    if "fresh_run" in file.validation:
+        mean = file.validation["fresh_run"].get("mean", mean)
+    return {
+        "version": file.version,
+        "path": str(kept.path),
+        "in_place": kept.in_place,
+        "verdict": file.verdict,
+        "created": file.created,
+        "method": file.method,
+        "validation_rmse_m": None if mean is None else mean.get("rmse_position_m"),
+    }
