@@ -1,0 +1,135 @@
+"""The pytest plugin: a bench, its world, clock and loop as fixtures, on emulated devices or real ones.
+
+pytest loads this module in every run of an environment that has the package installed, so it imports
+nothing but pytest until a test asks for a bench. Without `--bench` every device is emulated: no
+hardware moves unless the command line names it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.clock import Clock
+    from hil.fakes.world import World
+    from hil.loop import ControlLoop
+
+MARKERS = (
+    'needs(*devices): skip unless the bench has these devices ("servos", "encoders" or "can", "imu", '
+    '"tracker", "mocap")',
+    "fault(device, kind, at=0.0, duration=None, **options): a fault on an emulated device, for example "
+    'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
+    "real_only: skip where a device is emulated",
+)
+_OPENED = pytest.StashKey["Bench"]()
+
+pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """`--bench`, `--emulate`, `--hil-seed`, `--hil-realtime`, and the ini key `hil_bench`."""
+    group = parser.getgroup("hil", "hardware in the loop")
+    group.addoption(
+        "--bench", metavar="FILE", help="bench file or profile; its real devices are used as they are"
+    )
+    group.addoption(
+        "--emulate", metavar="NAMES", nargs="?", const="all", type=_devices,
+        help="devices of --bench to emulate, separated by commas; all of them without NAMES",
+    )  # fmt: skip
+    group.addoption("--hil-seed", metavar="N", type=int, default=0, help="seed of every emulated world")
+    group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
+    parser.addini("hil_bench", "bench file or profile that is emulated when --bench is not given", default="")
+
+
+def _devices(text: str) -> str:
+    from argparse import ArgumentTypeError
+
+    from hil.config.bench import DEVICES
+
+    wrong = [name for name in text.split(",") if name not in (*DEVICES, "all")]
+    if wrong:
+        raise ArgumentTypeError(
+            f"{wrong[0]!r} is not a device; expected all or some of {', '.join(DEVICES)}; "
+            "in front of a path write --emulate=all"
+        )
+    return text
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Describe the markers."""
+    for line in MARKERS:
+        config.addinivalue_line("markers", line)
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Refuse a wrong bench file, and a real bench shared by several processes, before anything runs."""
+    if session.config.getoption("bench"):
+        from hil.pytest_plugin.selection import check_session
+
+        check_session(session.config)
+
+
+def pytest_report_header(config: pytest.Config) -> str | None:
+    """The bench, where one was named."""
+    if not (config.getoption("bench") or config.getini("hil_bench")):
+        return None
+    from hil.pytest_plugin.selection import describe
+
+    return describe(config)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip what this bench cannot do, and say why."""
+    if any(item.get_closest_marker(name) for name in ("needs", "fault", "real_only")):
+        from hil.pytest_plugin.selection import skip_where_impossible
+
+        skip_where_impossible(item)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
+    """Say with a failure how to have it again."""
+    outcome = yield
+    report = outcome.get_result()
+    opened = item.stash.get(_OPENED, None)
+    if report.failed and opened is not None:
+        from hil.pytest_plugin.selection import how_to_repeat
+
+        report.sections.append(("bench", how_to_repeat(item, opened)))
+
+
+@pytest.fixture
+def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
+    """An opened bench of its own for every test: fresh world, devices open, held and closed at the end."""
+    from hil.pytest_plugin.selection import opened
+
+    with opened(request.node) as found:
+        request.node.stash[_OPENED] = found
+        yield found
+
+
+@pytest.fixture
+def world(bench: Bench) -> World:
+    """The emulated world of `bench`; skipped where it does not live in this process."""
+    if bench.world is None:
+        pytest.skip(f"bench {bench.config.name}: the world is not in this process (real or at the wire)")
+    return bench.world
+
+
+@pytest.fixture
+def clock(bench: Bench) -> Clock:
+    """The clock of `bench`: virtual where everything is emulated in this process."""
+    return bench.clock
+
+
+@pytest.fixture
+def loop(bench: Bench) -> ControlLoop:
+    """A control loop over `bench` that reads, estimates and commands nothing."""
+    brain = bench.make_brain(None)
+    brain.reset(bench.start_state())
+    return bench.make_loop(brain)

@@ -1,0 +1,171 @@
+"""Which bench a test runs on, whether it can run there, and what its report says about it."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from hil.config.bench import DEVICES
+from hil.errors import HilError, UsageError
+from hil.fakes.faults import Fault, make_fault
+from hil.fakes.faults import describe as fault_spec
+from hil.procedure.bench_source import BenchSource
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+
+ALIASES = {"can": "encoders", "servo": "servos"}
+_SOURCE = pytest.StashKey[BenchSource]()
+
+
+def source_of(config: pytest.Config) -> BenchSource:
+    """The bench of a session: `--bench` as it is, else the ini key or the shipped profile, all emulated."""
+    found = config.stash.get(_SOURCE, None)
+    if found is None:
+        given = config.getoption("bench")
+        base = config.invocation_params.dir if given else config.rootpath
+        name = given or config.getini("hil_bench") or "emulated"
+        is_file = Path(name).suffix == ".toml" or (base / name).is_file()
+        found = config.stash[_SOURCE] = BenchSource(
+            base / name if is_file else name,
+            emulate=config.getoption("emulate") if given else "all",
+            seed=config.getoption("hil_seed"),
+            realtime=config.getoption("hil_realtime"),
+        )
+    return found
+
+
+def check_session(config: pytest.Config) -> None:
+    """Raise `pytest.UsageError` for a bench that cannot be read or be shared by xdist's workers."""
+    if hasattr(config, "workerinput"):
+        return
+    try:
+        real = source_of(config).real
+    except HilError as error:
+        raise pytest.UsageError(str(error)) from None
+    if real and config.getoption("numprocesses", None):
+        raise pytest.UsageError(
+            f"--bench {config.getoption('bench')}: {', '.join(real)} are real and cannot be shared by "
+            "several processes; leave -n out, or add --emulate"
+        )
+
+
+def describe(config: pytest.Config) -> str:
+    """One line about the bench for the head of the terminal report."""
+    source = source_of(config)
+    emulated = ", ".join(source.config.emulated()) or "none"
+    real = ", ".join(source.real) or "none"
+    return f"hil: bench {source.config.name}, seed {source.seed}; emulated: {emulated}; real: {real}"
+
+
+def properties(source: BenchSource) -> list[tuple[str, object]]:
+    """Properties of a test case in JUnit XML, named as in the reports of procedures."""
+    calibration = source.describe_calibration()
+    return [
+        ("bench", source.config.name),
+        ("calibration_version", "none" if calibration is None else calibration["version"]),
+        ("seed", source.seed),
+        ("emulated", ",".join(source.config.emulated()) or "none"),
+        *(("fault", spec) for spec in source.faults),
+    ]
+
+
+def skip_where_impossible(item: pytest.Item) -> None:
+    """Mark a test as skipped, with the reason, where the bench of the session cannot run it."""
+    with plainly():
+        source = source_of(item.config)
+        reason = _impossible(item, source)
+        if reason:
+            item.user_properties.extend(properties(source))
+            item.add_marker(pytest.mark.skip(reason=reason), append=False)
+
+
+def _impossible(item: pytest.Item, source: BenchSource) -> str:
+    config = source.config
+    devices, emulated = config.devices(), config.emulated()
+    needed = _needed(item)
+    missing = [name for name in needed if name not in devices]
+    if missing:
+        return f"needs {', '.join(missing)}, which bench {config.name} lacks"
+    if item.get_closest_marker("real_only"):
+        fake = [name for name in (needed or devices) if name in emulated]
+        if fake:
+            return f"real_only: bench {config.name} emulates {', '.join(fake)}"
+    for fault in _faults(item):
+        device = _device(fault.device.partition(".")[0])
+        told = f"fault {fault.device}:{fault.kind}: "
+        if device in DEVICES and device not in devices:
+            return f"{told}bench {config.name} lacks {device}"
+        if device in source.real or not emulated:
+            return f"{told}{device} of bench {config.name} is real"
+    return ""
+
+
+@contextmanager
+def opened(item: pytest.Item) -> Generator[Bench, None, None]:
+    """The bench for one test, with the faults of its markers; its name goes into the test's report."""
+    with ExitStack() as stack:
+        with plainly():
+            faults = tuple(fault_spec(f) for f in _faults(item))
+            source = replace(source_of(item.config), faults=faults)
+            item.user_properties.extend(properties(source))
+            bench = stack.enter_context(source.open())
+        yield bench
+
+
+def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
+    """What a reader of a failure needs to have it again."""
+    options = [f"--hil-seed={bench.seed}"]
+    for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
+        if given := item.config.getoption(name):
+            options.append(f"{option}={given}")
+    faults = "".join(f", fault {fault_spec(f)}" for f in _faults(item))
+    return (
+        f"bench {bench.config.name}{faults}, at {bench.clock.now_ns() * 1e-9:.3f} s of its clock\n"
+        f"repeat with {' '.join(options)}"
+    )
+
+
+def _device(name: str) -> str:
+    return ALIASES.get(name, name)
+
+
+def _needed(item: pytest.Item) -> tuple[str, ...]:
+    names = [_device(str(n)) for mark in item.iter_markers("needs") for n in mark.args]
+    for name in names:
+        if name not in DEVICES:
+            raise UsageError(f"marker needs({name!r})", expected="some of " + ", ".join(DEVICES))
+    return tuple(dict.fromkeys(names))
+
+
+def _faults(item: pytest.Item) -> tuple[Fault, ...]:
+    """Faults of all markers of a test, the outermost first."""
+    return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
+
+
+def _fault(mark: pytest.Mark) -> Fault:
+    texts = [a for a in mark.args if isinstance(a, str)]
+    numbers: dict[str, Any] = {
+        k: v for k, v in mark.kwargs.items() if isinstance(v, (int, float)) or v is None
+    }
+    if len(texts) != 2 or len(mark.args) != 2 or len(numbers) != len(mark.kwargs):
+        raise UsageError(
+            f"marker fault{mark.args} {numbers}",
+            expected="fault(device, kind, at=seconds, duration=seconds, option=number)",
+        )
+    device, kind = texts
+    return make_fault(_device(device), kind, **numbers)
+
+
+@contextmanager
+def plainly() -> Generator[None, None, None]:
+    """Our own errors as one line: a traceback through the bench says nothing to the author of a test."""
+    try:
+        yield
+    except HilError as error:
+        raise pytest.fail.Exception(str(error), pytrace=False) from None
