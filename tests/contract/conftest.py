@@ -1,13 +1,18 @@
 """The contract suite runs on every backend that is present: virtual, at the wire, and `--bench my.toml`.
 
 On hardware nothing moves but the wheels of the tests marked so; lift the robot, or leave them out with
-`-m "not moves"`.
+`-m "not moves"`. `--bench`, `--emulate` and `--hil-seed` are those of the pytest plugin.
 """
 
 import pytest
 
-import hil
-from hil.config.bench import DEVICES, load_bench
+from hil.config.bench import DEVICES
+from hil.procedure.bench_source import BenchSource
+from hil.pytest_plugin.selection import plainly, source_of
+
+SEED = 3
+PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02}
+"""At the wire this computer's load must not count as a servo's silence: the contract is about behaviour."""
 
 
 def pytest_configure(config):
@@ -16,17 +21,21 @@ def pytest_configure(config):
 
 def pytest_generate_tests(metafunc):
     if "backend" in metafunc.fixturenames:
-        given = metafunc.config.getoption("--bench", default=None)
-        metafunc.parametrize("backend", [given] if given else ["virtual", "wire"], scope="module")
+        given = metafunc.config.getoption("bench")
+        metafunc.parametrize("backend", ["given"] if given else ["virtual", "wire"], scope="module")
 
 
 @pytest.fixture(scope="module")
-def bench(backend):
+def bench(backend, request):
     """A bench whose devices are still closed."""
-    if backend in ("virtual", "wire"):
-        opened = hil.open_bench("emulated", realtime=backend == "wire", seed=3)
+    if backend == "given":
+        source = source_of(request.config)
+    elif backend == "wire":
+        source = BenchSource("emulated", realtime=True, seed=SEED, overrides=PATIENT)
     else:
-        opened = hil.open_bench(backend)
+        source = BenchSource("emulated", seed=SEED)
+    with plainly():
+        opened = source.open()
     yield opened
     opened.close()
 
@@ -66,8 +75,3 @@ def collect(bench):
         return samples
 
     return run
-
-
-@pytest.fixture(scope="session")
-def emulated_config():
-    return load_bench("emulated")

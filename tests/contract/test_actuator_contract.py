@@ -3,21 +3,39 @@
 import numpy as np
 import pytest
 
-from hil.signals import ServoSetpoint
+from hil.signals import ServoSetpoint, Status
 
 pytestmark = pytest.mark.moves
 
 
-def hold(servos, bench, setpoint, duration_s):
-    """Command a setpoint at the loop rate; the last sample."""
-    period_ns = round(1e9 / bench.config.loop.rate_hz)
-    next_ns, sample = bench.clock.now_ns(), None
-    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
-        servos.command(setpoint)
+PATIENCE_S = 1.0
+
+
+def pause(bench, duration_s):
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + round(duration_s * 1e9))
+
+
+def fresh(servos, bench):
+    """The next sample in which all eight are good: a reading lost or marked is data, not a failure."""
+    for _ in range(round(PATIENCE_S * bench.config.loop.rate_hz)):
         (sample,) = servos.read()
+        if sample.ok:
+            return sample
+        pause(bench, 1.0 / bench.config.loop.rate_hz)
+    raise AssertionError(f"no good sample in {PATIENCE_S} s: {sample.status}")
+
+
+def at_loop_rate(servos, bench, duration_s, setpoint=None):
+    """Read (and command) at the loop rate; the last good sample."""
+    period_ns = round(1e9 / bench.config.loop.rate_hz)
+    next_ns = bench.clock.now_ns()
+    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
+        if setpoint is not None:
+            servos.command(setpoint)
+        servos.read()
         next_ns += period_ns
         bench.clock.sleep_until_ns(next_ns)
-    return sample
+    return fresh(servos, bench)
 
 
 @pytest.fixture
@@ -31,53 +49,65 @@ def still(sample):
     return ServoSetpoint(np.zeros(4), sample.position_rad[4:].copy())
 
 
+def rolling(sample, rate_rad_s=1.0):
+    return ServoSetpoint(np.full(4, rate_rad_s), sample.position_rad[4:].copy())
+
+
 def test_enabling_moves_nothing(servos, bench):
-    (before,) = servos.read()
+    before = fresh(servos, bench)
     servos.enable()
-    after = hold(servos, bench, still(before), 0.5)
+    after = at_loop_rate(servos, bench, 0.5, still(before))
     np.testing.assert_allclose(after.position_rad, before.position_rad, atol=0.02)
 
 
 def test_goals_are_reached_with_their_sign(enabled, bench):
-    (start,) = enabled.read()
-    turned = ServoSetpoint(np.array([0.5, -0.5, 0.5, -0.5]), start.position_rad[4:] + [0.1, -0.1, 0.1, -0.1])
-    sample = hold(enabled, bench, turned, 1.5)
-    assert sample.ok
+    start = fresh(enabled, bench)
+    steps = np.array([0.1, -0.1, 0.1, -0.1])
+    turned = ServoSetpoint(5.0 * steps, start.position_rad[4:] + steps)
+    sample = at_loop_rate(enabled, bench, 1.5, turned)
     np.testing.assert_allclose(sample.velocity_rad_s[:4], turned.drive_velocity_rad_s, atol=0.1)
     np.testing.assert_allclose(sample.position_rad[4:], turned.steer_position_rad, atol=0.03)
     moved = sample.position_rad[:4] - start.position_rad[:4]
     assert np.all(np.sign(moved) == np.sign(turned.drive_velocity_rad_s))
-    back = hold(enabled, bench, still(start), 1.0)
+    back = at_loop_rate(enabled, bench, 1.0, still(start))
     np.testing.assert_allclose(back.position_rad[4:], start.position_rad[4:], atol=0.03)
 
 
 def test_stop_holds_the_steering_and_rests_the_wheels(enabled, bench):
-    (start,) = enabled.read()
-    hold(enabled, bench, ServoSetpoint(np.full(4, 1.0), start.position_rad[4:]), 0.5)
+    start = fresh(enabled, bench)
+    at_loop_rate(enabled, bench, 0.5, rolling(start))
     enabled.stop()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 400_000_000)
-    (resting,) = enabled.read()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 400_000_000)
-    (later,) = enabled.read()
+    resting = at_loop_rate(enabled, bench, 0.4)
+    later = at_loop_rate(enabled, bench, 0.4)
     np.testing.assert_allclose(later.position_rad, resting.position_rad, atol=0.01)
     np.testing.assert_allclose(later.position_rad[4:], start.position_rad[4:], atol=0.03)
 
 
 def test_a_wheel_stops_when_nobody_talks_any_more(enabled, bench):
     """The bus watchdog: a killed process leaves a held robot."""
-    (start,) = enabled.read()
-    hold(enabled, bench, ServoSetpoint(np.full(4, 1.0), start.position_rad[4:]), 0.5)
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_500_000_000)
-    (quiet,) = enabled.read()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 20_000_000)
-    (later,) = enabled.read()
-    np.testing.assert_allclose(later.position_rad[:4], quiet.position_rad[:4], atol=0.02)
+    start = fresh(enabled, bench)
+    moving = at_loop_rate(enabled, bench, 0.5, rolling(start))
+    pause(bench, 1.5)
+    quiet = fresh(enabled, bench)
+    later = at_loop_rate(enabled, bench, 0.2)
+    assert np.all(quiet.position_rad[:4] - moving.position_rad[:4] < 0.8)
+    np.testing.assert_allclose(later.position_rad, quiet.position_rad, atol=0.02)
+    np.testing.assert_allclose(later.position_rad[4:], start.position_rad[4:], atol=0.03)
+
+
+def test_a_tripped_watchdog_is_told_and_the_next_goals_are_obeyed(enabled, bench):
+    start = fresh(enabled, bench)
+    pause(bench, 2.0 * bench.config.servos.watchdog_s)
+    (sample,) = enabled.read()
+    assert set(sample.status) <= {Status.RESET, Status.TIMEOUT}
+    fresh(enabled, bench)
+    moving = at_loop_rate(enabled, bench, 0.5, rolling(start))
+    np.testing.assert_allclose(moving.velocity_rad_s[:4], 1.0, atol=0.1)
 
 
 def test_goals_beyond_the_limits_are_clipped(enabled, bench):
-    (start,) = enabled.read()
-    fast = ServoSetpoint(np.full(4, 50.0), start.position_rad[4:])
-    sample = hold(enabled, bench, fast, 0.6)
+    fast = rolling(fresh(enabled, bench), 50.0)
+    sample = at_loop_rate(enabled, bench, 0.6, fast)
     limit = bench.config.servos.velocity_limit_rad_s
     assert np.all(sample.velocity_rad_s[:4] <= limit + 0.2)
     assert np.all(sample.velocity_rad_s[:4] > 0.5)
