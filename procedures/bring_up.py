@@ -8,7 +8,7 @@ goes the way the bench believes. Signs that are wrong are left as a fragment of 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -16,21 +16,18 @@ from scipy.integrate import trapezoid
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError
 from hil.geometry import Array
 from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.signals import WHEELS
 from hil.trajectories import Trajectory, line
 from procedures._bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from procedures._devices import DEVICES, Device, only
 from procedures._fragment import write_fragment
 from procedures._jogs import DriveJogs, SteerJogs, find_signs, jog_drives, jog_steering, reversed_names
 from procedures._samples import inertial, poses
 from procedures._streams import Stream, judge_stream
 from procedures._tracking import stand
-
-Device = Literal["servos", "encoders", "imu", "tracker", "mocap"]
-DEVICES: tuple[Device, ...] = ("servos", "encoders", "imu", "tracker", "mocap")
 
 _DEG = float(np.degrees(1.0))
 _GAP_MS = {"servos": 50.0, "encoders": 50.0, "imu": 100.0, "tracker": 100.0, "mocap": 500.0}
@@ -142,15 +139,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""
     p: Parameters = ctx.parameters
-    absent: dict[str, object] = {n: None for n in DEVICES if n not in p.devices}
-    lacking = [n for n in p.devices if getattr(ctx.source.config, n) is None]
-    if lacking:
-        raise ConfigError(
-            f"procedure bring_up looks at {', '.join(lacking)}, "
-            f"which the bench {ctx.source.config.name!r} lacks",
-            remedy="add the section(s) to the bench file, or say --set devices=servos,mocap,...",
-        )  # fmt: skip
-    bench = ctx.reopen(overrides=absent)
+    bench = ctx.reopen(overrides=only(ctx, p.devices))
     with ctx.step("identity"):
         identify(ctx, bench)
     with ctx.step("streams", timeout_s=p.watch_s + 30.0):

@@ -1,0 +1,234 @@
+"""From command to motion, and from motion to knowledge: delays of the whole chain on the bench's clock.
+
+The robot turns to and fro by a few degrees, then its steering axes do. Every device's signal is fitted
+against what was commanded when: by its own time stamps, which says how wrong they are, and with the time
+to arrival, which says how old the loop's knowledge is. Body motion is what motion capture saw.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.controller.allocation import ModuleLimits, optimize
+from hil.geometry import Array
+from hil.kinematics import forward, inverse
+from hil.motion import Motion
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from procedures._delay_fit import Command, Delay, fit_delay, integrated, sent_s
+from procedures._devices import only
+from procedures._latency_report import draw_chain, draw_signals, table
+from procedures._samples import Series, encoders, inertial, poses, wheels
+from procedures._scripted import Stretch, play
+from procedures._tracking import stand
+
+Compared = Literal["encoders", "imu", "tracker"]
+_GOLDEN = 0.6180339887498949
+_STAMP_LIMIT_MS = {"encoders": 5.0, "imu": 8.0, "tracker": 8.0}
+
+
+class Parameters(BaseModel):
+    """What to compare beside servos and motion capture, and how much to move."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    devices: tuple[Compared, ...] = ("encoders", "imu", "tracker")
+    reversals: int = Field(24, ge=8, le=400)
+    drive_rad_s: float = Field(1.5, ge=0.3, le=4.0)
+    steer_deg: float = Field(4.0, ge=1.0, le=15.0)
+    dwell_s: float = Field(0.4, ge=0.25, le=2.0)
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal against the command: times and way for a figure, its delay, and its age on arrival."""
+
+    t_s: Array
+    way: Array
+    delay: Delay
+    age_s: float
+
+    @property
+    def known_s(self) -> float:
+        """From the command until the loop has seen it: mean delay and median age."""
+        return self.delay.delay_s + self.age_s
+
+
+def measurements(p: Parameters) -> Iterator[Measurement]:
+    """Delays in ms; each with half of its 95 % interval."""
+    for name, why in (
+        ("body.command_to_motion", "bus, motors and tyres; recorded on the robot: 40 to 100"),
+        ("wheels.command_to_motion", "as above, by the drives' own encoders"),
+        ("steering.command_to_motion", "by the servos' encoders; a step of position"),
+    ):
+        yield Measurement(name, "ms", low=5.0, high=150.0, marginal=20.0, rationale=why)
+        yield Measurement(f"{name}_uncertainty", "ms", high=5.0, rationale="half of the 95 % interval")
+    yield Measurement(
+        "servos.velocity_lag", "ms", low=35.0, high=70.0, marginal=5.0,
+        rationale="Present Velocity behind Present Position: 52 measured on the robot",
+    )  # fmt: skip
+    for name in ("servos", "mocap", *p.devices):
+        yield Measurement(f"{name}.age", "ms", high=50.0, rationale="median, from measurement to arrival")
+        yield Measurement(f"{name}.command_to_known", "ms", high=200.0, marginal=20.0,
+                          rationale="until the loop has it")  # fmt: skip
+    for name in p.devices:
+        limit = _STAMP_LIMIT_MS[name]
+        against = "the servos' steering" if name == "encoders" else "motion capture"
+        yield Measurement(
+            f"{name}.stamp_error", "ms", low=-limit, high=limit, marginal=1.0,
+            rationale=f"stamps later than the truth, against {against}; the steering's play costs 1 ms",
+        )  # fmt: skip
+        yield Measurement(f"{name}.stamp_error_uncertainty", "ms", high=4.0, rationale="95 %")
+    yield Measurement(
+        "worst_misfit", "1", high=0.25, marginal=0.05, rationale="share of a signal that no delay explains"
+    )
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """Small turns of the body, then of the axes."""
+    yield PlannedStep("turns")
+    yield PlannedStep("steering")
+    yield PlannedStep("evaluate")
+
+
+@procedure(
+    name="latency", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements, plan=plan
+)
+def run(ctx: Context) -> None:
+    """Latency: command to motion and motion to knowledge, per device, on the bench clock."""
+    p: Parameters = ctx.parameters
+    bench = ctx.reopen(overrides=only(ctx, ("servos", "mocap", *p.devices)))
+    with ctx.step("turns", timeout_s=60.0 + 3.0 * p.reversals * p.dwell_s):
+        turning = turn(bench, p)
+    with ctx.step("steering", timeout_s=60.0 + 3.0 * p.reversals * p.dwell_s):
+        steering = steer(bench, p)
+    with ctx.step("evaluate"):
+        evaluate(ctx, bench, turning, steering)
+
+
+def dwells(p: Parameters, count: int) -> list[float]:
+    """Uneven dwells, in pairs so that to and fro cancel: evenly spaced ones could hide a whole period."""
+    pairs = [p.dwell_s * (0.75 + 0.5 * ((k * _GOLDEN) % 1.0)) for k in range((count + 1) // 2)]
+    return [d for d in pairs for _ in range(2)]
+
+
+def turn(bench: Bench, p: Parameters) -> Motion:
+    """Turn the body to and fro about where it stands."""
+    pose = stand(bench)
+    speed, angle = inverse(bench.geometry, np.array([0.0, 0.0, 1.0]))
+    limits = ModuleLimits(steering_rad=bench.config.safety.steering_limit_rad)
+    modules = [optimize(float(v), float(a), 0.0, limits) for v, a in zip(speed, angle, strict=True)]
+    share = np.array([v for v, _ in modules]) / bench.geometry.radius_m
+    rate, steering = p.drive_rad_s * share / np.abs(share).max(), np.array([a for _, a in modules])
+    now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
+    play(bench, [Stretch(1.0, steering_rad=steering), Stretch(0.3)], pose, now)
+    times = dwells(p, p.reversals)
+    ways = [1.0 if k % 2 == 0 else -1.0 for k in range(len(times))]
+    halved = [0.5 * times[0], *times[1:], 0.5 * times[-1]]
+    ways.append(-ways[-1])
+    script = [Stretch(d, w * rate) for d, w in zip(halved, ways, strict=True)]
+    return play(bench, [*script, Stretch(0.5)], pose, steering)
+
+
+def steer(bench: Bench, p: Parameters) -> Motion:
+    """Turn all steering axes to and fro in steps, wheels at rest."""
+    pose = stand(bench)
+    now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
+    play(bench, [Stretch(1.0, steering_rad=np.zeros(4)), Stretch(0.3)], pose, now)
+    step = np.radians(p.steer_deg)
+    script = [
+        Stretch(d, steering_rad=np.full(4, step if k % 2 == 0 else -step), ramp=False)
+        for k, d in enumerate(dwells(p, p.reversals))
+    ]
+    return play(bench, [*script, Stretch(0.5, steering_rad=np.zeros(4), ramp=False)], pose, np.zeros(4))
+
+
+def body_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, dict[str, Signal]]:
+    """Heading as commanded and as every device saw it."""
+    geometry = bench.geometry
+    rates = np.array([r.setpoint.wheel_rate_rad_s for r in motion.records])
+    angles = np.array([r.setpoint.steering_rad for r in motion.records])
+    command = Command(sent_s(motion), forward(geometry, rates * geometry.radius_m, angles)[:, 2])
+    rolled = wheels(motion).since(0.0)
+    steps = np.diff(rolled.values[:, 0:4], axis=0, prepend=rolled.values[:1, 0:4]) * geometry.radius_m
+    by_angle = np.cumsum(forward(geometry, steps, rolled.values[:, 8:12])[:, 2])
+    speed = forward(geometry, rolled.values[:, 4:8] * geometry.radius_m, rolled.values[:, 8:12])[:, 2]
+    found = {
+        "servos": _signal(command, rolled, by_angle),
+        "velocity register": _signal(command, rolled, integrated(rolled.t_s, speed)),
+    }
+    if "imu" in p.devices:
+        data = inertial(motion).since(0.0)
+        found["imu"] = _signal(command, data, integrated(data.t_s, data[0]))
+    for name in ("tracker", "mocap"):
+        if name == "mocap" or "tracker" in p.devices:
+            data = poses(motion, name).since(0.0)
+            found[name] = _signal(command, data, data[2])
+    return command, found
+
+
+def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, dict[str, Signal]]:
+    """Mean steering angle, summed over time, as commanded and as servos and encoders saw it."""
+    angles = np.array([r.setpoint.steering_rad for r in motion.records]).mean(axis=1)
+    command = Command(sent_s(motion), angles)
+    rolled = wheels(motion).since(0.0)
+    found = {"servos": _signal(command, rolled, integrated(rolled.t_s, rolled.values[:, 8:12].mean(axis=1)))}
+    if "encoders" in p.devices:
+        data = encoders(motion, bench.config).since(0.0)
+        whole = np.isfinite(data.values).all(axis=1)
+        t_s, mean = data.t_s[whole], data.values[whole].mean(axis=1)
+        found["encoders"] = Signal(
+            t_s, integrated(t_s, mean), fit_delay(command, t_s, integrated(t_s, mean)), _age_s(data)
+        )
+    return command, found
+
+
+def _signal(command: Command, series: Series, way: Array) -> Signal:
+    return Signal(series.t_s, way, fit_delay(command, series.t_s, way), _age_s(series))
+
+
+def _age_s(series: Series) -> float:
+    return float(np.median(series.host_s - series.t_s)) if len(series) else float("nan")
+
+
+def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> None:
+    """Measurements, table and figures."""
+    p: Parameters = ctx.parameters
+    command, body = body_signals(bench, turning, p)
+    axis_command, axes = steering_signals(bench, steering, p)
+    for name, signal in (
+        ("body", body["mocap"]), ("wheels", body["servos"]), ("steering", axes["servos"]),
+    ):  # fmt: skip
+        ctx.measure(f"{name}.command_to_motion", 1e3 * signal.delay.delay_s)
+        ctx.measure(f"{name}.command_to_motion_uncertainty", 1e3 * signal.delay.uncertainty_s)
+    lag_s = body["velocity register"].delay.delay_s - body["servos"].delay.delay_s
+    ctx.measure("servos.velocity_lag", 1e3 * lag_s)
+    for name in ("servos", "mocap", *p.devices):
+        signal = axes[name] if name == "encoders" else body[name]
+        ctx.measure(f"{name}.age", 1e3 * signal.age_s)
+        ctx.measure(f"{name}.command_to_known", 1e3 * signal.known_s)
+    for name in p.devices:
+        own, truth = (axes[name], axes["servos"]) if name == "encoders" else (body[name], body["mocap"])
+        ctx.measure(f"{name}.stamp_error", 1e3 * (own.delay.delay_s - truth.delay.delay_s))
+        half = np.hypot(own.delay.uncertainty_s, truth.delay.uncertainty_s)
+        ctx.measure(f"{name}.stamp_error_uncertainty", 1e3 * float(half))
+    every: Mapping[str, Signal] = {**body, **{f"{n}, steering": s for n, s in axes.items()}}
+    ctx.measure("worst_misfit", max(s.delay.misfit for s in every.values()))
+    table(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
+    draw_chain(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
+    shown = {n: (s.t_s, s.way, s.delay.gain) for n, s in body.items()}
+    draw_signals(ctx, command.way, shown, "Turning to and fro", "heading (deg)", float(np.degrees(1.0)))
+    shown = {n: (s.t_s, s.way, s.delay.gain) for n, s in axes.items()}
+    draw_signals(
+        ctx,
+        axis_command.way,
+        shown,
+        "Steering to and fro",
+        "sum of the angle (deg s)",
+        float(np.degrees(1.0)),
+    )
