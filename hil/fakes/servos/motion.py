@@ -16,6 +16,7 @@ _SPEED = RAD_S_PER_COUNT / RAD_PER_COUNT
 _SLOPE = TABLE["profile_acceleration"].scale / RAD_PER_COUNT
 _RAMP = TABLE["profile_acceleration"].scale / RAD_S_PER_COUNT
 _MS = 1e-3
+_ARRIVED = 0.05
 
 
 class Trajectory:
@@ -76,20 +77,24 @@ class Trajectory:
             self.ongoing = self.velocity != self._goal
             return
         left = self._goal - self.position
-        wanted = self._approach(abs(left), dt_s)
+        before = self.speed
+        wanted = self._approach(abs(left), math.copysign(before, before * left), dt_s)
         wanted = math.copysign(min(wanted, self._top), left)
         step = self._slope * dt_s
-        before = self.speed
         self.speed += min(max(wanted - before, -step), step)
         moved = 0.5 * (before + self.speed) * dt_s if math.isfinite(step) else self.speed * dt_s
-        if abs(left) <= 0.5 or (moved * left > 0 and abs(moved) >= abs(left)):
+        if abs(left) <= _ARRIVED or (moved * left > 0 and abs(moved) >= abs(left)):
             self.position, self.speed, self.ongoing = self._goal, 0.0, False
         else:
             self.position += moved
 
-    def _approach(self, left: float, dt_s: float) -> float:
-        """Largest speed from which the rest of the way can still be braked, in steps of `dt_s`."""
+    def _approach(self, left: float, before: float, dt_s: float) -> float:
+        """Largest speed at the end of a step from which the rest of the way can still be braked.
+
+        With v the speed after the step and u before it, v^2 / 2a + (u + v) dt / 2 = left.
+        """
         if math.isinf(self._slope):
             return math.inf
         half = 0.5 * self._slope * dt_s
-        return math.sqrt(half * half + 2.0 * self._slope * left) - half
+        room = half * half + 2.0 * self._slope * (left - 0.5 * before * dt_s)
+        return max(0.0, math.sqrt(room) - half) if room > 0.0 else 0.0
