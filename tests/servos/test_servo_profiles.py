@@ -172,7 +172,7 @@ def test_time_based_profiles_need_the_bit_and_the_firmware(wire):
         client.put("profile_velocity", 500)
         began = client.bench.world.now_ns
         client.put("goal_position", 2548)
-        while client.get("moving") and client.bench.world.now_ns - began < 2_000_000_000:
+        while client.get("moving_status") & 2 and client.bench.world.now_ns - began < 2_000_000_000:
             client.wait(0.005)
         took_s = (client.bench.world.now_ns - began) * 1e-9
         assert (0.45 < took_s < 0.6) == (firmware >= 42)
