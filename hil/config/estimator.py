@@ -60,16 +60,21 @@ class SlipModel(_Strict):
     """What the wheels cannot see; one table for the wall, one for the floor.
 
     Attributes:
-        slip_m_s: standard deviation of the slip velocity (Ornstein-Uhlenbeck, wall axes); sag.
+        slip_m_s: standard deviation of the slip velocity along gravity (Ornstein-Uhlenbeck, wall x); sag.
+        slip_across_m_s: the same across gravity (wall y).
         slip_time_s: its time constant.
-        creep: prior standard deviation of the slip per rolled metre (wall axes, m/m).
-        creep_per_sqrt_m: its random walk per square root of rolled metre.
+        creep: prior standard deviation of the slip per rolled metre along gravity (wall x, m/m).
+        creep_across: the same across gravity, where no weight pulls: what calibration left of the wheels'
+            own scale. Small, so that a stretch across teaches the camera's scale.
+        creep_per_sqrt_m: random walk of `creep` per square root of rolled metre; across in proportion.
         yaw_rad_m: prior standard deviation of the turn per rolled metre; `yaw_per_sqrt_m` its walk.
     """
 
     slip_m_s: float = Field(ge=0)
+    slip_across_m_s: float = Field(1e-4, ge=0)
     slip_time_s: float = Field(5.0, ge=0.5, le=60.0)
     creep: float = Field(ge=0)
+    creep_across: float = Field(0.002, ge=0)
     creep_per_sqrt_m: float = Field(0.01, ge=0)
     yaw_rad_m: float = Field(0.01, ge=0)
     yaw_per_sqrt_m: float = Field(0.002, ge=0)
@@ -165,10 +170,11 @@ class TimeConfig(_Strict):
 
 
 _WALL = SlipModel(slip_m_s=0.002, creep=0.05)
-_FLOOR = SlipModel(slip_m_s=0.0002, creep=0.0, yaw_rad_m=0.015)
+_FLOOR = SlipModel(slip_m_s=0.0002, slip_across_m_s=0.0002, creep=0.0, creep_across=0.0, yaw_rad_m=0.015)
 
 _NO_SLIP = {
-    "slip_m_s": 0.0, "creep": 0.0, "creep_per_sqrt_m": 0.0, "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,
+    "slip_m_s": 0.0, "slip_across_m_s": 0.0, "creep": 0.0, "creep_across": 0.0, "creep_per_sqrt_m": 0.0,
+    "yaw_rad_m": 0.0, "yaw_per_sqrt_m": 0.0,
 }  # fmt: skip
 _PAPER: dict[str, dict[str, Any]] = {
     "wheels": {"model": "paper", "source": "velocity", "step_m": 1e-4, "per_sqrt_m": 3e-3},

@@ -49,7 +49,8 @@ GRAVITY = 5
 
 _NAMES = (
     "unscented", "alpha", "beta", "kappa", "q_speed", "q_turn",
-    "slip_m_s", "slip_s", "creep_walk", "yaw_walk", "bias_walk", "drift_m", "drift_s", "yaw_drift",
+    "slip_m_s", "slip_across_m_s", "slip_s", "creep_walk", "creep_walk_across", "yaw_walk",
+    "bias_walk", "drift_m", "drift_s", "yaw_drift",
     "camera_scaled", "wheels_scaled",
     "step_m", "per_m", "per_s", "steering_m", "gap_s", "from_rate", "wheel_rows", "friction_s",
     "rate_rad_s", "gravity_rad", "gravity_a", "gravity_on",
@@ -59,7 +60,8 @@ _NAMES = (
 )  # fmt: skip
 (
     UNSCENTED, ALPHA, BETA, KAPPA, Q_SPEED, Q_TURN,
-    SLIP_M_S, SLIP_S, CREEP_WALK, YAW_WALK, BIAS_WALK, DRIFT_M, DRIFT_S, YAW_DRIFT,
+    SLIP_M_S, SLIP_ACROSS_M_S, SLIP_S, CREEP_WALK, CREEP_WALK_ACROSS, YAW_WALK,
+    BIAS_WALK, DRIFT_M, DRIFT_S, YAW_DRIFT,
     CAMERA_SCALED, WHEELS_SCALED,
     STEP_M, PER_M, PER_S, STEERING_M, GAP_S, FROM_RATE, WHEEL_ROWS, FRICTION_S,
     RATE_RAD_S, GRAVITY_RAD, GRAVITY_A, GRAVITY_ON,
@@ -76,12 +78,16 @@ def parameters(config: EstimatorConfig, surface: str) -> Array:
     w, g, t, c, k = config.wheels, config.gyro, config.tracker, config.mocap, config.gates
     slip = config.wall if surface == "wall" else config.floor
     relative = t.use == "relative"
+    walk = [
+        slip.creep_per_sqrt_m * (part / slip.creep if slip.creep > 0 else 0.0)
+        for part in (slip.creep, slip.creep_across)
+    ]
     values = {
         "unscented": config.kind == "ukf", "alpha": config.alpha, "beta": config.beta, "kappa": config.kappa,
         "q_speed": config.process.acceleration_m_s2_sqrt_hz**2,
         "q_turn": config.process.angular_acceleration_rad_s2_sqrt_hz**2,
-        "slip_m_s": slip.slip_m_s**2, "slip_s": slip.slip_time_s, "creep_walk": slip.creep_per_sqrt_m**2
-        if slip.creep > 0 else 0.0,
+        "slip_m_s": slip.slip_m_s**2, "slip_across_m_s": slip.slip_across_m_s**2,
+        "slip_s": slip.slip_time_s, "creep_walk": walk[0]**2, "creep_walk_across": walk[1]**2,
         "yaw_walk": slip.yaw_per_sqrt_m**2, "bias_walk": g.bias_rad_s_sqrt_s**2,
         "drift_m": t.drift_per_sqrt_m**2 * relative, "drift_s": t.drift_per_sqrt_s**2 * relative,
         "yaw_drift": t.yaw_drift_per_sqrt_s**2 * relative,
@@ -110,8 +116,8 @@ def prior_variances(config: EstimatorConfig, surface: str) -> Array:
     sigma = np.zeros(STATES)
     sigma[BIAS] = config.gyro.bias_rad_s
     sigma[YAW_SLIP] = slip.yaw_rad_m
-    sigma[SLIP_X] = sigma[SLIP_Y] = slip.slip_m_s
-    sigma[CREEP_X] = sigma[CREEP_Y] = slip.creep
+    sigma[SLIP_X], sigma[SLIP_Y] = slip.slip_m_s, slip.slip_across_m_s
+    sigma[CREEP_X], sigma[CREEP_Y] = slip.creep, slip.creep_across
     sigma[SCALE] = max(config.tracker.scale_sigma, config.wheel_scale_sigma)
     if config.gyro.use_gravity and surface == "wall":
         sigma[OFFSET] = config.gyro.gravity_offset_rad

@@ -84,11 +84,11 @@ def add_noise(x: Array, p: Array, dt_s: float, par: Array) -> None:
     p[5, 2] += turn * half
     p[6, 6] += par[L.BIAS_WALK] * dt_s
     p[7, 7] += par[L.YAW_WALK] * rolled
-    spread = par[L.SLIP_M_S] * (1.0 - math.exp(-2.0 * dt_s / par[L.SLIP_S]))
-    p[8, 8] += spread
-    p[9, 9] += spread
+    renewed = 1.0 - math.exp(-2.0 * dt_s / par[L.SLIP_S])
+    p[8, 8] += par[L.SLIP_M_S] * renewed
+    p[9, 9] += par[L.SLIP_ACROSS_M_S] * renewed
     p[10, 10] += par[L.CREEP_WALK] * rolled
-    p[11, 11] += par[L.CREEP_WALK] * rolled
+    p[11, 11] += par[L.CREEP_WALK_ACROSS] * rolled
     _drift(x, p, dt_s, rolled, par)
 
 
