@@ -10,7 +10,7 @@ Gain = tuple[float, float, float]
 
 
 class ControlConfig(BaseModel):
-    """`[control]` of the bench file; sources in `facts/plant_and_control.md`.
+    """Which law, its gains, the module layer and its limits; sources in `facts/plant_and_control.md`.
 
     Attributes:
         law: `nonlinear` (model-based, per wheel) or `optimal` (time-varying LQR).
@@ -21,6 +21,9 @@ class ControlConfig(BaseModel):
         servo_lag_s: servo, reporting and bus lag in the optimal law's model.
         still_speed_m_s: below this a wheel holds its last angle.
         flip_hysteresis_rad: beyond a quarter turn before a module is flipped.
+        steering_limit_rad, steering_rate_rad_s: of a steering module.
+        wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
+        heading_limit_rad: largest heading of a reference on a wall.
         goal_position_m, goal_heading_rad: within these at the end, the robot is held.
     """
 

@@ -36,6 +36,9 @@ class ImuTruthOptions:
 
     Attributes:
         position_m: chip in the body, (3,).
+        gyro_noise_rad_s, accelerometer_noise_m_s2, magnetometer_noise_ut: white noise per sample and axis.
+        gyro_bias_rad_s, accelerometer_offset_m_s2, magnetometer_offset_ut: constant errors, one sigma.
+        yaw_drift_rad_s: drift of the fused heading without magnetometer, one sigma.
         leakage_s: time constant with which accelerations reach the fused vertical.
         clock_ppm: error of the chip's own 100 Hz.
         mount_rotation_wxyz: sensor axes in the body as they truly are; as the bench configures them

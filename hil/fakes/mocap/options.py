@@ -15,10 +15,11 @@ class MocapTruthOptions:
         marker_error_m: mean marker error that Motive reports.
         height_m: the body's pivot above the surface.
         gaps_per_s: losses of one or several frames; 50 to 152 per run of 80 s were recorded.
-        single_gap_share: part of the gaps that lose one frame; the others lose up to `common_gap_s`,
-            one in fifty up to `longest_gap_s`.
+        single_gap_share: part of the gaps that lose one frame.
+        common_gap_s, longest_gap_s: the other gaps last up to this, one in fifty up to the longest.
         occlusions_per_s, occlusion_s: how often and how long the body is out of sight.
-        latency_s: exposure to sending. transit_s: sending to arrival, the smallest.
+        latency_s: exposure to sending.
+        transit_s: sending to arrival, the smallest.
         jitter_s: mean of the exponential jitter beside it.
         stalls_per_s, longest_stall_s: arrivals that are held up, with all behind them.
         clock_ppm: error of the server's clock, standard deviation over servers.

@@ -26,8 +26,9 @@ class ServoBusOptions:
         boot_s: silence after power-up and reboot.
         supply_v, supply_ohm: pack voltage and its drop by current.
         ambient_c: air temperature.
-        cadence_s: the servos renew what they show every so often, as in the recordings (0.016), with
-            `cadence_jitter_s`, `cadence_gaps_per_s` and `cadence_longest_gap_s`; 0: at every look.
+        cadence_s: the servos renew what they show every so often, as in the recordings (0.016); 0: at
+            every look.
+        cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: what disturbs that cadence.
         drive_start_counts: encoder counts of the drives at joint angle 0.
         overload_a, overload_s: current that counts as overload, and for how long.
     """

@@ -16,12 +16,13 @@ class TrackerTruthOptions:
         position_walk_m_sqrt_m: random walk of the position per square root of the travelled metre.
         position_noise_m, angle_noise_rad: white noise of a pose, per axis.
         velocity_noise_m_s, rate_noise_rad_s: white noise of the velocities.
-        latency_s: exposure to host, the smallest; jitter_s: mean of the exponential jitter beside it.
+        latency_s: exposure to host, the smallest.
+        jitter_s: mean of the exponential jitter beside it.
         clock_ppm: error of the time stamps' clock, standard deviation over cameras.
         drop_probability: poses that USB loses.
         settle_s: time with confidence 0, then 1, then 2, before it is 3.
-        fast_m_s, fast_rad_s: motion that costs confidence for `shaken_s`.
-        relocalisations_per_s: mean rate of spontaneous jumps, `relocalisation_m` far.
+        fast_m_s, fast_rad_s, shaken_s: motion that costs confidence, and for how long.
+        relocalisations_per_s, relocalisation_m: mean rate of spontaneous jumps, and how far.
         boot_s: silence after a reset.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
             bench configures it when None.
