@@ -1,0 +1,178 @@
+"""A calibration as a transaction: versions side by side, applied after validation, rolled back, refused."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hil.bench import open_bench
+from hil.calibration.artefact import CalibrationFile, read_calibration, save_calibration
+from hil.calibration.shelf import Shelf, made_for
+from hil.cli import main
+from hil.config.bench import load_bench
+from hil.errors import ConfigError
+from hil.procedure import BenchSource
+
+CONFIG = load_bench("emulated_floor")
+
+
+def made(radius_m=0.0255, verdict="PASS", config=CONFIG, **changes):
+    """A calibration of a bench's robot, with one radius for all wheels."""
+    robot = config.robot
+    four = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m}
+    tree = {
+        "schema": 1, "version": 1, "created": "2026-01-01T00:00:00", "method": "lm", "setting": "custom",
+        "model": "exact", "signal": "position", "std": {}, "cost_before": 2.0, "cost_after": 1.0,
+        "parameters": {**four, "r_m": (radius_m,) * 4, "delta0_rad": (0.01, 0.0, -0.01, 0.0)},
+        "nominal": {**four, "r_m": robot.wheel_radius_m}, "recordings": {},
+        "twist_correction": np.eye(3).tolist(), "verdict": verdict, "made_for": made_for(config),
+        "validation": {"fresh_run": {"mean": {"rmse_position_m": 0.0019}}}, **changes,
+    }  # fmt: skip
+    return CalibrationFile.model_validate(tree)
+
+
+@pytest.fixture
+def shelf(tmp_path):
+    return Shelf(tmp_path / "calibration.toml")
+
+
+def radius(path):
+    return read_calibration(path).parameters.r_m[0]
+
+
+def test_a_new_version_stands_beside_and_changes_nothing_until_it_is_applied(shelf):
+    for number, r in enumerate((0.0251, 0.0252), start=1):
+        kept = shelf.add(made(r))
+        assert kept.path.name == f"calibration.v{number}.toml"
+    assert not shelf.path.exists()
+    shelf.apply(1, CONFIG)
+    assert radius(shelf.path) == 0.0251
+    assert [(v.file.version, v.in_place) for v in shelf.versions()] == [(1, True), (2, False)]
+
+
+@pytest.mark.parametrize("verdict", ["", "FAIL"])
+def test_without_a_passed_validation_nothing_is_applied(shelf, verdict):
+    shelf.apply(shelf.add(made(0.0251)).file.version)
+    before = shelf.path.read_bytes()
+    shelf.add(made(0.0260, verdict))
+    with pytest.raises(ConfigError, match="not passed a validation"):
+        shelf.apply(2)
+    assert shelf.path.read_bytes() == before
+
+
+def test_rolling_back_restores_every_byte_and_numbers_are_never_used_again(shelf):
+    for r in (0.0251, 0.0252, 0.0253):
+        shelf.apply(shelf.add(made(r)).file.version)
+    first = shelf.versions()[0].path.read_bytes()
+    assert shelf.rollback().file.version == 2
+    assert shelf.rollback().file.version == 1
+    assert shelf.path.read_bytes() == first
+    with pytest.raises(ConfigError, match="no earlier version"):
+        shelf.rollback()
+    assert shelf.add(made(0.0254)).file.version == 4
+    assert shelf.rollback(3).file.parameters.r_m[0] == 0.0253
+    with pytest.raises(ConfigError, match=r"no version 9.*one of 1, 2, 3, 4"):
+        shelf.rollback(9)
+
+
+def test_a_file_that_was_written_by_hand_is_kept_before_another_takes_its_place(shelf):
+    save_calibration(shelf.path, made(0.0250, ""))
+    shelf.apply(shelf.add(made(0.0251)).file.version)
+    assert radius(shelf.path.with_name("calibration.v1.toml")) == 0.0250
+    assert shelf.versions()[-1].file.previous["file"] == "calibration.v1.toml"
+    assert shelf.rollback().file.parameters.r_m[0] == 0.0250
+
+
+def test_two_contents_under_one_number_are_named(shelf):
+    shelf.apply(shelf.add(made(0.0251)).file.version)
+    save_calibration(shelf.path, made(0.0252))
+    with pytest.raises(ConfigError, match=r"calibration\.v1\.toml.*differs"):
+        shelf.add(made(0.0253))
+
+
+OTHER = {
+    "wheel radius": ({"robot.wheel_radius_m": [0.0254, 0.0254, 0.0254, 0.026]}, "robot.wheel_radius_m"),
+    "wheel position": ({"robot.wheel_x_m": [0.12, -0.12, -0.12, 0.12]}, "robot.wheel_x_m"),
+    "servo IDs": ({"servos.steer_ids": [15, 16, 17, 18]}, "servos.steer_ids"),
+    "steering zeros": ({"alignment.steer_zero_rad": [0.1, 0.0, 0.0, 0.0]}, "alignment.steer_zero_rad"),
+    "signs": ({"alignment.drive_sign": [1, 1, -1, -1]}, "alignment.drive_sign"),
+}
+
+
+@pytest.mark.parametrize(("overrides", "words"), OTHER.values(), ids=OTHER.keys())
+def test_a_calibration_of_another_robot_is_refused_everywhere(shelf, overrides, words):
+    other = load_bench("emulated_floor", overrides=overrides)
+    kept = shelf.add(made())
+    for refused in (
+        lambda: shelf.apply(1, other),
+        lambda: shelf.rollback(1, other),
+        lambda: open_bench(other, calibration=kept.path),
+        lambda: BenchSource(other, calibration=kept.path).describe_calibration(),
+    ):
+        with pytest.raises(ConfigError, match=words) as caught:
+            refused()
+        assert str(kept.path) in str(caught.value)
+    assert not shelf.path.exists()
+
+
+def test_a_bench_uses_what_is_in_place(shelf):
+    shelf.apply(shelf.add(made(0.0257)).file.version)
+    bench = open_bench("emulated_floor", overrides={"calibration": str(shelf.path)})
+    assert bench.geometry.radius_m.tolist() == [0.0257] * 4
+    bench.close()
+    source = BenchSource("emulated_floor", calibration=shelf.path)
+    assert source.describe_calibration()["version"] == 1
+
+
+@pytest.mark.parametrize("content", ["", "schema = 2\n", "schema = 1\nversion = 0\n", "\x00"])
+def test_a_damaged_version_is_named(shelf, content):
+    shelf.add(made())
+    shelf.path.with_name("calibration.v2.toml").write_text(content)
+    with pytest.raises(ConfigError, match=r"calibration\.v2\.toml"):
+        shelf.versions()
+
+
+def run(capsys, *arguments):
+    capsys.readouterr()
+    code = main(["calibration", *map(str, arguments)])
+    return code, capsys.readouterr()
+
+
+def test_the_commands_list_apply_and_roll_back(shelf, capsys, tmp_path):
+    save_calibration(tmp_path / "elsewhere" / "result.toml", made(0.0251))
+    source = tmp_path / "elsewhere" / "result.toml"
+    for _ in range(2):
+        code, _ = run(capsys, "apply", shelf.path, "--from", source, "--bench", "emulated_floor")
+        assert code == 0
+    code, said = run(capsys, "list", shelf.path, "--json")
+    rows = json.loads(said.out)["versions"]
+    assert [(r["version"], r["in_place"], r["verdict"]) for r in rows] == [
+        (1, False, "PASS"),
+        (2, True, "PASS"),
+    ]
+    assert rows[0]["validation_rmse_m"] == 0.0019
+    assert run(capsys, "rollback", shelf.path)[0] == 0
+    assert read_calibration(shelf.path).version == 1
+    code, said = run(capsys, "list", shelf.path)
+    assert said.out.splitlines()[1].startswith("* 1")
+    assert run(capsys, "apply", shelf.path, "--version", 2)[0] == 0
+
+
+def test_the_commands_refuse_with_exit_code_2(shelf, capsys, tmp_path):
+    other = tmp_path / "other.toml"
+    other.write_text(
+        'schema = 1\nname = "other"\nsurface = "floor"\n[robot]\nwheel_radius_m = [0.03, 0.03, 0.03, 0.03]\n'
+    )
+    save_calibration(tmp_path / "new.toml", made())
+    for arguments, words in (
+        (("list", shelf.path), "no calibration"),
+        (("apply", shelf.path), "--version N or --from FILE"),
+        (("apply", shelf.path, "--from", tmp_path / "nothing.toml"), "cannot be read"),
+        (("apply", shelf.path, "--from", tmp_path / "new.toml", "--bench", other), "wheel_radius_m"),
+        (("rollback", shelf.path), "no earlier version"),
+    ):
+        code, said = run(capsys, *arguments)
+        assert code == 2, arguments
+        assert words in said.err
+    assert not Path(shelf.path).exists()
