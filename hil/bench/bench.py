@@ -75,9 +75,12 @@ class Bench:
         self.real_time = real_time(config, clock)
         self._sinks = list(sinks)
         self._stack = ExitStack()
+        self._before_opening: list[Callable[[], object]] = []
 
     def __enter__(self) -> Bench:
         try:
+            for callback in self._before_opening:
+                callback()
             self.rig.open()
         except BaseException:
             self._let_go()
@@ -103,6 +106,10 @@ class Bench:
     def _let_go(self) -> None:
         self._close_sinks()
         self._stack.close()
+
+    def on_open(self, callback: Callable[[], object]) -> None:
+        """Have something else called right before the devices are opened."""
+        self._before_opening.append(callback)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Have something else ended together with the bench, after the devices."""

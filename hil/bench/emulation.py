@@ -102,6 +102,7 @@ def open_emulation(
     faults: Sequence[str | Fault] = (),
     clock: Clock | None = None,
     lifeline: int | None = None,
+    await_start: bool = False,
 ) -> EmulationServer:
     """The emulated devices of a bench at the wire, in real time, for any client.
 
@@ -112,6 +113,7 @@ def open_emulation(
         faults: specs or paths of TOML timelines, beside those of the configuration.
         clock: what the world follows; the host's monotonic clock by default.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
+        await_start: world time stands still until a byte comes down the lifeline.
 
     Raises:
         FaultNotSupportedError, DeviceError, UsageError.
@@ -133,7 +135,9 @@ def open_emulation(
         for face in faces.values():
             face.close()
         raise
-    return EmulationServer(world, clock or MonotonicClock(), faces, lifeline=lifeline)
+    return EmulationServer(
+        world, clock or MonotonicClock(), faces, lifeline=lifeline, await_start=await_start
+    )
 
 
 def _options(kind: type[T], config: BenchConfig, device: str, **known: Any) -> T:

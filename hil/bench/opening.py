@@ -86,6 +86,7 @@ def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common
     clock = MonotonicClock()
     values = {("encoders" if n == "can" else n): e for n, e in emulator.endpoints.items()}
     bench = Bench(config, clock, make_rig(config, clock, _reach(values)), **common)
+    bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import select
@@ -38,7 +39,8 @@ class EmulatorProcess:
         with tempfile.NamedTemporaryFile("wb", suffix=".toml", delete=False) as file:
             tomli_w.dump(config.model_dump(mode="json", by_alias=True, exclude_none=True), file)
         self._config = Path(file.name)
-        command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", file.name, "--lifeline"]
+        command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", file.name]
+        command += ["--lifeline", "--await-start"]
         command += ["--only", ",".join(config.emulated()), "--seed", str(seed)]
         for spec in faults:
             command += ["--fault", spec]
@@ -58,6 +60,13 @@ class EmulatorProcess:
     def pid(self) -> int:
         """Process id of the emulator."""
         return self._child.pid
+
+    def begin(self) -> None:
+        """Let world time run; it stands still before, so that nothing happens to a robot nobody watches."""
+        if self._child.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._child.stdin.write(b"\n")
+                self._child.stdin.flush()
 
     def _first_line(self) -> bytes:
         assert self._child.stdout is not None

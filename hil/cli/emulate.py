@@ -21,7 +21,10 @@ _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
 @click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")
 @click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
-def command(bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline: bool) -> int:
+@click.option("--await-start", is_flag=True, help="World time stands still until a byte on standard input.")
+def command(
+    bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline: bool, await_start: bool
+) -> int:
     """Serve emulated devices on PTYs, a CAN interface and loopback UDP.
 
     Prints one JSON line of endpoints on stdout, then runs until SIGINT or SIGTERM and ends with 0.
@@ -32,8 +35,10 @@ def command(bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline:
 
     names = tuple("encoders" if n == "can" else n for n in only.split(",") if n)
     config = load_bench(bench, emulate=names or ("all",))
-    descriptor = sys.stdin.fileno() if lifeline else None
-    server = open_emulation(config, only=names, seed=seed, faults=faults, lifeline=descriptor)
+    descriptor = sys.stdin.fileno() if lifeline or await_start else None
+    server = open_emulation(
+        config, only=names, seed=seed, faults=faults, lifeline=descriptor, await_start=await_start
+    )
 
     def leave(signum: int, frame: FrameType | None) -> None:
         server.stop()

@@ -47,15 +47,24 @@ class EmulationServer:
         clock: what the world follows.
         faces: connections to the outside by name.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
+        await_start: world time stands still until a byte comes down the lifeline: a robot without torque
+            slides down the wall while its bench loads.
     """
 
     def __init__(
-        self, world: World, clock: Clock, faces: Mapping[str, Face], *, lifeline: int | None = None
+        self,
+        world: World,
+        clock: Clock,
+        faces: Mapping[str, Face],
+        *,
+        lifeline: int | None = None,
+        await_start: bool = False,
     ) -> None:
         self.world, self.clock, self.faces = world, clock, dict(faces)
         self._lifeline = [] if lifeline is None else [lifeline]
         self._warm_up()
         self._start_ns = clock.now_ns() - world.now_ns
+        self._waiting = await_start
         self._running = True
         for face in self.faces.values():
             world.add(face)
@@ -83,18 +92,26 @@ class EmulationServer:
 
     def step(self) -> None:
         """Advance the world to now and serve what is readable, waiting at most 50 ms for it."""
-        self.world.advance_to(self._now_ns())
+        if not self._waiting:
+            self.world.advance_to(self._now_ns())
         owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
-        wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
+        wait_s = _LONGEST_WAIT_S
+        if not self._waiting:
+            wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
         watched = [*owners, *self._lifeline]
         readable, _, _ = select.select(watched, [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
         for fd in readable:
             if fd in self._lifeline:
                 self._running = bool(os.read(fd, 1))
+                self._begin()
                 continue
-            t_ns = self._now_ns()
+            t_ns = self.world.now_ns if self._waiting else self._now_ns()
             self.world.advance_to(t_ns)
             owners[fd].on_readable(fd, t_ns)
+
+    def _begin(self) -> None:
+        if self._waiting:
+            self._waiting, self._start_ns = False, self.clock.now_ns() - self.world.now_ns
 
     def close(self) -> None:
         """Close every face."""

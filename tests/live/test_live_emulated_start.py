@@ -1,0 +1,86 @@
+"""World time of a bench's own emulator: it stands still until the bench opens its devices."""
+
+import os
+import socket
+
+import numpy as np
+
+import hil
+from hil.clock import MonotonicClock
+from hil.fakes.plant_api import Plant
+from hil.fakes.server import EmulationServer, Face
+from hil.fakes.world import NEVER_NS, World
+
+SECOND = 1_000_000_000
+
+
+class NoPlant(Plant):
+    t_ns = 0
+
+    def command(self, joint, command):
+        raise AssertionError("nothing is commanded here")
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+    def joints(self):
+        return np.zeros(8), np.zeros(8), np.zeros(8)
+
+    def truth(self):
+        raise AssertionError("nobody looks here")
+
+
+class Deaf(Face):
+    def __init__(self):
+        self.near, self.far = socket.socketpair()
+        self.told_ns = []
+
+    def filenos(self):
+        return [self.near.fileno()]
+
+    def on_readable(self, fd, t_ns):
+        os.read(fd, 10)
+        self.told_ns.append(t_ns)
+
+    def next_due_ns(self):
+        return NEVER_NS
+
+    def on_due(self, t_ns):
+        raise AssertionError("nothing is due here")
+
+    def endpoint(self):
+        return {}
+
+    def close(self):
+        self.near.close()
+        self.far.close()
+
+
+def test_world_time_waits_for_the_bench_and_ends_with_it():
+    reads, writes = os.pipe()
+    face, clock = Deaf(), MonotonicClock()
+    server = EmulationServer(World(NoPlant()), clock, {"deaf": face}, lifeline=reads, await_start=True)
+    begun_ns = server.world.now_ns
+    face.far.send(b"?")
+    server.step()
+    server.step()
+    assert face.told_ns == [begun_ns]
+    assert server.world.now_ns == begun_ns
+    os.write(writes, b"\n")
+    server.step()
+    before_ns = clock.now_ns()
+    server.step()
+    assert begun_ns < server.world.now_ns < begun_ns + clock.now_ns() - before_ns + SECOND
+    os.close(writes)
+    server.run()
+    os.close(reads)
+
+
+def test_a_bench_that_opens_late_finds_the_robot_where_it_was_put():
+    """Half a second without torque costs millimetres, the seconds before it cost nothing."""
+    bench = hil.open_bench("emulated", seed=1, realtime=True)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * SECOND)
+    with bench:
+        bench.rig.actuators().enable()
+        pose = bench.settle()
+    assert np.hypot(*pose[:2]) < 0.1
