@@ -94,7 +94,7 @@ def command(
             controller, dead_man_s,
         )  # fmt: skip
         recorder, monitor = _recorder(opened, record), _monitor(opened, view)
-        session = LiveSession(opened, plan, recorder=recorder)
+        session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)
         try:
             with opened:
                 session.run()

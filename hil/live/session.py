@@ -24,6 +24,7 @@ from hil.live.references import MakeTrajectory
 from hil.live.samples import SampleCounter
 from hil.live.velocity import VelocityReference
 from hil.loop import Brain
+from hil.monitor import RerunMonitor
 from hil.motion_limits import MotionLimits
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
@@ -35,6 +36,7 @@ LOG = logging.getLogger(__name__)
 
 _SETTLE_S = 0.5
 _HOLD_S = 2.0
+_PATH_POINTS = 400
 _HEADING_MARGIN_RAD = 0.035
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 
@@ -67,14 +69,22 @@ class LiveSession:
     Args:
         bench: devices, clock, sinks; warmed up here.
         plan: what to do.
-        recorder: told how each run begins; also a sink of the bench, as is the monitor.
+        recorder: reported on in the summary; also a sink of the bench.
+        monitor: shown what is going to be followed; also a sink of the bench.
 
     Attributes:
         ended: why it ended: `duration`, `trajectory`, the signal's name, or the error's text.
     """
 
-    def __init__(self, bench: Bench, plan: LivePlan, *, recorder: McapRecorder | None = None) -> None:
-        self.bench, self.plan, self.recorder = bench, plan, recorder
+    def __init__(
+        self,
+        bench: Bench,
+        plan: LivePlan,
+        *,
+        recorder: McapRecorder | None = None,
+        monitor: RerunMonitor | None = None,
+    ) -> None:
+        self.bench, self.plan, self.recorder, self.monitor = bench, plan, recorder, monitor
         self.ended = ""
         self._signal: str | None = None
         self._samples = SampleCounter()
@@ -153,6 +163,9 @@ class LiveSession:
             return _standing(pose)
         trajectory = self.plan.trajectory(pose)
         self.bench.check(trajectory)
+        if self.monitor is not None:
+            times_s = np.linspace(0.0, trajectory.duration_s, _PATH_POINTS)
+            self.monitor.show_path(np.array([trajectory.sample(t).pose_in_wall[:2] for t in times_s]))
         return trajectory
 
     def _start_pose(self, mocap: Array) -> Array:

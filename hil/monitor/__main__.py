@@ -13,7 +13,7 @@ import sys
 from collections.abc import Sequence
 from typing import BinaryIO
 
-from hil.monitor.sink import END, FRAME, READY, RECORD
+from hil.monitor.sink import END, FRAME, PATH, READY, RECORD
 
 _NICE = 10
 
@@ -43,10 +43,13 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
     stream = RerunStream(tuple(targets), pickle.loads(geometry))
     while True:
         kind, dropped, payload = _frame(pipe)
-        if kind != RECORD:
+        if kind == PATH:
+            stream.path(pickle.loads(payload))
+        elif kind == RECORD:
+            stream.add(pickle.loads(payload))
+            stream.dropped(dropped)
+        else:
             break
-        stream.add(pickle.loads(payload))
-        stream.dropped(dropped)
     stream.close()
     return 0
 

@@ -1,10 +1,13 @@
-"""Layout of the Rerun window: the wall on the left, the figures an operator watches on the right."""
+"""Layout and colours of the Rerun window: the wall on the left, the operator's figures on the right."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-PATH_COLOURS = {
+Colour = tuple[int, int, int]
+
+PATH_COLOURS: dict[str, Colour] = {
     "reference": (150, 150, 150),
     "truth": (60, 180, 75),
     "estimate": (0, 110, 230),
@@ -12,50 +15,89 @@ PATH_COLOURS = {
     "ekf": (145, 30, 180),
     "ukf": (0, 160, 160),
 }
+TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
+
+_PALETTE: tuple[Colour, ...] = (
+    (0, 110, 230), (245, 130, 48), (60, 180, 75), (200, 30, 70),
+    (145, 30, 180), (0, 160, 160), (170, 110, 40), (90, 90, 90),
+)  # fmt: skip
+_SENSOR_COLOURS = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
+
+Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 
-def blueprint() -> Any:
-    """The layout; needs the `rerun` extra."""
+def line_colours(names: Sequence[str]) -> list[Colour]:
+    """Colour per column; what belongs to one sensor has one colour, its gate a paler one."""
+    found = []
+    for k, name in enumerate(names):
+        sensor = next((s for s in _SENSOR_COLOURS if s in name), None)
+        colour = _PALETTE[(k if sensor is None else _SENSOR_COLOURS[sensor]) % len(_PALETTE)]
+        found.append(_paler(colour) if name.startswith("gate_") else colour)
+    return found
+
+
+def _paler(colour: Colour) -> Colour:
+    red, green, blue = ((c + 255) // 2 for c in colour)
+    return (red, green, blue)
+
+
+def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
+    """The layout; needs the `rerun` extra.
+
+    Args:
+        bounds: ranges of the wall view, (right, down) in m; whatever is drawn when None.
+        tab: which of `TABS` is in front.
+    """
     import rerun.blueprint as rrb
 
     def plot(name: str, *entities: str) -> Any:
         return rrb.TimeSeriesView(origin="/", contents=[f"+ /{e}/**" for e in entities], name=name)
 
-    wall = rrb.Spatial2DView(origin="/wall", name="Wall")
+    def tab_of(name: str, *views: Any) -> Any:
+        return rrb.Vertical(*views, name=name)
+
+    area = None if bounds is None else rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1])
+    wall = rrb.Spatial2DView(origin="/wall", name="Wall (m, seen from the front)", visual_bounds=area)
     log = rrb.TextLogView(origin="/events", name="Faults and events")
-    motion = rrb.Vertical(
-        plot("Tracking error (m)", "state/tracking_error_m"),
-        plot("Heading and its error (rad)", "state/tracking_error_rad", "state/heading_rad"),
-        plot("Body twist", "state/twist"),
-        name="Motion",
-    )
-    servos = rrb.Vertical(
-        plot("Servo angles (rad)", "servos/position_rad"),
-        plot("Servo rates (rad/s)", "servos/velocity_rad_s"),
-        plot("Motor currents (A)", "servos/current_a"),
-        name="Servos",
-    )
-    health = rrb.Vertical(
-        plot("Temperatures (C)", "servos/temperature_c"),
-        plot("Voltages (V)", "servos/voltage_v"),
-        name="Health",
-    )
-    estimator = rrb.Vertical(
-        plot("Normalised innovations and gates", "innovations"),
-        plot("Estimator", "estimator"),
-        name="Estimator",
-    )
-    loop = rrb.Vertical(
-        plot("Loop timing (ms)", "loop"),
-        plot("Sensor ages (ms)", "ages"),
-        plot("Cycles not shown", "monitor"),
-        name="Loop",
+    tabs = (
+        tab_of(
+            "Motion",
+            plot("Tracking error (m)", "state/tracking_error_m"),
+            plot("Heading and its error (rad)", "state/tracking_error_rad", "state/heading_rad"),
+            plot("Body twist (m/s, rad/s)", "state/twist"),
+        ),
+        tab_of(
+            "Servos",
+            plot("Servo angles (rad)", "servos/position_rad"),
+            plot("Servo rates (rad/s)", "servos/velocity_rad_s"),
+            plot("Motor currents (A)", "servos/current_a"),
+        ),
+        tab_of(
+            "Estimator",
+            plot("Normalised innovations and their gates", "innovations/normalised"),
+            plot("Innovations (m, rad/s)", "innovations/raw"),
+            plot("Rejected measurements", "estimator/rejected"),
+            plot("Slip, sag, bias, scale", "estimator/states"),
+        ),
+        tab_of(
+            "Loop",
+            plot("Loop timing (ms)", "loop"),
+            plot("Sensor ages (ms)", "ages"),
+            plot("Cycles not shown", "monitor"),
+        ),
+        tab_of(
+            "Health",
+            plot("Temperatures (C)", "servos/temperature_c"),
+            plot("Voltages (V)", "servos/voltage_v"),
+        ),
     )
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(wall, log, row_shares=[4, 1]),
-            rrb.Tabs(motion, servos, estimator, loop, health),
+            rrb.Tabs(*tabs, active_tab=TABS.index(tab)),
             column_shares=[1, 1],
         ),
-        collapse_panels=True,
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed"),
     )

@@ -3,35 +3,55 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hil.clock import NS_PER_S
 from hil.geometry import Array, wrap
-from hil.signals import SERVOS, CycleRecord
+from hil.signals import SERVOS, CycleRecord, Status
 
 _SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
 _POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad")
+_GROUPS = {
+    "nis_mean": "estimator/mean_nis",
+    "nis": "innovations/normalised",
+    "gate": "innovations/normalised",
+    "innovation": "innovations/raw",
+    "rejected": "estimator/rejected",
+    "reanchored": "estimator/rejected",
+    "age": "estimator/age_s",
+}
+_OTHER = "estimator/states"
+
+Figures = Mapping[str, float]
 
 
-@dataclass
+@dataclass(frozen=True)
 class Series:
-    """Rows of one plot that wait to be sent; `names` label the columns."""
+    """Rows of one plot that are to be sent.
+
+    Attributes:
+        names: labels of the columns.
+        t_s: (n,) seconds since the first cycle.
+        cycles: (n,) cycle numbers.
+        values: (n, len(names)); NaN where a cycle had no such figure.
+    """
 
     names: tuple[str, ...]
-    t_s: list[float] = field(default_factory=list)
-    cycles: list[int] = field(default_factory=list)
-    rows: list[Array] = field(default_factory=list)
+    t_s: Array
+    cycles: list[int]
+    values: Array
 
 
 class SeriesCollector:
-    """Collects the rows of every plot between two sends."""
+    """Collects the rows of every plot between two sends; few plots of many columns, because each costs."""
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
-        self._series: dict[str, Series] = {}
+        self._names: dict[str, list[str]] = {}
+        self._rows: dict[str, list[tuple[float, int, Figures]]] = {}
         self._seen_ns: dict[str, int] = {}
 
     def seconds(self, record: CycleRecord) -> float:
@@ -43,58 +63,69 @@ class SeriesCollector:
     def add(self, record: CycleRecord) -> None:
         """Take one cycle's figures."""
         t_s = self.seconds(record)
-        for entity, names, values in self._figures(record):
-            series = self._series.get(entity)
-            if series is None or series.names != names:
-                series = self._series[entity] = Series(names)
-            series.t_s.append(t_s)
-            series.cycles.append(record.cycle)
-            series.rows.append(np.asarray(values, dtype=np.float64))
+        for entity, figures in self._figures(record):
+            names = self._names.setdefault(entity, [])
+            if len(figures) != len(names) or any(n not in names for n in figures):
+                names += [n for n in figures if n not in names]
+            self._rows.setdefault(entity, []).append((t_s, record.cycle, figures))
 
     def take(self) -> list[tuple[str, Series]]:
         """Everything since the last call, by entity."""
-        taken = [(entity, series) for entity, series in self._series.items() if series.rows]
-        for entity, series in taken:
-            self._series[entity] = Series(series.names)
+        taken = [(entity, self._series(entity, rows)) for entity, rows in self._rows.items()]
+        self._rows = {}
         return taken
 
-    def _figures(self, record: CycleRecord) -> Iterator[tuple[str, tuple[str, ...], Array | list[float]]]:
-        inputs = record.inputs
+    def _series(self, entity: str, rows: Sequence[tuple[float, int, Figures]]) -> Series:
+        names = tuple(self._names[entity])
+        values = np.array([[figures.get(n, math.nan) for n in names] for _, _, figures in rows])
+        return Series(names, np.array([t_s for t_s, _, _ in rows]), [cycle for _, cycle, _ in rows], values)
+
+    def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
+        inputs, state = record.inputs, record.state
         if inputs.servos:
             sample = inputs.servos[-1]
-            yield "servos/position_rad", SERVOS, sample.position_rad
-            yield "servos/velocity_rad_s", SERVOS, sample.velocity_rad_s
-            yield "servos/current_a", SERVOS, sample.current_a
+            yield "servos/position_rad", _by_servo(sample.position_rad)
+            yield "servos/velocity_rad_s", _by_servo(sample.velocity_rad_s)
+            yield "servos/current_a", _by_servo(sample.current_a)
         if inputs.health:
-            yield "servos/temperature_c", SERVOS, inputs.health[-1].temperature_c
-            yield "servos/voltage_v", SERVOS, inputs.health[-1].voltage_v
-        yield "state/twist", ("v_x_m_s", "v_y_m_s", "omega_rad_s"), record.state.twist_body
-        yield "state/heading_rad", ("estimate",), [float(record.state.pose_body_in_wall[2])]
+            yield "servos/temperature_c", _by_servo(inputs.health[-1].temperature_c)
+            yield "servos/voltage_v", _by_servo(inputs.health[-1].voltage_v)
+        yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
+        yield "state/heading_rad", {"estimate": float(state.pose_body_in_wall[2])}
         if record.reference is not None:
-            error = record.reference.pose_in_wall - record.state.pose_body_in_wall
-            yield "state/tracking_error_m", ("x", "y"), [float(error[0]), float(error[1])]
-            yield "state/tracking_error_rad", ("theta",), [wrap(float(error[2]))]
-        yield from self._ages(record)
+            error = record.reference.pose_in_wall - state.pose_body_in_wall
+            yield "state/tracking_error_m", _named(("x", "y"), error)
+            yield "state/tracking_error_rad", {"heading error": wrap(float(error[2]))}
+        yield "ages", self._ages(record)
         yield from _diagnostics(record)
-        for name, value_ns in record.timing_ns.items():
-            yield f"loop/{name}_ms", (name,), [value_ns / 1e6]
+        if record.timing_ns:
+            yield "loop", {name: value_ns / 1e6 for name, value_ns in record.timing_ns.items()}
 
-    def _ages(self, record: CycleRecord) -> Iterator[tuple[str, tuple[str, ...], list[float]]]:
+    def _ages(self, record: CycleRecord) -> Figures:
+        """Age of every device's newest sample, ms."""
         for name in _SENSORS:
             samples = getattr(record.inputs, name)
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
-            if name in self._seen_ns:
-                age_ns = record.inputs.t_ns - self._seen_ns[name]
-                yield f"ages/{name}_ms", (name,), [age_ns / 1e6]
+        return {name: (record.inputs.t_ns - t_ns) / 1e6 for name, t_ns in self._seen_ns.items()}
 
 
-def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, tuple[str, ...], list[float]]]:
+def _named(names: Sequence[str], values: Array) -> Figures:
+    return dict(zip(names, values.tolist(), strict=False))
+
+
+def _by_servo(values: Array) -> Figures:
+    return _named(SERVOS, values)
+
+
+def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, Figures]]:
+    groups: dict[str, dict[str, float]] = {}
     for name, value in record.state.diagnostics.items():
         if name.endswith(_POSE_SUFFIXES):
             continue
-        group = "innovations" if name.startswith(("nis", "gate", "innovation")) else "estimator"
-        yield f"{group}/{name}", (name,), [float(value)]
+        group = next((g for prefix, g in _GROUPS.items() if name.startswith(prefix + "_")), _OTHER)
+        groups.setdefault(group, {})[name] = float(value)
+    yield from groups.items()
 
 
 def observer_poses(record: CycleRecord) -> dict[str, tuple[float, float]]:
@@ -102,6 +133,22 @@ def observer_poses(record: CycleRecord) -> dict[str, tuple[float, float]]:
     found = record.state.diagnostics
     names = (key[: -len("_x_m")] for key in found if key.endswith("_x_m"))
     return {n: (found[f"{n}_x_m"], found[f"{n}_y_m"]) for n in names if f"{n}_y_m" in found}
+
+
+def conditions(record: CycleRecord) -> dict[str, str]:
+    """What is wrong with each device's newest sample, in words; empty text when nothing is."""
+    found = {}
+    for name in _SENSORS:
+        samples = getattr(record.inputs, name)
+        if not samples:
+            continue
+        status = samples[-1].status
+        channels = status if isinstance(status, tuple) else (status,)
+        wrong = [(k, s.value) for k, s in enumerate(channels) if s is not Status.OK]
+        labels = SERVOS if name == "servos" else tuple(map(str, range(len(channels))))
+        one = len(channels) == 1
+        found[name] = ", ".join(kind if one else f"{labels[k]} {kind}" for k, kind in wrong)
+    return found
 
 
 def finite(values: Array) -> bool:

@@ -18,6 +18,7 @@ from collections import deque
 from pathlib import Path
 
 from hil.errors import UsageError
+from hil.geometry import Array
 from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
 from hil.signals import CycleRecord
@@ -25,7 +26,7 @@ from hil.signals import CycleRecord
 LOG = logging.getLogger(__name__)
 
 FRAME = struct.Struct("<cIQ")
-RECORD, END, GEOMETRY = b"R", b"E", b"G"
+RECORD, END, GEOMETRY, PATH = b"R", b"E", b"G", b"P"
 LIVE = ("spawn", "connect", "serve")
 READY = b"hil monitor ready\n"
 
@@ -85,7 +86,7 @@ class RerunMonitor(Sink):
         self._closed = False
         self._capacity = capacity
         self._geometry = geometry if geometry is not None else WheelGeometry.nominal()
-        self._waiting: deque[CycleRecord | None] = deque()
+        self._waiting: deque[CycleRecord | Array | None] = deque()
         self._something = threading.Event()
         self._stream = self._process = self._thread = None
         if lossless:
@@ -132,6 +133,20 @@ class RerunMonitor(Sink):
         self._waiting.append(record)
         self._something.set()
 
+    def show_path(self, points_m: Array) -> None:
+        """Draw the path that the robot is going to follow.
+
+        Args:
+            points_m: (n, 2) positions in the wall frame.
+        """
+        if self._closed:
+            return
+        if self._stream is not None:
+            self._stream.path(points_m)
+            return
+        self._waiting.append(points_m)
+        self._something.set()
+
     def _drop_oldest(self) -> None:
         try:
             self._waiting.popleft()
@@ -153,7 +168,8 @@ class RerunMonitor(Sink):
                     if record is None:
                         self._send(END, b"")
                         return
-                    self._send(RECORD, pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
+                    kind = RECORD if isinstance(record, CycleRecord) else PATH
+                    self._send(kind, pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
         except (OSError, ValueError) as error:
             self.failure = f"the monitor process has ended ({error})"
 
@@ -191,7 +207,7 @@ class RerunMonitor(Sink):
             self._process.wait()
             self.failure = "the viewer did not let go"
         self._thread.join(_CLOSE_S)
-        self.dropped += sum(1 for record in self._waiting if record is not None)
+        self.dropped += sum(1 for record in self._waiting if isinstance(record, CycleRecord))
         try:
             if self._process.stdin is not None:
                 self._process.stdin.close()

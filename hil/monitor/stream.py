@@ -15,15 +15,17 @@ from hil.clock import NS_PER_S
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.monitor import shapes
-from hil.monitor.blueprint import PATH_COLOURS, blueprint
-from hil.monitor.series import Series, SeriesCollector, finite, observer_poses
+from hil.monitor.blueprint import PATH_COLOURS, Colour, blueprint, line_colours
+from hil.monitor.series import Series, SeriesCollector, conditions, finite, observer_poses
 from hil.signals import WHEELS, CycleRecord
 
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 
-_BATCH_NS = NS_PER_S // 15
+_BATCH_NS = NS_PER_S // 10
 _TRAIL_NS = NS_PER_S
 _FLUSH_S = 3.0
+_VIEW_MARGIN_M = 0.35
+_VIEW_SLACK_M = 0.1
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
 _OTHER_COLOUR = (120, 120, 60)
 
@@ -35,19 +37,23 @@ class RerunStream:
         targets: any of `spawn`, `connect`, `serve`, a `rerun+http://` URL, or the name of a `.rrd`
             file; several at once are fed the same.
         geometry: wheel geometry of the outline.
+        tab: which of the blueprint's tabs is in front.
     """
 
-    def __init__(self, targets: tuple[str, ...], geometry: WheelGeometry) -> None:
+    def __init__(self, targets: tuple[str, ...], geometry: WheelGeometry, *, tab: str = "Motion") -> None:
         import rerun
 
         self._rr = rerun
-        self._geometry = geometry
+        self._geometry, self._tab = geometry, tab
         self._stream = rerun.RecordingStream("hil", send_properties=False)
-        self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=blueprint())
-        self._stream.send_blueprint(blueprint())
+        layout = blueprint(tab=tab)
+        self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=layout)
+        self._stream.send_blueprint(layout)
+        self._extent: tuple[Array, Array] | None = None
         self._collector = SeriesCollector()
         self._trails: dict[str, shapes.Trail] = {}
-        self._named: set[str] = set()
+        self._named: dict[str, tuple[str, ...]] = {}
+        self._conditions: dict[str, str] = {}
         self._latest: CycleRecord | None = None
         self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
         self._truth: Array | None = None
@@ -71,7 +77,7 @@ class RerunStream:
         return rr.FileSink(target)
 
     def add(self, record: CycleRecord) -> None:
-        """Take one cycle; sends about fifteen times a second of the records' own time."""
+        """Take one cycle; sends about ten times a second of the records' own time."""
         self._collector.add(record)
         self._latest = record
         if record.measurements.wheels:
@@ -87,20 +93,25 @@ class RerunStream:
         for name, position in observer_poses(record).items():
             self._trail(name, np.array(position))
         for event in record.events:
-            self._at(record)
-            level = _LEVELS.get(event.level, "WARN")
-            self._stream.log("events", self._rr.TextLog(f"{event.source}: {event.message}", level=level))
+            self._tell(record, f"{event.source}: {event.message}", _LEVELS.get(event.level, "WARN"))
+        for name, wrong in conditions(record).items():
+            if wrong != self._conditions.get(name, ""):
+                self._tell(record, f"{name}: {wrong or 'good again'}", "WARN" if wrong else "INFO")
+            self._conditions[name] = wrong
         if not 0 <= record.inputs.t_ns - self._sent_ns < _BATCH_NS:
             self.flush()
+
+    def path(self, points: Array) -> None:
+        """Draw the path (n, 2) that the robot is going to follow, wall frame, m."""
+        self._strip("path/planned", [points], PATH_COLOURS["reference"], 0.75, static=True)
+        self._show_all(points)
 
     def dropped(self, total: int) -> None:
         """Show how many cycles the view has missed so far."""
         if total == self._dropped or self._latest is None:
             return
-        self._at(self._latest)
+        self._tell(self._latest, f"monitor: {total} cycles not shown so far", "WARN")
         self._stream.log("monitor/dropped", self._rr.Scalars(total))
-        text = f"monitor: {total} cycles not shown so far"
-        self._stream.log("events", self._rr.TextLog(text, level="WARN"))
         self._dropped = total
 
     def flush(self) -> None:
@@ -113,6 +124,7 @@ class RerunStream:
             self._send_series(entity, series)
         self._at(record)
         if finite(record.state.pose_body_in_wall):
+            self._show_all(record.state.pose_body_in_wall[None, :2])
             self._send_robot(record)
         if not 0 <= record.inputs.t_ns - self._trails_ns < _TRAIL_NS:
             self._send_trails()
@@ -129,6 +141,23 @@ class RerunStream:
         except (RuntimeError, ValueError, OSError) as error:
             print(f"hil monitor: a viewer did not take everything ({error})", file=sys.stderr)
 
+    def _tell(self, record: CycleRecord, text: str, level: str) -> None:
+        self._at(record)
+        self._stream.log("events", self._rr.TextLog(text, level=level))
+
+    def _show_all(self, points: Array) -> None:
+        """Widen the wall view so that the robot fits in everywhere on these points (n, 2)."""
+        seen = shapes.to_view(points)
+        low, high = seen.min(axis=0), seen.max(axis=0)
+        if self._extent is not None:
+            known_low, known_high = self._extent
+            if (low >= known_low - _VIEW_SLACK_M).all() and (high <= known_high + _VIEW_SLACK_M).all():
+                return
+            low, high = np.minimum(low, known_low), np.maximum(high, known_high)
+        self._extent = (low, high)
+        (left, top), (right, bottom) = (low - _VIEW_MARGIN_M).tolist(), (high + _VIEW_MARGIN_M).tolist()
+        self._stream.send_blueprint(blueprint(((left, right), (top, bottom)), self._tab))
+
     def _at(self, record: CycleRecord) -> None:
         self._stream.set_time("time", duration=self._collector.seconds(record))
         self._stream.set_time("cycle", sequence=record.cycle)
@@ -138,19 +167,24 @@ class RerunStream:
 
     def _send_series(self, entity: str, series: Series) -> None:
         rr = self._rr
-        if entity not in self._named:
-            self._named.add(entity)
-            self._stream.log(entity, rr.SeriesLines(names=list(series.names)), static=True)
+        if self._named.get(entity) != series.names:
+            self._named[entity] = series.names
+            lines = rr.SeriesLines(names=list(series.names), colors=line_colours(series.names))
+            self._stream.log(entity, lines, static=True)
         times = [rr.TimeColumn("time", duration=series.t_s), rr.TimeColumn("cycle", sequence=series.cycles)]
-        values = np.array(series.rows)
+        values = series.values
         column = rr.Scalars.columns(scalars=values if values.shape[1] > 1 else values[:, 0])
         self._stream.send_columns(entity, indexes=times, columns=column)
 
-    def _strip(self, entity: str, strips: list[Array], colour: tuple[int, int, int], width_px: float) -> None:
+    def _strip(
+        self, entity: str, strips: list[Array], colour: Colour, width_px: float, *, static: bool = False
+    ) -> None:
         rr = self._rr
         shown = [shapes.to_view(s) for s in strips]
         radii = rr.Radius.ui_points(width_px)
-        self._stream.log(f"wall/{entity}", rr.LineStrips2D(shown, colors=[colour], radii=radii))
+        self._stream.log(
+            f"wall/{entity}", rr.LineStrips2D(shown, colors=[colour], radii=radii), static=static
+        )
 
     def _send_robot(self, record: CycleRecord) -> None:
         rr, geometry = self._rr, self._geometry

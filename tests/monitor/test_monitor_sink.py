@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import socket
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hil.errors import UsageError
 from hil.monitor import RerunMonitor
-from hil.monitor.series import SeriesCollector, observer_poses
+from hil.monitor.blueprint import line_colours
+from hil.monitor.series import Series, SeriesCollector, conditions, observer_poses
 from hil.monitor.sink import split_targets
 from hil.signals import (
     SERVOS,
@@ -66,6 +68,10 @@ def shown(k: int) -> CycleRecord:
     )  # fmt: skip
 
 
+def column(series: Series, name: str) -> np.ndarray:
+    return series.values[:, series.names.index(name)]
+
+
 def test_series_carry_every_cycle_once_with_its_time():
     collector = SeriesCollector()
     for k in range(10, 20):
@@ -75,12 +81,40 @@ def test_series_carry_every_cycle_once_with_its_time():
     assert positions.names == SERVOS
     np.testing.assert_allclose(positions.t_s, np.arange(10) * 0.01)
     assert positions.cycles == list(range(10, 20))
-    assert taken["loop/decide_ms"].rows[0].tolist() == [0.25]
-    assert taken["innovations/nis_wheels"].rows[3].tolist() == [2.0]
-    assert [float(r[0]) for r in taken["ages/mocap_ms"].rows] == [0.0, 10.0] * 4 + [0.0]
-    np.testing.assert_allclose(taken["state/tracking_error_m"].rows[0], [0.01, 0.0])
-    assert "estimator/odometry_x_m" not in taken
+    assert column(taken["loop"], "decide").tolist() == [0.25] * 10
+    assert column(taken["innovations/normalised"], "nis_wheels")[3] == 2.0
+    assert column(taken["ages"], "mocap")[1:].tolist() == [0.0, 10.0] * 4 + [0.0]
+    np.testing.assert_allclose(taken["state/tracking_error_m"].values[0], [0.01, 0.0])
+    assert "estimator/states" not in taken
     assert collector.take() == []
+
+
+def test_a_figure_that_comes_later_gets_a_column_and_nothing_before():
+    """Nothing that waits to be shown is lost when a cycle brings figures that others lack."""
+    collector = SeriesCollector()
+    for k in range(3):
+        state = replace(shown(k).state, diagnostics={"age_gyro_s": 0.5} if k == 2 else {"age_wheels_s": 0.1})
+        collector.add(replace(shown(k), state=state))
+    ages = dict(collector.take())["estimator/age_s"]
+    assert ages.names == ("age_wheels_s", "age_gyro_s")
+    np.testing.assert_array_equal(ages.values, [[0.1, np.nan], [0.1, np.nan], [np.nan, 0.5]])
+
+
+def test_a_sensor_and_its_gate_share_a_colour_and_neighbours_do_not():
+    names = ("nis_wheels", "gate_wheels", "nis_tracker", "gate_tracker")
+    wheels, wheel_gate, tracker, tracker_gate = line_colours(names)
+    assert len({wheels, wheel_gate, tracker, tracker_gate}) == 4
+    assert all(g >= c for g, c in zip(wheel_gate, wheels, strict=True))
+    assert len(set(line_colours(SERVOS))) == 8
+
+
+def test_conditions_name_the_servo_and_what_is_wrong():
+    record = shown(1)
+    (sample,) = record.inputs.servos
+    status = (Status.OK, Status.TIMEOUT, *(Status.OK,) * 5, Status.RESET)
+    spoilt = replace(record, inputs=replace(record.inputs, servos=(replace(sample, status=status),)))
+    assert conditions(record) == {"servos": "", "mocap": ""}
+    assert conditions(spoilt)["servos"] == f"{SERVOS[1]} timeout, {SERVOS[7]} reset"
 
 
 def test_observers_become_paths():
@@ -110,7 +144,7 @@ def test_virtual_time_writes_every_cycle_to_a_file(tmp_path):
     assert monitor.dropped == 0
     data = path.read_bytes()
     assert data[:3] == b"RRF"
-    for entity in (b"servos/position_rad", b"robot/covariance_95", b"path/truth", b"innovations/nis_wheels"):
+    for entity in (b"servos/position_rad", b"robot/covariance_95", b"path/truth", b"innovations/normalised"):
         assert entity in data
 
 
