@@ -291,18 +291,18 @@ class Bench:
         meanwhile is let go, and recorders are told how it began.
         """
         warm_up(brain, start.state)
-        self.rig.read(0)
-        begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
-        brain.reset(begun.state)
-        for sink in self._sinks:
-            if isinstance(sink, McapRecorder):
-                sink.note(begun.state.t_ns, "run", begun.note())
-        loop = self.make_loop(brain)
-        if self.real_time is None:
-            loop.run(until)
-            return
-        with self.real_time:
-            loop.idle = self.real_time.idle
+        with ExitStack() as stack:
+            if self.real_time is not None:
+                stack.enter_context(self.real_time)
+            self.rig.read(0)
+            begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
+            brain.reset(begun.state)
+            for sink in self._sinks:
+                if isinstance(sink, McapRecorder):
+                    sink.note(begun.state.t_ns, "run", begun.note())
+            loop = self.make_loop(brain)
+            if self.real_time is not None:
+                loop.idle = self.real_time.idle
             loop.run(until)
 
     def make_loop(self, brain: Brain) -> ControlLoop:
