@@ -1,0 +1,265 @@
+"""Kernels against their laws: derivatives, exact linear cases, positive covariances."""
+
+import numpy as np
+import pytest
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import layout as L
+from hil.estimator import make_estimator
+from hil.estimator.conditioning import condition
+from hil.estimator.process import (
+    add_noise,
+    advance_linear,
+    anchor_frame,
+    copy_pose,
+    move,
+    transition,
+)
+from hil.estimator.replay import advance, compare
+from hil.estimator.sensors import jacobian, predicted
+from hil.kinematics import WheelGeometry
+from hil.signals import Measurements, PoseMeasurement, RobotState, Stamp
+
+SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 5e-3, 1, 1, 1, 1, 1, 1])
+
+
+def some_state(rng):
+    x = SCALE * rng.normal(size=L.STATES)
+    x[L.CLONE : L.CLONE + 3] = x[:3] + 0.05 * rng.normal(size=3)
+    return x
+
+
+def some_covariance(rng):
+    a = SCALE[:, None] * rng.normal(size=(L.STATES, L.STATES))
+    return a @ a.T
+
+
+def slope(f, x, step=1e-6):
+    columns = []
+    for i in range(len(x)):
+        d = np.zeros_like(x)
+        d[i] = step
+        columns.append((f(x + d) - f(x - d)) / (2 * step))
+    return np.array(columns).T
+
+
+def tables(**changes):
+    config = EstimatorConfig(**changes)
+    return L.parameters(config, "wall"), *L.wheel_tables(config, WheelGeometry.nominal())
+
+
+@pytest.mark.parametrize("omega", [0.0, 1e-7, 0.4, -2.0])
+def test_transition_is_the_derivative_of_move(omega):
+    rng = np.random.default_rng(1)
+    x = some_state(rng)
+    x[5] = omega
+
+    def moved(y):
+        out = y.copy()
+        move(out, 0.07, 5.0)
+        return out
+
+    assert np.allclose(transition(x, 0.07, 5.0), slope(moved, x), atol=1e-8)
+
+
+def test_written_out_prediction_equals_the_matrix_product():
+    rng = np.random.default_rng(2)
+    par = tables()[0]
+    x, p = some_state(rng), some_covariance(rng)
+    f = transition(x, 0.02, par[L.SLIP_S])
+    want = f @ p @ f.T
+    add_noise(x, want, 0.02, par)
+    advance_linear(x, p, 0.02, par)
+    assert np.allclose(p, want, rtol=1e-12, atol=1e-13)
+    assert np.array_equal(p, p.T)
+
+
+@pytest.mark.parametrize("kind", [L.WHEELS, L.GYRO, L.TRACKER, L.MOCAP])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"wheels": {"model": "dry-friction"}},
+        {"wheel_scale_sigma": 0.01, "tracker": {"scale_sigma": 0.0}},
+    ],
+)
+def test_measurement_jacobians(kind, changes):
+    rng = np.random.default_rng(3)
+    par, _, rows = tables(**changes)
+    aux = np.array([0.016, 0.0011])
+    for _ in range(5):
+        x = some_state(rng)
+
+        def seen(y):
+            out = np.zeros(L.ROWS)
+            predicted(kind, y, aux, par, rows, out)
+            return out
+
+        h = np.zeros((L.ROWS, L.STATES))
+        jacobian(kind, x, aux, par, rows, h)
+        assert np.allclose(h, slope(seen, x), atol=2e-8)
+
+
+def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertainty():
+    """Right after anchoring the predicted pose is the measured one, with the measurement's variance."""
+    rng = np.random.default_rng(4)
+    par, _, rows = tables()
+    x, p = some_state(rng), some_covariance(rng)
+    z = np.array([0.4, -0.2, 0.3])
+    anchor_frame(x, p, z, 4e-6, 9e-6, 1.0)
+    mean, h = np.zeros(L.ROWS), np.zeros((L.ROWS, L.STATES))
+    predicted(L.TRACKER, x, np.zeros(2), par, rows, mean)
+    jacobian(L.TRACKER, x, np.zeros(2), par, rows, h)
+    assert np.allclose(mean[:3], z, atol=1e-12)
+    assert np.allclose((h @ p @ h.T)[:3, :3], np.diag([4e-6, 4e-6, 9e-6]), atol=1e-12)
+
+
+def test_cloning_correlates_fully():
+    rng = np.random.default_rng(5)
+    x, p = some_state(rng), some_covariance(rng)
+    copy_pose(x, p, L.CLONE)
+    assert np.array_equal(x[:3], x[L.CLONE : L.CLONE + 3])
+    difference = np.zeros((3, L.STATES))
+    difference[:, :3], difference[:, L.CLONE : L.CLONE + 3] = np.eye(3), -np.eye(3)
+    assert np.allclose(difference @ p @ difference.T, 0.0, atol=1e-12)
+
+
+def test_row_by_row_conditioning_is_the_stacked_kalman_update():
+    rng = np.random.default_rng(6)
+    for count in (1, 3, 8):
+        x, p = some_state(rng), some_covariance(rng)
+        h = rng.normal(size=(count, L.STATES))
+        r, z = rng.uniform(0.1, 2.0, count), rng.normal(size=count)
+        s = h @ p @ h.T + np.diag(r)
+        gain = p @ h.T @ np.linalg.inv(s)
+        want_x, want_p = x + gain @ (z - h @ x), p - gain @ s @ gain.T
+        nu, cross, own, var = np.zeros(8), np.zeros((L.STATES, 8)), np.zeros((8, 8)), np.zeros(8)
+        nu[:count], var[:count], cross[:, :count] = z - h @ x, r, p @ h.T
+        own[:count, :count] = h @ p @ h.T
+        assert condition(x, p, nu, cross, own, var, count, np.inf, np.zeros(8)) == count
+        assert np.allclose(x, want_x, atol=1e-9)
+        assert np.allclose(p, want_p, atol=1e-9)
+
+
+STILL = {"acceleration_m_s2_sqrt_hz": 1e-9, "angular_acceleration_rad_s2_sqrt_hz": 1e-9}
+PLAIN = {"mocap": {"use": True, "position_m": 1.0, "heading_rad": 1.0}, "gates": {"on": False}}
+
+
+def mocap(t_ns, seq, x_m):
+    return PoseMeasurement(Stamp(t_ns, t_ns, seq), "mocap", np.array([x_m, 0.0, 0.0]), 3, True)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "filterpy"])
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_exact_scalar_cases(kind, engine):
+    """P = R = 1 gives 1/2; P0 = 1e-6, Q dt = 1, R = 1, z = 1 gives x = P = 1/2."""
+    config = EstimatorConfig(kind=kind, engine=engine, process=STILL, **PLAIN)
+    estimator = make_estimator(config, WheelGeometry.nominal(), surface="floor")
+    estimator.reset(RobotState(0, np.zeros(3), np.zeros(3), np.diag([1.0, 1e-18, 1e-18, 0, 0, 0])))
+    state = estimator.update(Measurements(0, 1000, mocap=(mocap(1000, 0, 1.0),)))
+    assert state.pose_body_in_wall[0] == pytest.approx(0.5, abs=1e-9)
+    assert state.covariance[0, 0] == pytest.approx(0.5, abs=1e-9)
+
+    walk = {**STILL, "acceleration_m_s2_sqrt_hz": np.sqrt(3.0 * (1.0 - 1e-6))}
+    config = EstimatorConfig(kind=kind, engine=engine, process=walk, **PLAIN)
+    estimator = make_estimator(config, WheelGeometry.nominal(), surface="floor")
+    estimator.reset(RobotState(0, np.zeros(3), np.zeros(3), np.diag([1e-6, 1e-6, 0, 0, 0, 0])))
+    state = estimator.update(Measurements(0, 10**9, mocap=(mocap(10**9, 0, 1.0),)))
+    assert state.pose_body_in_wall[0] == pytest.approx(0.5, abs=1e-9)
+    assert state.covariance[0, 0] == pytest.approx(0.5, abs=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_several_updates_after_one_prediction(kind):
+    """n updates with P = R = 1 and z = 1 give x = n / (n + 1), P = 1 / (n + 1) (filterpy: 1 and 0)."""
+    config = EstimatorConfig(kind=kind, process=STILL, **PLAIN)
+    par, (wheels, rows) = L.parameters(config, "floor"), L.wheel_tables(config, WheelGeometry.nominal())
+    x, p, m = np.zeros(L.STATES), np.zeros((L.STATES, L.STATES)), np.zeros(L.MEMORY)
+    p[0, 0] = 1.0
+    advance(x, p, 1e-6, par)
+    data = np.zeros(L.ROW_DATA)
+    data[:5] = 1.0, 0.0, 0.0, 3.0, 1.0
+    for n in (1, 2, 3, 4):
+        compare(L.MOCAP, 1e3, x, p, m, data, par, wheels, rows)
+        assert x[0] == pytest.approx(n / (n + 1), abs=1e-9)
+        assert p[0, 0] == pytest.approx(1 / (n + 1), abs=1e-9)
+
+
+@pytest.mark.parametrize("engine", ["compiled", "filterpy"])
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_on_a_linear_model_every_filter_is_the_kalman_filter(kind, engine):
+    """Straight motion with known heading is linear in position and speed."""
+    q, r, dt = 0.3, 0.05, 0.1
+    process = {**STILL, "acceleration_m_s2_sqrt_hz": q}
+    config = EstimatorConfig(
+        kind=kind, engine=engine, process=process, gates={"on": False},
+        mocap={"use": True, "position_m": r, "heading_rad": 10.0},
+    )  # fmt: skip
+    estimator = make_estimator(config, WheelGeometry.nominal(), surface="floor")
+    start = np.diag([0.2**2, 1e-20, 0, 0.1**2, 0, 0])
+    estimator.reset(RobotState(0, np.zeros(3), np.zeros(3), start))
+    x, p = np.zeros(2), np.diag([0.2**2, 0.1**2])
+    f, noise = np.array([[1, dt], [0, 1]]), q * q * np.array([[dt**3 / 3, dt**2 / 2], [dt**2 / 2, dt]])
+    rng = np.random.default_rng(7)
+    for k in range(1, 100):
+        z = 0.1 * k * dt + r * rng.normal()
+        x, p = f @ x, f @ p @ f.T + noise
+        gain = p[:, 0] / (p[0, 0] + r * r)
+        x, p = x + gain * (z - x[0]), p - np.outer(gain, p[0])
+        t_ns = round(k * dt * 1e9)
+        state = estimator.update(Measurements(k, t_ns, mocap=(mocap(t_ns, k, z),)))
+        assert state.pose_body_in_wall[0] == pytest.approx(x[0], abs=1e-9)
+        assert state.twist_body[0] == pytest.approx(x[1], abs=1e-9)
+        assert np.allclose(state.covariance[np.ix_([0, 3], [0, 3])], p, rtol=0, atol=1e-9)
+
+
+def hard_steps(kind, count, seed=0):
+    """Sharp and blunt measurements in turn from a vague start; least eigenvalue relative to the largest."""
+    config = EstimatorConfig(
+        kind=kind,
+        mocap={"use": True, "position_m": 1e-6, "heading_rad": 1e-6},
+        gyro={"rate_rad_s": 1e-6},
+        gates={"on": False},
+    )
+    par, (wheels, rows) = L.parameters(config, "wall"), L.wheel_tables(config, WheelGeometry.nominal())
+    rng = np.random.default_rng(seed)
+    x, m = np.zeros(L.STATES), np.zeros(L.MEMORY)
+    p = np.diag(np.maximum(L.prior_variances(config, "wall"), 1e-4))
+    p[:6, :6] = 1e2 * np.eye(6)
+    kinds, noise = (L.MOCAP, L.GYRO, L.TRACKER, L.GYRO), 1e-6 * rng.normal(size=(1000, 3))
+    worst, data = 0.0, np.zeros(L.ROW_DATA)
+    anchor_frame(x, p, np.zeros(3), 1e-12, 1e-12, 1.0)
+    for k in range(count):
+        advance(x, p, 0.0025, par)
+        data[:3], data[3:5] = noise[k % 1000], (3.0, 1.0)
+        if kinds[k % 4] == L.GYRO:
+            data[2:4] = 0.0
+        compare(kinds[k % 4], k * 2.5e6, x, p, m, data, par, wheels, rows)
+        if k % 10 == 0:
+            copy_pose(x, p, L.CLONE)
+        if k % 997 == 0 or k < 50:
+            worst = min(worst, least_correlation_eigenvalue(p))
+    return worst, x, p
+
+
+def least_correlation_eigenvalue(p):
+    size = np.sqrt(np.maximum(np.diag(p), 1e-300))
+    return float(np.linalg.eigvalsh(p / np.outer(size, size))[0])
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_covariance_stays_a_covariance(kind):
+    worst, x, p = hard_steps(kind, 20_000)
+    assert worst > -1e-6
+    assert np.all(np.diag(p) >= 0.0)
+    assert np.array_equal(p, p.T)
+    assert np.all(np.isfinite(x))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_covariance_stays_a_covariance_for_a_million_steps(kind):
+    worst, x, p = hard_steps(kind, 1_000_000)
+    assert worst > -1e-6
+    assert np.all(np.diag(p) >= 0.0)
+    assert np.all(np.isfinite(x))
