@@ -1,0 +1,16 @@
+"""A procedure: what it measures and within which limits; `hil run` gives verdict and report."""
+
+from hil.procedure import Context, Measurement, procedure
+from hil.trajectories import line
+
+
+@procedure(
+    name="short_line",
+    needs=("servos", "mocap"),
+    measurements=[Measurement("end_error", "mm", high=20.0, rationale="a tenth of the way and a margin")],
+)
+def run(ctx: Context) -> None:
+    """Drive 10 cm up and measure where the robot really ends."""
+    with ctx.step("drive"):
+        motion = ctx.bench.drive(line((0, 0, 0), (0.1, 0, 0), duration_s=4.0), hold_s=1.0)
+    ctx.measure("end_error", 1e3 * abs(motion.mocap[-1, 0] - 0.1))

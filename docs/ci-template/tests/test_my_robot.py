@@ -1,0 +1,35 @@
+"""What I expect of my robot on the wall."""
+
+import numpy as np
+import pytest
+
+from hil.errors import DeviceTimeoutError
+from hil.trajectories import line
+
+UP = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0)
+
+
+@pytest.mark.needs("servos", "mocap")
+def test_it_climbs_ten_centimetres(bench):
+    """Where it ends is measured by motion capture, not by what it believes itself."""
+    motion = bench.drive(UP, hold_s=1.0)
+    assert np.linalg.norm(motion.mocap[-1, :2] - [0.1, 0.0]) < 0.02
+
+
+@pytest.mark.needs("servos")
+@pytest.mark.fault("imu", "off", at=2.0)
+def test_it_holds_itself_when_the_inertial_unit_falls_silent(bench):
+    """The run ends with an error that names the device, and nothing slides."""
+    with pytest.raises(DeviceTimeoutError, match="imu"):
+        bench.drive(UP)
+    before = bench.rig.servos.read()[0].position_rad
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 100_000_000)
+    after = bench.rig.servos.read()[0].position_rad
+    assert np.allclose(after, before, atol=0.02)
+
+
+@pytest.mark.real_only
+@pytest.mark.needs("servos")
+def test_the_firmware_is_the_one_we_released(bench):
+    """Skipped on emulated servos, and says so."""
+    assert set(bench.rig.servos.identity()["firmware"].split(", ")) == {"46"}

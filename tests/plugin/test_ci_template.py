@@ -1,0 +1,39 @@
+"""The template repository in `docs/`, copied and run as a user's CI would run it."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+TEMPLATE = Path(__file__).parents[2] / "docs" / "ci-template"
+
+
+def test_the_template_runs_as_it_stands(tmp_path):
+    project = tmp_path / "my_robot"
+    shutil.copytree(
+        TEMPLATE, project, ignore=shutil.ignore_patterns("__pycache__", ".pytest_cache", "results")
+    )
+    path = os.pathsep.join((str(Path(sys.executable).parent), os.environ["PATH"]))
+    done = subprocess.run(
+        ["sh", "ci.sh"], cwd=project, env={**os.environ, "PATH": path}, capture_output=True, text=True,
+        timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    cases = list(ElementTree.parse(project / "results" / "tests.xml").iter("testcase"))
+    skipped = [case.get("name") for case in cases if case.find("skipped") is not None]
+    assert len(cases) > 20
+    assert skipped == ["test_the_firmware_is_the_one_we_released"]
+    benches = {p.get("value") for case in cases for p in case.iter("property") if p.get("name") == "bench"}
+    assert benches == {"my_bench"}
+    result = json.loads((project / "results" / "short_line" / "result.json").read_text())
+    assert (result["verdict"], result["bench"]) == ("PASS", "my_bench")
+    assert (project / "results" / "short_line" / "report.html").stat().st_size > 10_000
+
+
+def test_the_job_calls_what_is_tested():
+    job = (TEMPLATE / "pipeline.yml").read_text()
+    assert "- sh ci.sh" in job
+    assert "junit: results/tests.xml" in job

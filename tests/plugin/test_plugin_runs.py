@@ -1,0 +1,302 @@
+"""The pytest plugin as a user meets it: pytest in a process of its own, in a project of its own."""
+
+import re
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pytest
+
+from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.config.bench import load_bench
+
+pytest_plugins = ["pytester"]
+
+LAB = """
+schema = 1
+name = "lab"
+surface = "floor"
+{calibration}
+
+[imu]
+backend = "real"
+port = "/dev/no-such-port"
+
+[encoders]
+backend = "emulated"
+"""
+
+
+@pytest.fixture
+def run(pytester):
+    """Runs pytest on test files in a fresh project; outcome and properties by test from its JUnit XML."""
+
+    def go(*options, **files):
+        pytester.makepyfile(**files)
+        result = pytester.runpytest_subprocess("--junitxml=junit.xml", *options)
+        found = {}
+        if (pytester.path / "junit.xml").exists():
+            for case in ElementTree.parse(pytester.path / "junit.xml").iter("testcase"):
+                found[case.get("name")] = SimpleNamespace(
+                    outcome=next((e.tag for e in case if e.tag in ("skipped", "failure", "error")), "passed"),
+                    message=next((e.get("message") for e in case if e.get("message")), ""),
+                    text="".join(e.text or "" for e in case),
+                    properties={p.get("name"): p.get("value") for p in case.iter("property")},
+                )
+        return result, found
+
+    return go
+
+
+FIXTURES = """
+import numpy as np
+import pytest
+
+began = []
+
+def test_the_fixtures_are_one_bench(bench, world, clock, loop):
+    assert bench.world is world
+    assert bench.clock is clock
+    assert clock.now_ns() == world.now_ns > 0
+    records = []
+    loop.run(lambda record: records.append(record) or len(records) == 20)
+    assert np.isfinite(records[-1].state.pose_body_in_wall).all()
+    assert len(records[-1].inputs.servos) == 1
+
+@pytest.mark.parametrize("again", [False, True])
+def test_every_test_has_a_world_of_its_own(bench, again):
+    began.append(bench.clock.now_ns())
+    motion = bench.observe(0.1)
+    began.append(motion.records[-1].inputs.servos[-1].position_rad.tobytes())
+    assert began[:2] == began[-2:]
+
+@pytest.mark.needs("can", "mocap")
+@pytest.mark.needs("servos")
+def test_what_the_bench_has(bench):
+    assert bench.seed == 7
+
+def rates(bench):
+    return [tuple(s.gyro_rad_s) for r in bench.observe(1.0).records for s in r.inputs.imu]
+
+class TestStuck:
+    pytestmark = pytest.mark.fault("imu", "stuck", at=0.0)
+
+    def test_a_marker_of_the_class(self, bench):
+        assert len(set(rates(bench)[-30:])) == 1
+
+    @pytest.mark.fault("can", "off", at=0.6)
+    def test_and_one_of_the_test(self, bench):
+        records = bench.observe(1.0).records
+        assert records[0].inputs.encoders
+        assert not records[-1].inputs.encoders
+
+def test_no_fault_without_a_marker(bench):
+    assert len(set(rates(bench)[-30:])) > 1
+
+@pytest.mark.real_only
+def test_only_on_hardware(bench):
+    raise AssertionError
+
+@pytest.mark.fault("imu", "bus_off")
+def test_impossible_fault(bench):
+    raise AssertionError
+
+@pytest.mark.needs("radar")
+def test_unknown_device():
+    raise AssertionError
+
+@pytest.mark.fault("imu")
+def test_half_a_fault(bench):
+    raise AssertionError
+
+@pytest.mark.fault("imu", "stuck", at="soon")
+def test_no_time(bench):
+    raise AssertionError
+
+@pytest.mark.fault("mocap", "off", at=1.5, duration=0.5)
+def test_that_fails(bench):
+    assert False
+"""
+
+
+def test_fixtures_and_markers_on_the_emulated_bench(run):
+    result, found = run("-rs", "-p", "no:cacheprovider", "-W", "error", "--hil-seed=7", test_all=FIXTURES)
+    outcomes = {name: case.outcome for name, case in found.items()}
+    assert outcomes == {
+        "test_the_fixtures_are_one_bench": "passed",
+        "test_every_test_has_a_world_of_its_own[False]": "passed",
+        "test_every_test_has_a_world_of_its_own[True]": "passed",
+        "test_what_the_bench_has": "passed",
+        "test_a_marker_of_the_class": "passed",
+        "test_and_one_of_the_test": "passed",
+        "test_no_fault_without_a_marker": "passed",
+        "test_only_on_hardware": "skipped",
+        "test_impossible_fault": "error",
+        "test_unknown_device": "error",
+        "test_half_a_fault": "error",
+        "test_no_time": "error",
+        "test_that_fails": "failure",
+    }, result.stdout.str()
+    for case in found.values():
+        if case.outcome in ("passed", "failure", "skipped"):
+            wanted = {"bench": "emulated", "calibration_version": "none", "seed": "7"}
+            assert case.properties.items() >= wanted.items()
+    assert found["test_that_fails"].properties["fault"] == "mocap:off@1.5+0.5"
+    assert "real_only: bench emulated emulates servos" in found["test_only_on_hardware"].message
+    assert "imu cannot produce the fault 'bus_off'" in found["test_impossible_fault"].message
+    assert "needs('radar')" in found["test_unknown_device"].message
+    assert "at=seconds" in found["test_half_a_fault"].message
+    assert "at=seconds" in found["test_no_time"].message
+    said = result.stdout.str()
+    assert "repeat with --hil-seed=7" in said
+    assert "warnings summary" not in said
+    assert re.search(r"SKIPPED \[1\] test_all.py:\d+: real_only", said)
+    assert not re.search(r"site-packages|hil/pytest_plugin", found["test_impossible_fault"].text)
+
+
+ON_A_LAB = """
+import pytest
+
+def test_it_opens(bench):
+    assert bench.has("imu")
+
+@pytest.mark.needs("mocap")
+def test_with_mocap(bench):
+    raise AssertionError
+
+@pytest.mark.fault("imu", "stuck")
+def test_with_a_fault(bench):
+    pass
+
+@pytest.mark.fault("servo.drive_FL", "off")
+def test_with_a_fault_of_a_servo(bench):
+    raise AssertionError
+
+@pytest.mark.real_only
+@pytest.mark.needs("imu")
+def test_on_hardware():
+    pass
+
+@pytest.mark.real_only
+def test_all_on_hardware():
+    raise AssertionError
+
+def test_that_needs_the_world(world):
+    assert world.now_ns > 0
+"""
+
+EMULATED = {
+    "test_it_opens": "passed",
+    "test_with_mocap": "skipped",
+    "test_with_a_fault": "passed",
+    "test_with_a_fault_of_a_servo": "skipped",
+    "test_on_hardware": "skipped",
+    "test_all_on_hardware": "skipped",
+    "test_that_needs_the_world": "passed",
+}
+
+
+def lab(pytester):
+    """A bench file with a real device and a calibration, in the project."""
+    robot = load_bench("emulated").robot
+    parameters = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m, "r_m": robot.wheel_radius_m}
+    save_calibration(
+        pytester.path / "calibration.toml",
+        CalibrationFile(
+            schema=1, version=3, created="2026-01-01T00:00:00+00:00", method="lm", setting="recommended",
+            model="exact", signal="velocity", parameters=parameters, nominal=parameters, std={},
+            twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), cost_before=1.0,
+            cost_after=0.5, recordings={},
+        ),
+    )  # fmt: skip
+    (pytester.path / "lab.toml").write_text(LAB.format(calibration='calibration = "calibration.toml"'))
+
+
+def test_a_bench_that_is_not_named_on_the_command_line_is_emulated(run, pytester):
+    lab(pytester)
+    pytester.makeini("[pytest]\nhil_bench = lab.toml\n")
+    result, found = run(test_lab=ON_A_LAB)
+    assert {name: case.outcome for name, case in found.items()} == EMULATED, result.stdout.str()
+    assert found["test_with_mocap"].message == "needs mocap, which bench lab lacks"
+    assert found["test_with_a_fault_of_a_servo"].message.endswith("bench lab lacks servos")
+    for case in found.values():
+        assert case.properties.items() >= {"bench": "lab", "calibration_version": "3"}.items()
+    result.stdout.fnmatch_lines("hil: bench lab, seed 0; emulated: encoders, imu; real: none")
+
+
+def test_real_devices_of_a_bench_that_is_named_are_used(run, pytester):
+    lab(pytester)
+    result, found = run("--bench=lab.toml", "-k", "not world", test_lab=ON_A_LAB)
+    assert found["test_it_opens"].outcome == "error"
+    assert "/dev/no-such-port" in found["test_it_opens"].message
+    assert not re.search(r"site-packages|hil/drivers", found["test_it_opens"].text)
+    assert found["test_with_a_fault"].message == "fault imu:stuck: imu of bench lab is real"
+    assert found["test_on_hardware"].outcome == "passed"
+    assert found["test_all_on_hardware"].message == "real_only: bench lab emulates encoders"
+    result.stdout.fnmatch_lines("hil: bench lab, seed 0; emulated: encoders; real: imu")
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--bench=nowhere.toml"], "nowhere.toml: cannot be read"),
+        (["--bench=bad.toml"], "colour: unknown key"),
+        (["--emulate", "test_lab.py"], "write --emulate=all"),
+    ],
+)
+def test_a_wrong_bench_ends_the_run_before_the_first_test(pytester, options, told):
+    pytester.makefile(".toml", bad='schema = 1\nname = "bad"\ncolour = "red"\n')
+    pytester.makepyfile(test_lab="def test_never():\n    raise AssertionError\n")
+    result = pytester.runpytest(*options)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    assert told in result.stderr.str()
+
+
+STRANGER = """
+import sys
+
+def test_nothing_of_the_bench_is_loaded():
+    loaded = {name.partition(".")[0] for name in sys.modules}
+    assert not loaded & {"numpy", "scipy", "pydantic", "can", "serial"}
+    assert not any(name.startswith("hil.") and name != "hil.pytest_plugin" for name in sys.modules)
+
+def test_own_fixtures_win(bench, loop):
+    assert (bench, loop) == ("mine", "mine too")
+"""
+
+
+def test_a_project_that_asks_for_no_bench_pays_nothing(run):
+    conftest = """
+        import pytest
+
+        @pytest.fixture
+        def bench():
+            return "mine"
+
+        @pytest.fixture
+        def loop(bench):
+            return bench + " too"
+        """
+    result, found = run(
+        "-W", "error", "-p", "no:cacheprovider", "-p", "no:hypothesispytest", test_stranger=STRANGER,
+        conftest=conftest,
+    )  # fmt: skip
+    assert [case.outcome for case in found.values()] == ["passed", "passed"], result.stdout.str()
+    assert not any(case.properties for case in found.values())
+    assert "hil" not in next(line for line in result.outlines if line.startswith("rootdir"))
+
+
+def test_a_real_bench_is_not_shared_by_two_processes(pytester):
+    pytest.importorskip("xdist", reason="pytest-xdist is not installed")
+    lab(pytester)
+    refused = pytester.runpytest_subprocess("-n2", "--bench=lab.toml")
+    assert refused.ret == pytest.ExitCode.USAGE_ERROR
+    assert "imu are real and cannot be shared" in refused.stderr.str()
+
+
+@pytest.mark.long
+def test_two_processes_share_an_emulated_bench(run, pytester):
+    pytest.importorskip("xdist", reason="pytest-xdist is not installed")
+    lab(pytester)
+    result, found = run("-n2", "--bench=lab.toml", "--emulate", test_lab=ON_A_LAB)
+    assert {name: case.outcome for name, case in found.items()} == EMULATED, result.stdout.str()
+    assert {case.properties["bench"] for case in found.values()} == {"lab"}
