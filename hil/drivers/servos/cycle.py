@@ -1,8 +1,9 @@
 """The read of every cycle, and what becomes of it when servos do not answer.
 
 A servo that misses a read moves to the end of the list, so that a chain that stops at it loses nobody
-else; missing twice, it leaves the list and is asked alone every now and then. So a dead servo costs one
-short time-out at a time, never the whole group.
+else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
+short time-out at a time, never the whole group. When nobody answers it is either the bus or the first of
+the chain: somebody else leads the next read, and the guilty one is then known.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.signals import Status
 
-_DEAD_AFTER = 2
+_DEAD_AFTER = 3
 _ALL = tuple(range(8))
 ALL_OK = (Status.OK,) * 8
 
@@ -43,6 +44,10 @@ class Reading:
 
 
 _NO_ALERT = (False,) * 8
+
+
+def _led_by_another(order: tuple[int, ...]) -> tuple[int, ...]:
+    return order[1:] + order[:1]
 
 
 class CycleReader:
@@ -114,8 +119,11 @@ class CycleReader:
         self, order: tuple[int, ...], missing: list[int], answers: dict[int, Answer], deadline_ns: int
     ) -> dict[int, Answer]:
         """Ask once more, without the servo at which the answer broke off, if there is time."""
-        suspect = missing[0] if len(missing) < len(order) else None
-        joints = tuple(j for j in missing if j != suspect or answers[j].status is not Status.TIMEOUT)
+        if len(missing) == len(order):
+            joints = _led_by_another(order)
+        else:
+            suspect = missing[0]
+            joints = tuple(j for j in missing if j != suspect or answers[j].status is not Status.TIMEOUT)
         if not joints:
             return {}
         group, timeout_s = self._group(joints)
@@ -135,6 +143,7 @@ class CycleReader:
                 self._order = list(_ALL)
             return
         if len(silent) == len(order) > 1:
+            self._order = list(_led_by_another(order))
             return
         suspect = silent[0]
         self._missed[suspect] += 1

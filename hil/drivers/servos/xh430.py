@@ -346,18 +346,20 @@ class XH430Servos(Actuators):
         """Torque off, checked: on a wall the robot slides.
 
         Raises:
-            DeviceError: a servo that answers still has torque on.
+            DeviceError: a servo still has torque on, or does not say.
         """
         self._opened()
         for _ in range(_VERIFY_ATTEMPTS):
             self._upkeep.disarm()
-            state = self._upkeep.audit(self._cycle.live_ids)
+            asked = [self._config.ids.index(i) for i in self._cycle.live_ids]
+            state = self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
             still = [SERVOS[j] for j, (torque, _) in state.items() if torque]
-            if state and not still:
+            unsure = [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
+            if state and not still and not unsure:
                 return
         raise DeviceError(
             self.name,
-            "torque is not off: " + (", ".join(still) or "nobody answers"),
+            "torque is not off: " + (", ".join(still + unsure) if state else "nobody answers"),
             port=self._config.port,
             expected="Torque Enable 0",
             remedy="cut the servos' supply",

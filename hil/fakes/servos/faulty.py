@@ -15,7 +15,8 @@ from hil.signals import SERVOS
 BUS_FAULTS = (
     "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "reset", "brownout", "jump",
 )  # fmt: skip
-SERVO_FAULTS = (*BUS_FAULTS, "drop", "corrupt")
+_LINE_ONLY = ("drop", "corrupt")
+SERVO_FAULTS = (*BUS_FAULTS, *_LINE_ONLY)
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
 _DELAY_S, _SLOW_S = 0.1, 0.002
@@ -48,8 +49,12 @@ class ServoFaults:
         return self._plan.empty
 
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind on a servo under any of its names."""
-        for name in self._names[joint]:
+        """The active fault of that kind on a servo under any of its names.
+
+        `drop` and `corrupt` of the whole bus are the line's affair.
+        """
+        names = self._names[joint]
+        for name in names[1:] if kind in _LINE_ONLY else names:
             fault = self._plan.find(name, kind, t_ns)
             if fault is not None:
                 return fault

@@ -42,6 +42,7 @@ _LIVE = struct.Struct("<HBBhhiiiiHB")
 _LIVE_AT = 120
 _CYCLIC = struct.Struct("<hii")
 _CYCLIC_AT = 126
+_WORD, _HALF_WORD = 1 << 32, 1 << 31
 _POSITION_GAINS = {POSITION: (900, 0, 0), CURRENT_POSITION: (900, 0, 0)}
 
 
@@ -93,8 +94,8 @@ class Servo:
 
     @property
     def present(self) -> int:
-        """Present Position in register counts."""
-        return self._sign * self._encoder + self._base + self._homing
+        """Present Position in register counts, which wrap at 32 bits."""
+        return (self._sign * self._encoder + self._base + self._homing + _HALF_WORD) % _WORD - _HALF_WORD
 
     def answers_to(self, servo_id: int) -> bool:
         """Whether an instruction packet to an ID is meant for this servo."""

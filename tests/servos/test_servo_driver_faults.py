@@ -1,0 +1,432 @@
+"""Every fault of servos and line ends as data with a status, a repair, or a named device error."""
+
+import contextlib
+
+import numpy as np
+import pytest
+from servo_client import Client
+from servo_wire import Wire
+
+from hil.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError, UsageError
+from hil.fakes.faults import parse_fault
+from hil.fakes.serial_line import LINE_FAULTS
+from hil.fakes.servos import BUS_FAULTS, SERVO_FAULTS
+from hil.signals import ServoSetpoint, Status
+
+SECOND = 1_000_000_000
+CYCLE_NS = 10_000_000
+ROLLING = ServoSetpoint(np.array([1.0, -1.0, 2.0, 0.5]), np.array([0.2, -0.2, 0.1, 0.0]))
+STILL = ServoSetpoint(np.zeros(4), np.zeros(4))
+
+
+def cycles(bench, until_s, setpoint=None):
+    """Read (and command) at 100 Hz until a bench time; all samples."""
+    samples, t_ns = [], bench.clock.now_ns()
+    while t_ns < until_s * SECOND:
+        (sample,) = bench.driver.read()
+        samples.append(sample)
+        bench.driver.read_health()
+        if setpoint is not None:
+            bench.driver.command(setpoint)
+        t_ns = max(t_ns + CYCLE_NS, bench.clock.now_ns())
+        bench.clock.sleep_until_ns(t_ns)
+    return samples
+
+
+def statuses(samples, joint):
+    return {s.status[joint] for s in samples}
+
+
+def between(samples, start_s, end_s):
+    return [s for s in samples if start_s * SECOND <= s.stamp.t_ns < end_s * SECOND]
+
+
+def test_all_faults_of_this_file_are_the_supported_ones():
+    assert set(BUS_FAULTS) == {
+        "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "reset", "brownout", "jump",
+    }  # fmt: skip
+    assert set(SERVO_FAULTS) - set(BUS_FAULTS) == {"drop", "corrupt"}
+    assert set(LINE_FAULTS) == {"drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug"}
+
+
+@pytest.mark.parametrize("fault", ["servos:bus_off", "servo.drive_FL:unplug", "servo.9:off"])
+def test_others_are_refused(servo_bench, fault):
+    with pytest.raises(FaultNotSupportedError):
+        servo_bench(fault, open_driver=False)
+
+
+@pytest.mark.parametrize("joint", range(8))
+@pytest.mark.parametrize("behaviour", ["silent", "skip"])
+@pytest.mark.parametrize("fast", ["auto", False])
+def test_a_dead_servo_costs_little_and_takes_nobody_with_it(servo_bench, joint, behaviour, fast):
+    bench = servo_bench(after_absent=behaviour, config={"fail_after_s": 60.0, "fast_sync_read": fast})
+    bench.driver.enable()
+
+    def durations(count):
+        found = []
+        for _ in range(count):
+            began = bench.clock.now_ns()
+            bench.driver.read()
+            found.append(bench.clock.now_ns() - began)
+            bench.clock.sleep_until_ns(began + CYCLE_NS)
+        return found
+
+    healthy = durations(40)
+    bench.world.faults.add(parse_fault(f"servo.{joint + 1}:off"))
+    dead = durations(200)
+    assert max(dead) - max(healthy) <= 3_000_000
+    assert np.mean(dead) - np.mean(healthy) < 100_000
+    last = bench.driver.read()[0]
+    assert last.status[joint] is Status.TIMEOUT
+    assert all(last.status[j] is Status.OK for j in range(8) if j != joint)
+    assert np.isnan([last.position_rad[joint], last.velocity_rad_s[joint], last.current_a[joint]]).all()
+
+
+def test_a_dead_servo_is_an_error_once_it_lasts(servo_bench):
+    bench = servo_bench("servo.steer_BL:off@1")
+    bench.driver.enable()
+    with pytest.raises(
+        DeviceTimeoutError, match=r"nothing usable for 2 s from steer_BL \(ID 6\): timeout"
+    ) as caught:
+        cycles(bench, 5)
+    assert "check cable" in caught.value.remedy
+    assert bench.clock.now_ns() == pytest.approx(3.0 * SECOND, rel=0.02)
+
+
+def test_two_dead_servos(servo_bench):
+    bench = servo_bench("servo.2:off@1", "servo.7:off@1.5", config={"fail_after_s": 60.0})
+    bench.driver.enable()
+    last = cycles(bench, 3)[-1]
+    assert [s is Status.OK for s in last.status] == [True, False, True, True, True, True, False, True]
+
+
+def test_a_bus_that_falls_silent_altogether(servo_bench):
+    bench = servo_bench("servos:off@1")
+    bench.driver.enable()
+    cycles(bench, 1)
+    began = bench.clock.now_ns()
+    (sample,) = bench.driver.read()
+    assert bench.clock.now_ns() - began < 9_000_000
+    assert set(sample.status) == {Status.TIMEOUT}
+    with pytest.raises(DeviceTimeoutError, match=r"drive_FL(.*)steer_FR"):
+        cycles(bench, 6)
+
+
+@pytest.mark.parametrize("fault", ["servo.3:brownout@1+0.4", "servo.3:reset@1", "servo.3:off@1+0.4"])
+def test_a_restarted_servo_is_set_up_again_and_counts_on(servo_bench, fault):
+    bench = servo_bench(fault, config={"health_period_s": 0.2})
+    bench.driver.enable()
+    samples = cycles(bench, 4, ROLLING)
+    assert {Status.OK, Status.TIMEOUT, Status.RESET} >= statuses(samples, 2)
+    assert Status.RESET in statuses(samples, 2)
+    assert {s.status[2] for s in samples[-50:]} == {Status.OK}
+    assert bench.bus.servos[2].torque
+    assert samples[-1].velocity_rad_s[2] == pytest.approx(2.0, abs=0.05)
+    offset = samples[5].position_rad[2] - 0.0
+    moved = samples[-1].position_rad[2] - offset
+    true = bench.plant.position[2]
+    assert moved == pytest.approx(true, abs=0.15)
+    assert statuses(samples, 1) == {Status.OK}
+
+
+def test_all_servos_brown_out_and_come_back(servo_bench):
+    bench = servo_bench("servos:brownout@1+0.3", config={"health_period_s": 0.2})
+    bench.driver.enable()
+    samples = cycles(bench, 4, ROLLING)
+    assert samples[-1].ok
+    np.testing.assert_allclose(samples[-1].velocity_rad_s[:4], ROLLING.drive_velocity_rad_s, atol=0.05)
+    np.testing.assert_allclose(samples[-1].position_rad[4:], ROLLING.steer_position_rad, atol=0.01)
+
+
+def test_stuck_wrong_delayed_and_slow(servo_bench):
+    bench = servo_bench(
+        "servo.1:stuck@1+0.5", "servo.5:wrong@2+0.5,angle_rad=0.3", "servo.3:delayed@3+1,delay_s=0.2",
+        "servo.4:slow@5+0.5,answer_s=0.0005",
+    )  # fmt: skip
+    bench.driver.enable()
+    samples = cycles(bench, 6, ROLLING)
+    frozen = between(samples, 1.05, 1.45)
+    assert len({s.position_rad[0] for s in frozen}) == 1
+    wrong = between(samples, 2.1, 2.4)
+    assert np.mean([s.position_rad[4] for s in wrong]) == pytest.approx(0.2 + 0.3, abs=0.01)
+    assert np.mean([s.position_rad[4] for s in between(samples, 2.6, 2.9)]) == pytest.approx(0.2, abs=0.01)
+    before, during = between(samples, 2.8, 2.95)[-1], between(samples, 3.5, 3.9)[0]
+    dt_s = (during.stamp.t_ns - before.stamp.t_ns) * 1e-9
+    assert during.position_rad[2] - before.position_rad[2] == pytest.approx(2.0 * (dt_s - 0.2), abs=0.05)
+    slow = between(samples, 5.05, 5.45)
+    assert statuses(slow, 3) == {Status.OK}
+
+
+def test_a_slipped_magnet_is_told_and_bridged(servo_bench):
+    bench = servo_bench("servo.2:jump@1,angle_rad=2.5")
+    bench.driver.enable()
+    samples = cycles(bench, 2)
+    told = [s for s in samples if s.status[1] is not Status.OK]
+    assert [s.status[1] for s in told] == [Status.RESET]
+    assert statuses(samples, 0) == {Status.OK}
+
+
+@pytest.mark.parametrize("fault", ["servo.1:garbage@1+0.3", "servo.8:garbage@1+0.3", "servos:garbage@1+0.3"])
+@pytest.mark.parametrize("fast", ["auto", False])
+def test_garbage_is_never_a_number(servo_bench, fault, fast):
+    bench = servo_bench(fault, config={"fast_sync_read": fast})
+    bench.driver.enable()
+    still = bench.driver.read()[0].position_rad
+    samples = cycles(bench, 2.5)
+    bad = between(samples, 1.01, 1.29)
+    joint = 0 if "servo.1" in fault else 7
+    assert Status.OK not in statuses(bad, joint)
+    for s in samples:
+        good = [j for j in range(8) if s.status[j] is Status.OK]
+        np.testing.assert_allclose(s.position_rad[good], still[good], atol=0.01)
+    assert samples[-1].ok
+    if fast is False and "servos" not in fault:
+        assert statuses(samples, 3) == {Status.OK}
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "servos:drop@1,probability=0.03",
+        "servos:corrupt@1,probability=0.03",
+        "servos:truncate@1,probability=0.03",
+        "servos:duplicate@1,probability=0.2",
+        "servo.4:drop@1,probability=0.1",
+        "servo.4:corrupt@1,probability=0.1",
+        "servo.5:intermittent@1,period_s=0.2,duty=0.3",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("fast", ["auto", False])
+def test_a_bad_line_costs_readings_but_never_truth(servo_bench, fault, fast):
+    bench = servo_bench(fault, config={"fast_sync_read": fast}, seed=7)
+    bench.driver.enable()
+    start = bench.driver.read()[0].position_rad - bench.plant.position
+    samples = cycles(bench, 6, ROLLING)
+    good = bad = 0
+    for s in samples:
+        for j in range(8):
+            usable = s.status[j] in (Status.OK,)
+            good, bad = good + usable, bad + (not usable)
+            assert np.isfinite(s.position_rad[j]) == usable
+    assert good > 0.8 * (good + bad)
+    assert bad > 0 or "duplicate" in fault
+    last = next(s for s in reversed(samples) if s.ok)
+    age_s = (bench.clock.now_ns() - last.stamp.t_ns) * 1e-9
+    true = bench.plant.position + start - age_s * bench.plant.velocity
+    np.testing.assert_allclose(last.position_rad, true, atol=0.02)
+
+
+def test_a_baud_rate_that_changes_under_way_is_silence(servo_bench):
+    bench = servo_bench("servos:baud_mismatch@1+0.5")
+    bench.driver.enable()
+    samples = cycles(bench, 3)
+    assert set(between(samples, 1.1, 1.4)[0].status) == {Status.TIMEOUT}
+    assert samples[-1].ok
+
+
+def test_a_pulled_adapter_and_its_return(servo_bench):
+    bench = servo_bench("servos:unplug@1+0.5", "servos:unplug@3")
+    bench.driver.enable()
+    samples = cycles(bench, 2.5)
+    gone = between(samples, 1.05, 1.45)
+    assert 30 < len(gone) <= 45
+    assert {s for sample in gone for s in sample.status} == {Status.TIMEOUT}
+    assert samples[-1].ok
+    with pytest.raises(DeviceTimeoutError, match="nothing usable"):
+        cycles(bench, 9)
+    bench.driver.stop()
+    bench.driver.command(STILL)
+    with pytest.raises(DeviceError, match="nobody answers"):
+        bench.driver.release()
+    bench.driver.close()
+
+
+def test_an_adapter_that_goes_while_setting_up_is_a_device_error(servo_bench):
+    with pytest.raises(DeviceError):
+        servo_bench("servos:unplug@0.01")
+
+
+@pytest.mark.parametrize("at_s", [0.004, 0.012, 0.02, 0.028])
+def test_a_bus_that_falls_silent_while_setting_up_is_a_device_error(servo_bench, at_s):
+    with pytest.raises(DeviceError):
+        servo_bench(f"servos:off@{at_s}")
+
+
+def test_overload_is_told_and_becomes_an_error_and_enabling_is_refused(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    bench.plant.load_a[4] = 1.3
+    samples = cycles(bench, 3)
+    with pytest.raises(DeviceError, match=r"steer_FL \(ID 5\): hardware error overload") as caught:
+        samples += cycles(bench, 7)
+    assert "reboot the servo" in caught.value.remedy
+    with pytest.raises(DeviceError, match="hardware error overload"):
+        bench.driver.enable()
+    bench.driver.close()
+    bench.driver.open()
+    with pytest.raises(DeviceError, match=r"hardware errors: steer_FL \(overload\)"):
+        bench.driver.enable()
+
+
+def test_an_alert_carries_the_error_bits_beside_the_sample(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    bench.plant.load_a[2] = 1.3
+    samples = cycles(bench, 3.5)
+    flagged = [s for s in samples if s.status[2] is Status.HARDWARE_ERROR]
+    assert {s.alert[2] for s in flagged} == {0x20}
+    assert all(np.isnan(s.position_rad[2]) for s in flagged)
+    bench.plant.load_a[2] = 0.0
+    Client(Wire(bench.world, bench.bus), 3).do(8, wait_ms=200)
+    after = cycles(bench, 6)
+    assert after[-1].status[2] is Status.OK
+    assert after[-1].alert == (0,) * 8
+
+
+def test_the_bits_of_an_alert_stay_unknown_where_nobody_tells_them(servo_bench):
+    bench = servo_bench("servo.3:drop@3.06,probability=0.5", seed=2, config={"health_period_s": 60.0})
+    bench.driver.enable()
+    bench.plant.load_a[2] = 1.3
+    seen = {s.alert[2] for s in cycles(bench, 3.9) if s.status[2] is Status.HARDWARE_ERROR}
+    assert seen <= {0x20, 0x80}
+    assert seen
+
+
+def test_torque_that_does_not_come_on_is_told(servo_bench):
+    reference = servo_bench()
+    began = reference.clock.now_ns()
+    reference.driver.read()
+    read_ns = reference.clock.now_ns() - began
+    reference.line.close()
+    at_s = (began + read_ns + 200_000) * 1e-9
+    bench = servo_bench(f"servos:drop@{at_s:.7f},probability=1")
+    with pytest.raises(DeviceError, match="torque did not come on: drive_FL") as caught:
+        bench.driver.enable()
+    assert "hil doctor" in caught.value.remedy
+
+
+def test_enabling_needs_all_eight(servo_bench):
+    bench = servo_bench("servo.6:off@1")
+    bench.clock.sleep_until_ns(SECOND)
+    with pytest.raises(DeviceTimeoutError, match="cannot be enabled: steer_BL timeout"):
+        bench.driver.enable()
+    assert not any(s.torque for s in bench.bus.servos)
+
+
+def test_torque_that_does_not_go_off_is_told(servo_bench):
+    bench = servo_bench()
+    said = set()
+    for _ in range(40):
+        bench.driver.enable()
+        bench.world.faults.add(parse_fault("servos:drop,probability=0.6"))
+        try:
+            bench.driver.release()
+        except DeviceError as error:
+            said.add(error.message)
+        bench.world.faults.clear()
+    assert any("torque is not off: drive_FL, drive_BL" in text for text in said)
+    assert any(" (no answer)" in text for text in said)
+    assert any("torque is not off: nobody answers" in text for text in said)
+
+
+def test_release_lets_go_and_stop_holds(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    cycles(bench, 1, ROLLING)
+    bench.driver.stop()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 400_000_000)
+    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
+    np.testing.assert_allclose(bench.plant.position[4:], ROLLING.steer_position_rad, atol=0.01)
+    assert all(s.torque for s in bench.bus.servos)
+    bench.driver.release()
+    assert not any(s.torque for s in bench.bus.servos)
+    assert {c.mode for c in bench.plant.commands} == {"off"}
+
+
+def test_closing_rests_the_wheels_and_keeps_the_robot_held(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    cycles(bench, 1, ROLLING)
+    bench.driver.close()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 500_000_000)
+    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
+    assert all(s.torque for s in bench.bus.servos)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_goals_that_are_no_numbers_are_refused(servo_bench, value):
+    bench = servo_bench()
+    bench.driver.enable()
+    for setpoint in (
+        ServoSetpoint(np.full(4, value), np.zeros(4)),
+        ServoSetpoint(np.zeros(4), np.full(4, np.nan)),
+    ):
+        with pytest.raises(UsageError, match="not finite"):
+            bench.driver.command(setpoint)
+
+
+def test_goals_are_clipped_to_bench_and_servo(servo_bench):
+    bench = servo_bench(
+        eeprom={0: {"velocity_limit": 100}, 4: {"max_position_limit": 2500}}, config={"steer_limit_rad": 1.0}
+    )
+    bench.driver.enable()
+    last = cycles(bench, 1, ServoSetpoint(np.array([9.0, 9.0, -9.0, 4.0]), np.array([2.0, 2.0, -2.0, 0.5])))[
+        -1
+    ]
+    np.testing.assert_allclose(last.velocity_rad_s[:4], [2.397, 4.89, -4.89, 4.0], atol=0.05)
+    np.testing.assert_allclose(last.position_rad[4:], [0.693, 1.0, -1.0, 0.5], atol=0.01)
+
+
+def test_a_killed_program_leaves_a_held_robot(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    cycles(bench, 1, ROLLING)
+    assert bench.plant.velocity[0] > 0.9
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
+    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
+    assert all(s.torque and s.tripped for s in bench.bus.servos)
+
+
+def test_without_a_watchdog_a_wheel_goes_on(servo_bench):
+    bench = servo_bench(config={"watchdog_s": 0.0})
+    bench.driver.enable()
+    cycles(bench, 1, ROLLING)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
+    assert bench.plant.velocity[0] > 0.9
+
+
+def test_positions_survive_the_wrap_of_the_register(servo_bench):
+    """A drive that has turned for days: the 32-bit register wraps, the position goes on."""
+    bench = servo_bench()
+    bench.driver.enable()
+    near = (2**31 - 2500) * 2 * np.pi / 4096
+    bench.plant.position[0] += near
+    first = cycles(bench, bench.clock.now_ns() / SECOND + 0.3, STILL)[-1].position_rad[0]
+    samples = cycles(bench, bench.clock.now_ns() / SECOND + 2.5, ServoSetpoint(np.full(4, 3.0), np.zeros(4)))
+    positions = np.array([s.position_rad[0] for s in samples])
+    good = np.isfinite(positions)
+    assert good.mean() > 0.95
+    assert positions[good][-1] - first == pytest.approx(3.0 * 2.45, abs=0.3)
+    assert bench.bus.servos[0].present < -(2**31) + 10_000
+
+
+def test_the_same_seed_gives_the_same_samples(servo_bench):
+    def run(seed):
+        bench = servo_bench("servos:corrupt@1,probability=0.05", seed=seed)
+        bench.driver.enable()
+        found = [(s.stamp, s.position_rad.tobytes(), s.status) for s in cycles(bench, 2, ROLLING)]
+        bench.line.close()
+        return found
+
+    assert run(1) == run(1)
+    assert run(1) != run(2)
+
+
+def test_an_error_leaves_the_driver_closable(servo_bench):
+    bench = servo_bench("servos:off@1")
+    bench.driver.enable()
+    with contextlib.suppress(DeviceError):
+        cycles(bench, 10)
+    bench.driver.stop()
+    bench.driver.close()
+    assert bench.driver.identity() == {}

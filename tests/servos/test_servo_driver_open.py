@@ -1,0 +1,243 @@
+"""What the driver says of a bus that is not as expected, and what it makes of one that others have used."""
+
+import numpy as np
+import pytest
+from servo_client import ALL, word
+
+from hil.clock import MonotonicClock
+from hil.config.servos import ServosConfig
+from hil.config.xh430 import BAUD_RATES, TABLE
+from hil.drivers.servos import XH430Servos
+from hil.drivers.servos.packets import instruction
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.signals import ServoSetpoint, Status
+
+
+@pytest.mark.parametrize(
+    "port",
+    ["/dev/nonexistent", "/dev/null", "/", "hil://nobody", "nonsense://x", "socket://127.0.0.1:9", "a\0b"],
+)
+def test_a_port_that_cannot_be_opened_is_a_device_error(port):
+    driver = XH430Servos(ServosConfig(port=port), MonotonicClock())
+    with pytest.raises(DeviceError, match="port cannot be opened") as caught:
+        driver.open()
+    assert caught.value.device == "servos"
+    assert caught.value.port == port
+    assert caught.value.expected
+    assert caught.value.remedy
+    driver.close()
+
+
+def test_a_port_without_permission_tells_how_to_get_it(denied_port):
+    with pytest.raises(DeviceError, match="group dialout"):
+        XH430Servos(ServosConfig(port=denied_port), MonotonicClock()).open()
+
+
+def test_a_busy_port_says_so(servo_bench):
+    bench = servo_bench()
+    with pytest.raises(DeviceError, match="close the other program"):
+        XH430Servos(bench.config, bench.clock).open()
+    bench.driver.close()
+    XH430Servos(bench.config, bench.clock).open()
+
+
+@pytest.mark.parametrize("baud", [b for b in BAUD_RATES.values() if b != 1_000_000])
+def test_the_wrong_baud_rate_is_recognised(servo_bench, baud):
+    with pytest.raises(DeviceTimeoutError, match=f"servos answer at {baud} baud"):
+        servo_bench(baud=baud)
+
+
+def test_a_bus_without_power_is_silent(servo_bench):
+    with pytest.raises(DeviceTimeoutError, match=r"8 of 8 servos(.|\n)*has power"):
+        servo_bench("servos:off")
+
+
+def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(
+            absent=frozenset({2, 7}), model_by_joint={0: 1030}, firmware_by_joint={4: 30},
+            ids=(1, 2, 3, 4, 5, 6, 7, 8),
+        )  # fmt: skip
+    text = str(caught.value)
+    assert "4 of 8 servos" in text
+    assert "drive_FL (ID 1): found model 1030, firmware 46" in text
+    assert "drive_BL (ID 2): found nothing" in text
+    assert "steer_FL (ID 5): found model 1010, firmware 30" in text
+    assert "steer_BR (ID 7): found nothing" in text
+    assert "update the firmware" in text
+    assert "hil discover" in text
+
+
+def test_two_servos_with_one_id_are_recognised(servo_bench):
+    with pytest.raises(DeviceError, match="two servos may share this ID"):
+        servo_bench(ids=(1, 2, 3, 3, 5, 6, 7, 8), config={"drive_ids": (1, 2, 3, 4)})
+
+
+@pytest.mark.parametrize(
+    ("joint", "register", "raw", "said"),
+    [
+        (
+            0,
+            "operating_mode",
+            3,
+            r"drive_FL \(ID 1\): operating_mode 3 \(position\), expected 1 \(velocity\)",
+        ),
+        (4, "operating_mode", 4, r"operating_mode 4 \(extended position\), expected 3 \(position\)"),
+        (4, "operating_mode", 2, r"operating_mode 2 \(unknown\)"),
+        (1, "drive_mode", 1, "drive_mode 1, expected 0"),
+        (6, "homing_offset", 100, "homing_offset 100, expected 0"),
+    ],
+)
+def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, register, raw, said):
+    with pytest.raises(DeviceError, match=rf"not set up for this bench(.|\n)*{said}(.|\n)*hil setup"):
+        servo_bench(eeprom={joint: {register: raw}})
+
+
+@pytest.mark.parametrize("level", [0, 1])
+def test_servos_left_silent_are_made_to_answer(servo_bench, level):
+    bench = servo_bench(open_driver=False)
+    for servo in bench.bus.servos:
+        servo.write(TABLE["status_return_level"].address, bytes((level,)))
+    bench.driver.open()
+    assert bench.driver.read()[0].ok
+
+
+@pytest.mark.parametrize(
+    ("options", "config", "fast"),
+    [({}, {}, True), ({"firmware_by_joint": {3: 44}}, {}, False), ({}, {"fast_sync_read": False}, False)],
+)
+def test_fast_reads_are_used_where_every_servo_has_them(servo_bench, options, config, fast):
+    bench = servo_bench(config=config, **options)
+    reads = next(f for f in bench.driver.diagnose() if f.check == "reads")
+    assert reads.found == ("fast sync read" if fast else "plain sync read")
+    for _ in range(20):
+        assert bench.driver.read()[0].ok
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
+    (health,) = bench.driver.read_health()
+    np.testing.assert_allclose(health.voltage_v, 11.1, atol=0.1)
+    np.testing.assert_allclose(health.temperature_c, 27.0, atol=1.0)
+
+
+def test_a_held_robot_stays_held_when_it_is_opened(servo_bench):
+    """Torque on and steering turned: opening neither drops torque nor moves anything."""
+    bench = servo_bench(open_driver=False)
+    for servo in bench.bus.servos:
+        servo.write(TABLE["torque_enable"].address, b"\x01")
+        if servo.joint >= 4:
+            servo.write(TABLE["goal_position"].address, (2500).to_bytes(4, "little"))
+    bench.clock.sleep_until_ns(1_000_000_000)
+    before = bench.plant.position.copy()
+    bench.driver.open()
+    assert all(s.torque for s in bench.bus.servos)
+    assert "bulk write" in next(f.found for f in bench.driver.diagnose() if f.check == "goals")
+    bench.driver.enable()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 150_000_000)
+    np.testing.assert_allclose(bench.plant.position, before, atol=0.005)
+    start = before[4:]
+    for _ in range(100):
+        bench.driver.read()
+        bench.driver.command(ServoSetpoint(np.full(4, 1.0), start + 0.2))
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    (sample,) = bench.driver.read()
+    np.testing.assert_allclose(sample.velocity_rad_s[:4], 1.0, atol=0.05)
+    np.testing.assert_allclose(sample.position_rad[4:], start + 0.2, atol=0.01)
+
+
+def test_ram_registers_of_the_bench_file_are_written_and_restored_after_a_restart(servo_bench):
+    bench = servo_bench(
+        "servo.drive_FL:reset@2",
+        config={"drive_registers": {"velocity_p_gain": 123}, "steer_registers": {"profile_velocity": 77}},
+    )
+    bench.driver.enable()
+    gain = bench.bus.servos[0].table
+    assert (gain.get("velocity_p_gain"), bench.bus.servos[5].table.get("profile_velocity")) == (123, 77)
+    while bench.clock.now_ns() < 4_000_000_000:
+        bench.driver.read()
+        bench.driver.read_health()
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    assert gain.get("velocity_p_gain") == 123
+    assert gain.get("bus_watchdog") == 10
+    assert gain.get("torque_enable") == 1
+
+
+def test_a_register_that_a_servo_refuses_is_named(servo_bench):
+    with pytest.raises(DeviceError, match=r"servo 1: register at 102 cannot be written .*limit below"):
+        servo_bench(config={"drive_registers": {"goal_current": 500}}, eeprom={0: {"current_limit": 400}})
+
+
+def test_steering_in_extended_mode_turns_further(servo_bench):
+    bench = servo_bench(config={"steer_mode": "extended", "steer_limit_rad": 7.0}, steer_mode=4)
+    bench.driver.enable()
+    for _ in range(400):
+        bench.driver.read()
+        bench.driver.command(ServoSetpoint(np.zeros(4), np.array([6.5, -6.5, 0.0, 7.5])))
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    (sample,) = bench.driver.read()
+    np.testing.assert_allclose(sample.position_rad[4:], [6.5, -6.5, 0.0, 7.0], atol=0.01)
+
+
+def test_findings_tell_what_could_be_better(servo_bench):
+    bench = servo_bench(
+        return_delay=250,
+        eeprom={j: {"shutdown": 0} for j in range(8)},
+        firmware=44,
+        supply_v=9.0,
+        open_driver=False,
+    )
+    bench.clock.sleep_until_ns(300_000_000)
+    bench.driver.open()
+    found = {f.check: f for f in bench.driver.diagnose()}
+    assert found["return delay"].level == "warning"
+    assert "500 us" in found["return delay"].found
+    assert found["reads"].level == "warning"
+    assert found["shutdown"].level == "warning"
+    assert found["hardware errors"].level == "failure"
+    assert "input voltage" in found["hardware errors"].found
+
+
+def test_a_bus_in_order_has_no_failures(servo_bench):
+    levels = {f.check: f.level for f in servo_bench().driver.diagnose()}
+    assert {c for c, level in levels.items() if level != "ok"} <= {"limits"}
+
+
+def test_a_closed_driver_refuses_and_closing_twice_is_fine(servo_bench):
+    bench = servo_bench()
+    bench.driver.close()
+    bench.driver.close()
+    assert bench.driver.identity() == {}
+    bench.driver.stop()
+    for use in (bench.driver.read, bench.driver.enable, bench.driver.release, bench.driver.diagnose,
+                bench.driver.read_health):  # fmt: skip
+        with pytest.raises(DeviceError, match="used while closed"):
+            use()
+
+
+def test_a_second_client_on_the_bus_never_makes_a_wrong_number(servo_bench):
+    """Somebody else pings and reads through the same adapter at odd times."""
+    bench = servo_bench()
+    bench.driver.enable()
+    rng = np.random.default_rng(3)
+    still = bench.driver.read()[0].position_rad
+    seen = set()
+    for k in range(300):
+        if k % 3 == 0:
+            packet = instruction(int(rng.integers(1, 9)), 2, word(128) + word(10))
+            packet = instruction(ALL, 1) if k % 2 else packet
+            bench.line.send(packet[: int(rng.integers(5, len(packet) + 1))], 1_000_000)
+        (sample,) = bench.driver.read()
+        seen |= set(sample.status)
+        good = [j for j in range(8) if sample.status[j] is Status.OK]
+        np.testing.assert_allclose(sample.position_rad[good], still[good], atol=0.01)
+        assert all(np.isnan(sample.position_rad[j]) for j in range(8) if j not in good)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + int(rng.integers(1, 10_000_000)))
+    assert Status.OK in seen
+
+
+def test_nobody_may_write_to_the_eeprom_by_opening(servo_bench):
+    bench = servo_bench(open_driver=False)
+    before = [bytes(s.table.data[:64]) for s in bench.bus.servos]
+    bench.driver.open()
+    bench.driver.enable()
+    bench.driver.release()
+    bench.driver.close()
+    assert [bytes(s.table.data[:64]) for s in bench.bus.servos] == before
