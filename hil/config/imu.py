@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from hil.config.values import UnitQuaternion
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 
@@ -46,7 +47,7 @@ class ImuConfig(BaseModel):
     axis_sign: Annotated[int, Field(ge=0, le=7)] = 0x00
     external_crystal: bool = False
     mount_position_m: tuple[float, float, float] = (0.0655, 0.0, 0.098)
-    mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
     calibration_file: str | None = None
     prefetch: bool = False
     reply_timeout_s: float = Field(0.010, gt=0, le=1)
@@ -65,12 +66,3 @@ class ImuConfig(BaseModel):
         if sorted((value >> shift) & 3 for shift in (0, 2, 4)) != [0, 1, 2] or value >> 6:
             raise ValueError(f"axis_map 0x{value:02X} is not a permutation of the axes, for example 0x24")
         return value
-
-    @field_validator("mount_rotation_wxyz")
-    @classmethod
-    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        norm = math.sqrt(sum(v * v for v in value))
-        if not 0.99 < norm < 1.01:
-            raise ValueError(f"mount_rotation_wxyz has norm {norm:.3g}, not 1")
-        w, x, y, z = value
-        return (w / norm, x / norm, y / norm, z / norm)

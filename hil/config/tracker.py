@@ -8,11 +8,12 @@ where both ends can see them. Little endian, each datagram starts with `FEED_MAG
 
 from __future__ import annotations
 
-import math
 import struct
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.config.values import UnitQuaternion
 
 FEED_MAGIC = b"HP1"
 FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE = 1, 2, 3, 4
@@ -65,7 +66,7 @@ class TrackerConfig(BaseModel):
     serial: str | None = None
     endpoint: FeedEndpoint | None = None
     mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
-    mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
     latency_s: float = Field(0.020, ge=0, le=0.5)
     jump_distance_m: float = Field(0.03, gt=0)
     jump_angle_rad: float = Field(0.05, gt=0)
@@ -77,12 +78,3 @@ class TrackerConfig(BaseModel):
     open_timeout_s: float = Field(5.0, gt=0, le=60)
     fail_after_s: float = Field(2.0, gt=0)
     queue_length: int = Field(1024, ge=8, le=100_000)
-
-    @field_validator("mount_rotation_wxyz")
-    @classmethod
-    def _unit(cls, value: tuple[float, float, float, float]) -> tuple[float, float, float, float]:
-        norm = math.sqrt(sum(v * v for v in value))
-        if not 0.99 < norm < 1.01:
-            raise ValueError(f"mount_rotation_wxyz has norm {norm:.3g}, not 1")
-        w, x, y, z = value
-        return (w / norm, x / norm, y / norm, z / norm)
