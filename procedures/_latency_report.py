@@ -52,19 +52,25 @@ def draw_chain(ctx: Context, signals: Aged) -> None:
 
 
 def draw_signals(
-    ctx: Context, command: Callable[[Array], Array], signals: Mapping[str, tuple[Array, Array, float]],
+    ctx: Context, command: Callable[[Array], Array], signals: Mapping[str, tuple[Array, Array, Delay]],
     title: str, label: str, factor: float,
 ) -> None:  # fmt: skip
-    """The first seconds of the command and of every signal, all brought to one size and level."""
+    """The first seconds of the command and of every signal: to one size, without offset and drift."""
     figure = new_figure(6.4, 3.4)
     axes = style(figure.add_subplot(), "time (s)", label)
     t = np.linspace(0.0, _SHOWN_S, 600)
     axes.plot(t, factor * command(t), color=PALETTE["truth"], lw=1.8, label="command")
-    for colour, (name, (t_s, way, gain)) in zip(SERIES, signals.items(), strict=False):
-        early = t_s < _SHOWN_S
-        if not early.any() or not np.isfinite(gain) or abs(gain) < 1e-6:
+    for colour, (name, (t_s, way, delay)) in zip(SERIES, signals.items(), strict=False):
+        if not np.isfinite(delay.gain) or abs(delay.gain) < 1e-6:
             continue
-        scaled = (way[early] - way[early][0]) / gain
-        axes.plot(t_s[early], factor * scaled, color=colour, lw=1.1, label=name)
+        scaled = way / delay.gain
+        trend = np.polyfit(t_s, scaled - command(t_s - delay.delay_s), 1)
+        early = t_s < _SHOWN_S
+        level = (scaled - np.polyval(trend, t_s))[early]
+        axes.plot(t_s[early], factor * level, color=colour, lw=1.1, label=name)
     legend(axes)
-    ctx.figure(figure, title, "Signals divided by their size; what is left between them is time.")
+    ctx.figure(
+        figure,
+        title,
+        "Every signal to one size, without offset and drift: what is left between them is time.",
+    )

@@ -9,9 +9,9 @@ import numpy as np
 
 from hil.geometry import Array
 
-_FEWEST = 9
+FEWEST = 9
 _WHITE_UP_TO_S = 0.5
-_BIAS_FACTOR = math.sqrt(2.0 * math.log(2.0) / math.pi)
+BIAS_FACTOR = math.sqrt(2.0 * math.log(2.0) / math.pi)
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Allan:
         An upper bound where the curve still falls at the longest time.
         """
         k = int(np.argmin(self.deviation))
-        return float(self.deviation[k] / _BIAS_FACTOR), float(self.tau_s[k])
+        return float(self.deviation[k] / BIAS_FACTOR), float(self.tau_s[k])
 
 
 def allan(rate: Array, period_s: float) -> Allan:
@@ -54,7 +54,7 @@ def allan(rate: Array, period_s: float) -> Allan:
     The relative spread is that of white noise with n / m - 1 independent differences.
     """
     angle = np.concatenate([[0.0], np.cumsum(rate - np.mean(rate))]) * period_s
-    longest = len(rate) // _FEWEST
+    longest = len(rate) // FEWEST
     sizes = np.unique(np.round(np.geomspace(1, max(longest, 1), 1 + int(8 * math.log10(max(longest, 2))))))
     tau, deviation, spread = [], [], []
     for m in sizes.astype(int).tolist():

@@ -8,6 +8,7 @@ gives the heading; motion capture says by how much it is off, which is put into 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from itertools import pairwise
 from pathlib import Path
@@ -25,7 +26,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 from hil.trajectories import Trajectory, line
 from procedures._fragment import write_fragment
-from procedures._noise import Allan, allan, evenly
+from procedures._noise import BIAS_FACTOR, FEWEST, Allan, allan, evenly
 from procedures._samples import inertial, poses
 from procedures._tracking import stand
 
@@ -33,6 +34,7 @@ _DEG = float(np.degrees(1.0))
 _GRAVITY_LSB_M_S2, _STANDARD_GRAVITY = 0.01, 9.80665
 _GYRO_LSB_DEG_S = 1.0 / 16.0
 _LEARNT = 3
+_NOISE_LIMIT = 0.03
 
 
 class Parameters(BaseModel):
@@ -42,7 +44,7 @@ class Parameters(BaseModel):
     rest_s: float = Field(120.0, ge=5.0, le=7200)
     learn_s: float = Field(20.0, ge=1.0, le=600)
     heading_deg: float = Field(10.0, gt=1.0, le=60.0)
-    headings: int = Field(5, ge=3, le=21)
+    headings: int = Field(5, ge=4, le=21)
     dwell_s: float = Field(3.0, ge=0.5, le=60)
     turn_speed_m_s: float = Field(0.03, gt=0)
 
@@ -69,13 +71,13 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         rationale="mean turn rate about the wall normal at rest, after learning",
     )  # fmt: skip
     yield Measurement(
-        "gyro_noise", "deg/s/√Hz", low=0.002, high=0.03, marginal=0.002,
+        "gyro_noise", "deg/s/√Hz", low=0.002, high=_NOISE_LIMIT, marginal=0.002,
         rationale="data sheet 0.014 typical; next to none is a sensor that does not measure",
     )  # fmt: skip
     yield Measurement("gyro_noise_uncertainty", "deg/s/√Hz", rationale="half of the 95 % interval")
     yield Measurement(
-        "gyro_bias_instability", "deg/h", high=60.0, marginal=10.0,
-        rationale="lowest point of the Allan deviation; an upper bound when the rest was short",
+        "gyro_bias_instability", "deg/h", high=round(60.0 + white_floor_deg_h(p.rest_s), 1), marginal=10.0,
+        rationale="lowest point of the Allan deviation: 60, and what noise leaves after so short a rest",
     )  # fmt: skip
     yield Measurement("accelerometer_noise", "mg/√Hz", high=0.6, marginal=0.1, rationale="0.15 typical")
     yield Measurement(
@@ -94,6 +96,11 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         "corrected_heading", "deg", low=-0.3, high=0.3, marginal=0.05,
         rationale="gravity minus motion capture with the corrected mount, chip started anew",
     )  # fmt: skip
+
+
+def white_floor_deg_h(rest_s: float) -> float:
+    """Apparent bias instability of a chip at the noise limit, at the longest averaging time of a rest."""
+    return 3600.0 * _NOISE_LIMIT / BIAS_FACTOR / math.sqrt(rest_s / FEWEST)
 
 
 def headings(p: Parameters) -> Array:

@@ -221,9 +221,9 @@ def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> N
     ctx.measure("worst_misfit", max(s.delay.misfit for s in every.values()))
     table(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
     draw_chain(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
-    shown = {n: (s.t_s, s.way, s.delay.gain) for n, s in body.items()}
+    shown = {n: (s.t_s, s.way, s.delay) for n, s in body.items()}
     draw_signals(ctx, command.way, shown, "Turning to and fro", "heading (deg)", float(np.degrees(1.0)))
-    shown = {n: (s.t_s, s.way, s.delay.gain) for n, s in axes.items()}
+    shown = {n: (s.t_s, s.way, s.delay) for n, s in axes.items()}
     draw_signals(
         ctx,
         axis_command.way,

@@ -1,0 +1,94 @@
+"""Runs shipped procedures on emulated benches, and looks at the robot afterwards."""
+
+import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench import open_bench
+from hil.clock import MonotonicClock, nanoseconds
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.results import Result
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.scripts import load_procedure
+
+
+class Nobody:
+    """An operator who must not be asked."""
+
+    def ask(self, question):
+        raise AssertionError(f"asked {question!r}")
+
+
+@dataclass(frozen=True)
+class WatchedSource(BenchSource):
+    """Remembers the benches that it opened, also under changed settings; may add sinks to them."""
+
+    benches: list[Any] = field(default_factory=list)
+    extra_sinks: tuple[Any, ...] = ()
+
+    def open(self, sinks=()):
+        bench = super().open((*sinks, *self.extra_sinks))
+        self.benches.append(bench)
+        return bench
+
+
+@dataclass
+class Run:
+    """A finished run and the benches that it used."""
+
+    result: Result
+    source: WatchedSource
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {m["name"]: m["value"] for m in self.result.measurements}
+
+    @property
+    def failed(self) -> list[str]:
+        return [m["name"] for m in self.result.measurements if m["outcome"] == "FAIL"]
+
+    def assert_held(self):
+        """No wheel turns and nothing moves: neither at the end nor two seconds later."""
+        assert self.source.benches
+        for bench in self.source.benches:
+            world = bench.world
+            world.advance_to(world.now_ns + nanoseconds(0.3))
+            before = copy.deepcopy(bench.truth())
+            world.advance_to(world.now_ns + nanoseconds(2.0))
+            after = bench.truth()
+            assert np.abs(after.joint_velocity_rad_s).max() < 0.02
+            assert np.abs(after.joint_position_rad - before.joint_position_rad)[:4].max() < 0.01
+            assert not after.fallen
+
+
+def watched(name: str, **source: Any) -> WatchedSource:
+    return WatchedSource(source.pop("bench", None) or load_procedure(name).bench, **source)
+
+
+def run(name: str, folder: Path, parameters: dict[str, Any] | None = None, **source: Any) -> Run:
+    """One run without anybody at the terminal."""
+    used = watched(name, **source)
+    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=Nobody())
+    return Run(run_procedure(load_procedure(name), used, options), used)
+
+
+def true_world(bench: str, seed: int, overrides: dict[str, object] | None = None):
+    """The world that a bench of this seed has: its truth is drawn when it is built."""
+    return open_bench(bench, seed=seed, overrides=overrides).world
+
+
+def part(world: Any, kind: type) -> Any:
+    """The emulated device of a kind."""
+    return next(p for p in world._parts if isinstance(p, kind))
+
+
+def assert_covered(errors_over_uncertainty: list[float], *, few: bool):
+    """Errors against half 95 % intervals: nearly all inside, none far outside."""
+    ratio = np.abs(np.array(errors_over_uncertainty))
+    assert np.isfinite(ratio).all()
+    assert ratio.max() < (2.0 if few else 2.2), ratio.round(2)
+    if not few:
+        assert np.mean(ratio <= 1.0) >= 0.9, np.sort(ratio)[-10:].round(2)

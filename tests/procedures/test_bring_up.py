@@ -1,0 +1,116 @@
+"""Bring-up finds signs and clocks as they were hidden, and names what is wrong."""
+
+import sys
+
+import numpy as np
+import pytest
+from procedure_runs import assert_covered, part, run, true_world
+
+from hil.fakes.mocap import NatNetServer
+from hil.fakes.tracker import T265
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SHORT = {"watch_s": 4.0}
+
+
+def believed(seed, wrong):
+    """Signs in the bench file of which some are wrong; the robot's are all 1."""
+    rng = np.random.default_rng([seed, 5])
+
+    drive, steer = ([1 if not wrong or rng.random() < 0.7 else -1 for _ in range(4)] for _ in range(2))
+    if wrong:
+        drive[rng.integers(4)] = -1
+    return {"alignment.drive_sign": drive, "alignment.steer_sign": steer}
+
+
+def bring_up(seed, folder, wrong):
+    overrides = believed(seed, wrong)
+    done = run("bring_up", folder, SHORT, seed=seed, overrides=overrides)
+    done.assert_held()
+    fragment = tomllib.loads((folder / "bench_fragment.toml").read_text())
+    assert fragment["alignment"] == {"drive_sign": [1] * 4, "steer_sign": [1] * 4}
+    assert done.result.verdict.value in (("FAIL",) if wrong else ("PASS", "MARGINAL")), done.failed
+    world = true_world("emulated", seed)
+    true_ppm = {
+        "tracker": 1e6 * (1.0 / part(world, T265)._stretch - 1.0),
+        "mocap": 1e6 * (part(world, NatNetServer)._stretch - 1.0),
+    }
+    return done, [
+        (done.values[f"{n}.clock_drift"] - true_ppm[n]) / done.values[f"{n}.clock_drift_uncertainty"]
+        for n in true_ppm
+    ]
+
+
+def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(tmp_path):
+    done, ratios = bring_up(3, tmp_path / "run", wrong=False)
+    assert_covered(ratios, few=True)
+    assert done.values["devices"] == 5
+    assert done.values["encoders.clock_drift"] == pytest.approx(-30.0, abs=1.0)
+
+
+def test_bring_up_finds_wrong_signs_and_leaves_the_right_ones(tmp_path):
+    done, ratios = bring_up(4, tmp_path / "run", wrong=True)
+    assert_covered(ratios, few=True)
+    assert done.result.exit_code == 1
+    assert any("reversed" in note for note in done.result.facts["notes"])
+    assert "body" not in [s["title"] for s in done.result.facts["steps"]]
+
+
+@pytest.mark.long
+def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
+    ratios = [r for seed in range(20) for r in bring_up(seed, tmp_path / str(seed), seed % 4 > 0)[1]]
+    assert_covered(ratios, few=False)
+
+
+def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
+    swapped = {"emulation.servos": {"ids": [2, 1, 3, 4, 5, 6, 7, 8]}}
+    done = run("bring_up", tmp_path / "run", SHORT | {"devices": "servos,mocap"}, overrides=swapped)
+    assert done.result.exit_code == 1
+    assert {"drive_FL.across", "drive_BL.across"} <= set(done.failed)
+    assert not {"drive_BR.across", "drive_FR.across"} & set(done.failed)
+    done.assert_held()
+
+
+@pytest.mark.parametrize(
+    ("fault", "failed", "devices"),
+    [
+        ("encoder.FL:stuck", "steer_FL.encoder_response", "servos,encoders,mocap"),
+        ("tracker:slow,factor=2", "tracker.delivered", "servos,tracker"),
+    ],
+)
+def test_a_device_that_works_badly_fails_its_own_measurement(tmp_path, fault, failed, devices):
+    unused = {n: None for n in ("encoders", "imu", "tracker", "mocap") if n not in devices}
+    parameters = SHORT | {"devices": devices, "watch_s": 2.0}
+    done = run("bring_up", tmp_path / "run", parameters, faults=(fault,), overrides=unused)
+    assert done.result.exit_code == 1
+    assert failed in done.failed
+    done.assert_held()
+
+
+@pytest.mark.parametrize(("fault", "device"), [("servo.drive_BR:off", "servos"), ("tracker:off", "tracker")])
+def test_a_device_that_does_not_answer_is_named_before_torque_comes_on(tmp_path, fault, device):
+    done = run("bring_up", tmp_path / "run", SHORT, faults=(fault,))
+    assert (done.result.exit_code, done.result.error.step) == (3, "start")
+    assert device in done.result.error.message
+
+
+def test_a_device_that_falls_silent_is_named_and_the_robot_held(tmp_path):
+    done = run("bring_up", tmp_path / "run", SHORT, faults=("imu:off@3",))
+    assert (done.result.exit_code, done.result.error.step) == (3, "streams")
+    assert "imu" in done.result.error.message
+    done.assert_held()
+
+
+def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
+    small = {"encoders": None, "imu": None, "mocap": None}
+    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=small)
+    assert refused.result.exit_code == 2
+    assert "encoders, imu, mocap" in refused.result.error.message
+    assert not refused.source.benches
+    done = run("bring_up", tmp_path / "run", SHORT | {"devices": "servos,tracker"}, overrides=small)
+    assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
+    done.assert_held()

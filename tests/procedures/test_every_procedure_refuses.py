@@ -1,0 +1,71 @@
+"""What cannot work is refused by name, with exit code 2, before a bench is opened."""
+
+import json
+
+import pytest
+from procedure_runs import Nobody, watched
+
+from hil.clock import MonotonicClock
+from hil.errors import HilError
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.scripts import load_procedure, shipped_names
+
+NAMES = shipped_names()
+
+
+def refused(name, folder, *, parameters=None, resume=False, **source):
+    used = watched(name, **source)
+    options = RunOptions(
+        folder, MonotonicClock(), "2026-01-01T00:00:00", parameters or {}, operator=Nobody(), resume=resume
+    )
+    with pytest.raises(HilError) as caught:
+        run_procedure(load_procedure(name), used, options)
+    assert caught.value.exit_code == 2
+    assert not used.benches
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_unknown_parameter_is_named(tmp_path, name):
+    told = refused(name, tmp_path / "run", parameters={"no_such_thing": "1"})
+    assert "no_such_thing" in told
+    assert name in told
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_device_that_the_bench_lacks_is_named(tmp_path, name):
+    needs = load_procedure(name).needs
+    assert "servos" in needs
+    for device in needs:
+        told = refused(name, tmp_path / device, overrides={device: None})
+        assert device in told
+        assert not (tmp_path / device).exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_missing_calibration_is_named(tmp_path, name):
+    told = refused(name, tmp_path / "run", calibration=tmp_path / "gone.toml")
+    assert "gone.toml" in told
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("content", ["", "nonsense\n", '{"kind": "step"}\n', '{"kind": "run"}\n{"kind"\n'])
+def test_a_broken_journal_is_named_and_left_as_it_is(tmp_path, name, content):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "journal.jsonl").write_text(content)
+    told = refused(name, folder, resume=True)
+    assert "journal.jsonl" in told
+    assert (folder / "journal.jsonl").read_text() == content
+    assert not (folder / "result.json").exists()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_journal_of_another_run_is_refused(tmp_path, name):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    (folder / "journal.jsonl").write_text(
+        json.dumps({"kind": "run", "schema": 1, "procedure": "another", "parameters": {}}) + "\n"
+    )
+    assert "procedure" in refused(name, folder, resume=True)

@@ -1,0 +1,95 @@
+"""The BNO055's offsets, noise and heading come back as they were put in; a chip that lies is told."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from procedure_runs import assert_covered, part, run, true_world
+
+from hil.drivers.imu import ImuCalibration
+from hil.fakes.imu import Bno055Chip
+from hil.fakes.imu.sensors import GRAVITY_M_S2
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SHORT = {"rest_s": 8.0, "headings": 4, "dwell_s": 1.0, "learn_s": 6.0}
+LSB_DEG_S = 1.0 / 16.0
+
+
+def hidden(seed):
+    """What the chip truly is like, drawn anew for each seed."""
+    rng = np.random.default_rng([seed, 77])
+    yaw = math.radians(rng.uniform(-3.0, 3.0))
+    return {
+        "gyro_noise_rad_s": float(rng.uniform(0.001, 0.004)),
+        "gyro_bias_rad_s": 0.01,
+        "mount_rotation_wxyz": [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)],
+    }, yaw
+
+
+def recover(seed, folder):
+    """(errors over stated uncertainties, run) of one seed."""
+    truth, yaw = hidden(seed)
+    overrides = {"emulation.imu": truth}
+    done = run("imu_calibration", folder, SHORT, seed=seed, overrides=overrides)
+    assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
+    done.assert_held()
+    offsets = part(true_world("emulated", seed, overrides), Bno055Chip).sensors.true_offsets
+    stored = np.array([done.values[f"gyro_offset_{a}"] for a in "xyz"])
+    assert np.abs(stored - np.degrees(offsets.gyroscope)).max() < LSB_DEG_S
+    density = math.degrees(truth["gyro_noise_rad_s"]) * 0.1
+    density = math.hypot(density, LSB_DEG_S / math.sqrt(12.0) * 0.1)
+    x, y, _ = offsets.accelerometer
+    angles = np.radians(np.linspace(-10.0, 10.0, 4)) + yaw
+    heading = np.arctan2(np.sin(angles) * GRAVITY_M_S2 - y, np.cos(angles) * GRAVITY_M_S2 + x) - angles + yaw
+    return [
+        (done.values["gyro_noise"] - density) / done.values["gyro_noise_uncertainty"],
+        (done.values["heading_offset"] - np.degrees(heading.mean()))
+        / done.values["heading_offset_uncertainty"],
+    ], done
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_imu_offsets_noise_and_heading_come_back(tmp_path, seed):
+    ratios, done = recover(seed, tmp_path / "run")
+    assert_covered(ratios, few=True)
+    fragment = tomllib.loads((tmp_path / "run" / "bench_fragment.toml").read_text())["imu"]
+    stored = ImuCalibration.load(tmp_path / "run" / fragment["calibration_file"])
+    assert [c * LSB_DEG_S for c in stored.gyroscope_offset] == [
+        done.values[f"gyro_offset_{a}"] for a in "xyz"
+    ]
+    before, after = abs(done.values["heading_offset"]), abs(done.values["corrected_heading"])
+    assert after < 0.15 < before
+    assert done.values["restored_difference"] == 0.0
+
+
+@pytest.mark.long
+def test_imu_truth_lies_within_the_stated_intervals_over_twenty_seeds(tmp_path):
+    ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
+    assert_covered(ratios, few=False)
+
+
+def test_a_gyro_that_turns_while_the_robot_rests_fails(tmp_path):
+    done = run("imu_calibration", tmp_path / "run", SHORT, faults=("imu:wrong,rate_rad_s=0.05",))
+    assert done.result.exit_code == 1
+    assert "gyro_bias" in done.failed
+    done.assert_held()
+
+
+@pytest.mark.parametrize("fault", ["imu:stuck@4", "imu:off@4"])
+def test_an_imu_that_stops_measuring_ends_the_run(tmp_path, fault):
+    done = run("imu_calibration", tmp_path / "run", SHORT, faults=(fault,))
+    assert done.result.exit_code == 3
+    assert done.result.error.step == "rest"
+    assert "imu" in done.result.error.message
+    done.assert_held()
+
+
+def test_imu_calibration_refuses_a_floor(tmp_path):
+    done = run("imu_calibration", tmp_path / "run", SHORT, bench="emulated_floor")
+    assert done.result.exit_code == 2
+    assert not done.source.benches

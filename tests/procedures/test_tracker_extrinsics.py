@@ -1,0 +1,125 @@
+"""A camera mounted and delayed otherwise than believed is found where it is."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from procedure_runs import assert_covered, run
+
+from hil.geometry import quat_from_rotvec, quat_multiply
+from procedures._hand_eye import Truth, intervals, solve
+from procedures._samples import Series
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+SHORT = {"repetitions": 1, "way_m": 0.15, "turn_deg": 60.0}
+BELIEVED_M, LATENCY_S = (0.1489, 0.0092, 0.0666), 0.020
+
+
+def hidden(seed):
+    """Where the camera truly is: x, y (mm), turns (deg) and lateness (ms), and as emulation options."""
+    rng = np.random.default_rng([seed, 3])
+    shift, turn, late = rng.uniform(-0.02, 0.02, 2), rng.uniform(-0.05, 0.05, 3), rng.uniform(-0.01, 0.02)
+    position = [BELIEVED_M[0] + shift[0], BELIEVED_M[1] + shift[1], BELIEVED_M[2]]
+    options = {
+        "mount_position_m": [float(v) for v in position],
+        "mount_rotation_wxyz": [float(v) for v in quat_from_rotvec(turn)],
+        "latency_s": LATENCY_S + float(late),
+    }
+    return np.array([*np.multiply(position[:2], 1e3), *np.degrees(turn), 1e3 * late]), options
+
+
+def recover(seed, folder, **source):
+    truth, options = hidden(seed)
+    done = run(
+        "tracker_extrinsics", folder, SHORT, seed=seed, overrides={"emulation.tracker": options}, **source
+    )
+    assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
+    done.assert_held()
+    values = done.values
+    found = np.array(
+        [values[n] for n in ("mount_x", "mount_y")]
+        + [values[f"{n}_correction"] for n in ("roll", "pitch", "yaw")]
+        + [values["late"]]
+    )
+    half = np.array(
+        [values[f"{n}_uncertainty"] for n in ("mount_x", "mount_y", "roll", "pitch", "yaw", "late")]
+    )
+    fragment = tomllib.loads((folder / "bench_fragment.toml").read_text())["tracker"]
+    assert fragment["latency_s"] == pytest.approx(options["latency_s"], abs=0.006)
+    assert fragment["mount_position_m"][:2] == pytest.approx(options["mount_position_m"][:2], abs=0.004)
+    return ((found - truth) / half).tolist(), done
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path, seed):
+    ratios, done = recover(seed, tmp_path / "run")
+    assert_covered(ratios, few=True)
+    assert done.values["applied.position_rmse"] < 0.5 * done.values["before.position_rmse"]
+
+
+@pytest.mark.long
+def test_true_mounts_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path):
+    ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
+    assert_covered(ratios, few=False)
+
+
+@pytest.mark.parametrize(
+    ("fault", "failed"), [("tracker:wrong,scale=1.2", "scale"), ("tracker:delayed,delay_s=0.08", "late")]
+)
+def test_a_camera_that_measures_wrongly_fails(tmp_path, fault, failed):
+    done = run("tracker_extrinsics", tmp_path / "run", SHORT | {"turn_deg": 40.0}, faults=(fault,))
+    assert done.result.exit_code == 1
+    assert failed in done.failed
+    done.assert_held()
+
+
+def test_a_camera_that_falls_silent_ends_the_run(tmp_path):
+    done = run("tracker_extrinsics", tmp_path / "run", SHORT, faults=("tracker:off@3",))
+    assert done.result.exit_code == 3
+    assert "tracker" in done.result.error.message
+    done.assert_held()
+
+
+def series(t, values):
+    return Series(t, t, np.full(len(t), np.nan), values, len(t))
+
+
+def test_hand_eye_recovers_an_exact_camera_exactly():
+    """By construction: poses of the body, and of the camera on it, as formulas of time."""
+    t = np.arange(0.0, 20.0, 0.01)
+    body = np.column_stack([0.3 * np.sin(0.5 * t), 0.2 * np.sin(0.8 * t), 1.2 * np.sin(0.6 * t)])
+    mount_m, mount = np.array([0.15, -0.02, 0.05]), quat_from_rotvec([0.02, -0.03, 0.1])
+    scale, late = 1.01, 0.015
+    frame = quat_from_rotvec([0.3, -1.2, 0.4])
+    seen_t = np.arange(0.1, 19.9, 0.005)
+    at = np.column_stack([np.interp(seen_t - late, t, body[:, k]) for k in range(3)])
+    rows = []
+    for x, y, theta in at:
+        turn = quat_from_rotvec([0.0, 0.0, theta])
+        c, s = math.cos(theta), math.sin(theta)
+        place = np.array([x + c * mount_m[0] - s * mount_m[1], y + s * mount_m[0] + c * mount_m[1], 0.05])
+        attitude = quat_multiply(frame, quat_multiply(turn, mount))
+        rows.append(np.concatenate([scale * rotate(frame, place), attitude, np.zeros(6)]))
+    found = solve(
+        intervals(series(seen_t, np.array(rows))), Truth(series(t, body)), (0.14, 0.0, 0.05), (1.0, 0, 0, 0)
+    )
+    assert found.position_m == pytest.approx(mount_m[:2], abs=1e-5)
+    assert found.angles_rad == pytest.approx([0.02, -0.03, 0.1], abs=1e-5)
+    assert (found.scale, found.late_s) == pytest.approx((scale, late), abs=1e-5)
+
+
+def rotate(q, v):
+    w, x, y, z = q
+    matrix = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return matrix @ v
