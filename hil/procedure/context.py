@@ -110,6 +110,7 @@ class Context:
         seed: int | None = None,
         calibration: Path | None = None,
         overrides: Mapping[str, object] | None = None,
+        prompt: str = "",
     ) -> Bench:
         """Close the bench and open it afresh: a new world on an emulated bench.
 
@@ -120,12 +121,13 @@ class Context:
             seed: another seed of the world.
             calibration: another calibration file.
             overrides: further configuration overrides.
+            prompt: what to ask of the operator of a real bench instead, also before the first opening.
         """
         again = self._bench is not None
         self.close_bench()
         source = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
-        if again and source.real:
-            self.prompt("put the robot back to its start pose, then press Enter")
+        if source.real and (again or prompt):
+            self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
         bench.add_sink(self._recorder(bench.header(), label, lossless=source.virtual))
         bench.add_sink(self.guard)

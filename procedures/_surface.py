@@ -1,0 +1,142 @@
+"""What a surface does to the robot, from driven motions: slip per metre, and whether it holds at rest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy import stats
+
+from hil.errors import DataError
+from hil.geometry import Array, ArrayLike, rotation2
+from hil.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.motion import Motion
+
+_HELD_M = 2e-3
+
+
+@dataclass(frozen=True)
+class Slip:
+    """What one motion lost against its own wheels.
+
+    Attributes:
+        downhill_m, leftward_m: displacement beyond what the wheels rolled, wall axes (-X, +Y).
+        turned_rad: heading beyond what the wheels turned it.
+        rolled_m: length of the way by the wheels.
+    """
+
+    downhill_m: float
+    leftward_m: float
+    turned_rad: float
+    rolled_m: float
+
+    def per_metre(self) -> tuple[float, float, float]:
+        """Downhill and leftward slip, m/m, and turning, rad/m."""
+        return (
+            self.downhill_m / self.rolled_m,
+            self.leftward_m / self.rolled_m,
+            self.turned_rad / self.rolled_m,
+        )
+
+
+def slip_of(motion: Motion, geometry: WheelGeometry) -> Slip:
+    """Truth from motion capture minus wheel odometry that is laid along the true heading.
+
+    With the true heading a drift in heading does not appear as slip sideways.
+
+    Raises:
+        DataError: wheels or motion capture are missing for part of the motion, or nothing was rolled.
+    """
+    wheels, truth = motion.wheels, motion.mocap
+    known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
+    if np.count_nonzero(known) < 10:
+        raise DataError("surface_identification", "has no wheels or no ground truth for a whole motion",
+                        remedy="run procedures/bring_up.py")  # fmt: skip
+    wheels, truth = wheels[known], truth[known]
+    heading = np.unwrap(truth[:, 2])
+    middle = 0.5 * (wheels[1:, 4:] + wheels[:-1, 4:]) - geometry.steering_zero_rad
+    u = wheel_vectors(np.diff(wheels[:, :4], axis=0) * geometry.radius_m, middle)
+    rolled = twist_of_vectors(geometry.x_m, geometry.y_m, u)
+    along = 0.5 * (heading[1:] + heading[:-1])
+    c, s = np.cos(along), np.sin(along)
+    by_wheels = np.array(
+        [np.sum(c * rolled[:, 0] - s * rolled[:, 1]), np.sum(s * rolled[:, 0] + c * rolled[:, 1])]
+    )
+    way_m = float(np.hypot(rolled[:, 0], rolled[:, 1]).sum())
+    if way_m < 0.05:
+        raise DataError("surface_identification", f"rolled only {1e3 * way_m:.0f} mm in a motion",
+                        expected="the wheels to drive the line")  # fmt: skip
+    lost = truth[-1, :2] - truth[0, :2] - by_wheels
+    turned = heading[-1] - heading[0] - float(np.sum(rolled[:, 2]))
+    return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
+
+
+@dataclass(frozen=True)
+class Rate:
+    """Mean over opposite directions, and the half width of its 95 % interval."""
+
+    mean: float
+    half_width: float
+
+
+def rate(there: ArrayLike, back: ArrayLike, systematic: float) -> Rate:
+    """Mean of pairs driven there and back: what depends on the direction (radii, steering zeros) cancels.
+
+    Args:
+        there: per metre, one value per repetition.
+        back: the same in the opposite direction.
+        systematic: share of the mean that repetitions cannot show (95 %), for example starts and stops.
+    """
+    pairs = 0.5 * (np.asarray(there, dtype=np.float64) + np.asarray(back, dtype=np.float64))
+    mean, spread = float(pairs.mean()), 0.0
+    if len(pairs) > 1:
+        quantile = float(stats.t.ppf(0.975, len(pairs) - 1))
+        spread = quantile * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))
+    return Rate(mean, math.hypot(spread, systematic * mean))
+
+
+def moved_at_rest(motion: Motion) -> float:
+    """How far the robot moved while it should have stood, m."""
+    truth = motion.mocap[np.all(np.isfinite(motion.mocap), axis=1)]
+    if len(truth) < 10:
+        raise DataError("surface_identification", "has no ground truth while the robot stands")
+    return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
+
+
+def held(motion: Motion) -> bool:
+    """Whether the robot stood, but for the millimetre by which tyres give way.
+
+    A robot whose weight hangs behind its wheels turns as it slides and may come to rest again.
+    """
+    return moved_at_rest(motion) < _HELD_M
+
+
+def downhill(start: Array, way_m: float, direction: str) -> Array:
+    """Goal (3,) of a line of `way_m` from `start`: `up`, `down`, `left` or `right` on the wall."""
+    steps = {"up": (1.0, 0.0), "down": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
+    way = rotation2(float(start[2])) @ (way_m * np.array(steps[direction]))
+    return np.asarray(start + np.append(way, 0.0), dtype=np.float64)
+
+
+def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:
+    """Downhill slip of every motion, by direction."""
+    from hil.report.run_plots import SERIES, new_figure, style
+
+    figure = new_figure(5.6, 3.2)
+    axes = style(figure.add_subplot(), "", "downhill slip (mm per m)")
+    names = list(rows[0])
+    for k, name in enumerate(names):
+        values = [1e3 * row[name][0] for row in rows]
+        axes.plot(np.full(len(values), k), values, "o", color=SERIES[0 if k < 2 else 1], ms=5, alpha=0.7)
+        axes.plot([k - 0.25, k + 0.25], [np.mean(values)] * 2, color=SERIES[0 if k < 2 else 1], lw=2)
+    axes.set_xticks(range(len(names)), names)
+    axes.set_xlim(-0.6, len(names) - 0.4)
+    axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+    ctx.figure(
+        figure, "Slip by direction",
+        "One point per motion. The difference between opposite directions is geometry (radii, steering "
+        "zeros), their mean is slip.",
+    )  # fmt: skip

@@ -1,0 +1,216 @@
+"""What the wall does to the robot: slip and sag per metre, and the heading up to which it holds.
+
+Lines up, down, left and right with feedback from odometry, which sees neither slip nor sag; motion
+capture does. Then the robot is set on the wall under growing headings, where thrust carries less of
+its weight: a search for the heading at which it begins to slide. On a real wall this needs a tether.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hil.config.bench import BenchConfig
+from hil.errors import ConfigError, SafetyStop
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.trajectories import Trajectory, line
+from procedures._surface import downhill, draw, held, rate, slip_of
+from procedures._tracking import stand
+
+DIRECTIONS = ("up", "down", "left", "right")
+_WITHOUT = {"encoders": None, "tracker": None}
+_SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
+_MARGIN_DEG = 5.0
+
+
+class Parameters(BaseModel):
+    """How far to drive, how often, and where to look for the end of the hold."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    length_m: float = Field(0.6, gt=0.1, le=3.0)
+    speed_m_s: float = Field(0.1, gt=0)
+    repetitions: int = Field(3, ge=2, le=20)
+    hold: bool = True
+    hold_from_deg: float = Field(15.0, ge=0.0)
+    hold_to_deg: float = Field(60.0, le=80.0)
+    hold_step_deg: float = Field(0.5, gt=0.05, le=10.0)
+
+    @model_validator(mode="after")
+    def _range(self) -> Parameters:
+        if self.hold_to_deg <= self.hold_from_deg:
+            raise ValueError("hold_to_deg must be above hold_from_deg")
+        return self
+
+
+def measurements(p: Parameters) -> Iterable[Measurement]:
+    """What identifies a surface, and how well it must be known."""
+    for name, what in (("slip", "lines up and down"), ("sag", "lines to the left and right")):
+        yield Measurement(
+            f"{name}_per_metre", "mm/m", low=-5.0, high=150.0,
+            rationale=f"downhill, {what}; more than this is a wall that the robot cannot work on",
+        )  # fmt: skip
+        yield Measurement(
+            f"{name}_uncertainty", "mm/m", high=4.0, marginal=1.0,
+            rationale="half width of the 95 % interval: what slip feed-forward can rely on",
+        )  # fmt: skip
+    yield Measurement("turning_per_metre_along", "deg/m", rationale="lines up and down")
+    yield Measurement("turning_per_metre_across", "deg/m", rationale="lines to the left and right")
+    yield Measurement(
+        "direction_difference", "mm/m", high=80.0,
+        rationale="between opposite directions: geometry, not slip; more says calibrate first",
+    )  # fmt: skip
+    if p.hold:
+        for side in ("left", "right"):
+            yield Measurement(
+                f"hold_angle_{side}", "deg", low=15.0 + _MARGIN_DEG, marginal=2.0,
+                rationale=f"largest heading to the {side} at which it stood, 5 deg over the safe range",
+            )  # fmt: skip
+        yield Measurement(
+            "hold_uncertainty", "deg", high=1.0, rationale="half of the last step of the search"
+        )
+
+
+def motions(p: Parameters, start: Any) -> dict[str, Trajectory]:
+    """The four lines from one place."""
+    pose = np.asarray(start, dtype=np.float64)
+    return {
+        d: line(pose, downhill(pose, p.length_m, d), speed_m_s=p.speed_m_s, name=f"line_{d}")
+        for d in DIRECTIONS
+    }
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """Repetitions with their lines, then the search for the hold."""
+    _check_wall(config)
+    for number in range(1, p.repetitions + 1):
+        driven = motions(p, config.emulation.start_pose) if number == 1 else {}
+        yield PlannedStep(f"repetition {number}", tuple(driven.values()))
+    if p.hold:
+        yield PlannedStep("hold to the left")
+        yield PlannedStep("hold to the right")
+    yield PlannedStep("evaluate")
+
+
+@procedure(
+    name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
+    measurements=measurements, plan=plan,
+)  # fmt: skip
+def run(ctx: Context) -> None:
+    """Surface identification: slip and sag per metre, hold angle."""
+    p: Parameters = ctx.parameters
+    _check_wall(ctx.source.config)
+    rows = [
+        ctx.checkpoint(f"repetition {k}", partial(repetition, ctx, p, k)) for k in range(1, p.repetitions + 1)
+    ]
+    holds = {}
+    if p.hold:
+        for side, sense in (("left", 1.0), ("right", -1.0)):
+            holds[side] = ctx.checkpoint(f"hold to the {side}", partial(hold_angle, ctx, p, sense))
+    with ctx.step("evaluate"):
+        evaluate(ctx, rows, holds)
+
+
+def _check_wall(config: BenchConfig) -> None:
+    if config.surface != "wall":
+        raise ConfigError(
+            f"surface_identification on the bench {config.name!r}, which stands on the floor",
+            expected='surface = "wall"', remedy="choose the bench of the wall",
+        )  # fmt: skip
+
+
+def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float]]:
+    """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction."""
+    bench = ctx.opened or ctx.reopen("lines", overrides=_WITHOUT)
+    found = {}
+    for k, direction in enumerate(DIRECTIONS):
+        pose = stand(bench)
+        motion = bench.drive(motions(p, pose)[direction], feedback="odometry", hold_s=0.5, start_pose=pose)
+        found[direction] = list(slip_of(motion, bench.geometry).per_metre())
+        ctx.progress(f"repetition {number}", k + 1, len(DIRECTIONS))
+    return found
+
+
+def hold_angle(ctx: Context, p: Parameters, sense: float) -> list[float | None]:
+    """Bisect the heading between standing and sliding; returns both ends of the last step, deg.
+
+    The second is None where the robot still stood at the largest heading, the first where it slid at
+    the smallest.
+    """
+    low, high = p.hold_from_deg, p.hold_to_deg
+    if not stands(ctx, sense * low):
+        return [None, low]
+    if stands(ctx, sense * high):
+        return [high, None]
+    while high - low > p.hold_step_deg:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stands(ctx, sense * middle) else (low, middle)
+        ctx.progress("hold", 1, 1)
+    return [low, high]
+
+
+def stands(ctx: Context, heading_deg: float) -> bool:
+    """Whether the robot, set on the wall under this heading with its wheels locked, stays there."""
+    x_m, y_m, _ = ctx.source.config.emulation.start_pose
+    pose = (x_m, y_m, math.radians(heading_deg))
+    bench = ctx.reopen(
+        f"hold {heading_deg:+.2f} deg",
+        overrides={**_WITHOUT, "emulation.start_pose": pose, "safety.heading_limit_rad": math.pi / 2},
+        prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
+    )
+    bench.rig.actuators().enable()
+    try:
+        return held(bench.observe(1.5, feedback="odometry", start_pose=pose))
+    except SafetyStop:
+        return False
+
+
+def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, list[float | None]]) -> None:
+    """Measurements, table and figure."""
+    every = {d: np.array([row[d] for row in rows]) for d in DIRECTIONS}
+    for name, (there, back), turning in (
+        ("slip", ("up", "down"), "along"), ("sag", ("left", "right"), "across"),
+    ):  # fmt: skip
+        found = rate(every[there][:, 0], every[back][:, 0], _SYSTEMATIC)
+        ctx.measure(f"{name}_per_metre", 1e3 * found.mean)
+        ctx.measure(f"{name}_uncertainty", 1e3 * found.half_width)
+        turned = rate(every[there][:, 2], every[back][:, 2], _SYSTEMATIC)
+        ctx.measure(f"turning_per_metre_{turning}", math.degrees(turned.mean))
+    means = {d: every[d].mean(axis=0) for d in DIRECTIONS}
+    ctx.measure(
+        "direction_difference",
+        1e3 * max(abs(means["up"][0] - means["down"][0]), abs(means["left"][0] - means["right"][0])),
+    )
+    table = [
+        [d, *(f"{1e3 * v:.2f}" for v in means[d][:2]), f"{math.degrees(means[d][2]):.3f}",
+         f"{1e3 * every[d][:, 0].std(ddof=1):.2f}"]
+        for d in DIRECTIONS
+    ]  # fmt: skip
+    head = ["line", "downhill mm/m", "leftward mm/m", "turning deg/m", "spread mm/m"]
+    ctx.table(
+        "Slip by direction", head, table,
+        f"Motion capture minus wheels, means of {len(rows)} repetitions; spread of the downhill slip.",
+    )  # fmt: skip
+    draw(ctx, rows)
+    if holds:
+        _hold(ctx, holds)
+
+
+def _hold(ctx: Context, holds: dict[str, list[float | None]]) -> None:
+    widths = []
+    for side, (stood, slid) in holds.items():
+        ctx.measure(f"hold_angle_{side}", math.nan if stood is None else stood)
+        widths.append(math.nan if stood is None or slid is None else 0.5 * (slid - stood))
+        if slid is None:
+            ctx.note(f"To the {side} it still stood at {stood:g} deg, the largest heading that was tried.")
+    ctx.measure("hold_uncertainty", max(widths))
+    ctx.table(
+        "Hold", ["to the", "stood at (deg)", "slid at (deg)"],
+        [[side, *("–" if v is None else f"{v:.2f}" for v in ends)] for side, ends in holds.items()],
+        "Wheels locked, torque on; standing is less than 2 mm in 1.5 s. Thrust turns with the robot and then "
+        "carries less of its weight.",
+    )  # fmt: skip

@@ -1,0 +1,147 @@
+"""Surface identification: recovers the emulated wall's creep and hold, and fails where it cannot."""
+
+import math
+
+import numpy as np
+import pytest
+
+from hil.bench import open_bench
+from hil.clock import MonotonicClock, nanoseconds
+from hil.config.bench import load_bench
+from hil.errors import ConfigError
+from hil.fakes.plant_api import JointCommand
+from hil.procedure import BenchSource
+from hil.procedure.dry_run import dry_run
+from hil.procedure.operator import Terminal
+from hil.procedure.runner import RunOptions, run_procedure
+from procedures import surface_identification
+from procedures._surface import rate
+
+QUICK = {"length_m": "0.4", "hold_step_deg": "1"}
+DAMPING_N_S_M = 30.0
+
+
+def identify(folder, seed=0, parameters=QUICK, **source):
+    options = RunOptions(
+        folder, MonotonicClock(), "2026-01-01T00:00:00", dict(parameters), operator=Terminal()
+    )
+    result = run_procedure(surface_identification.run, BenchSource(seed=seed, **source), options)
+    return result, {row["name"]: row["value"] for row in result.measurements}
+
+
+def true_robot(seed):
+    bench = open_bench("emulated", seed=seed)
+    parameters = bench.world.plant.parameters
+    bench.close()
+    return parameters
+
+
+def creep_by_law(truth, stiffness, length_m, peak_m_s):
+    """Slip per metre rolled that balances weight minus thrust: brush creep beside the damping of the tyres.
+
+    The law of `facts/plant_and_control.md`, section Plant, averaged over the way of a quintic.
+    """
+    downhill_n = truth.mass_kg * 9.81 - truth.thrust_n
+    load_n, mu = truth.adhesion_n, truth.contact.friction
+    u = np.linspace(0.0, 1.0, 201)
+    speed = peak_m_s / 1.875 * 30.0 * (u**2 - 2.0 * u**3 + u**4)
+    found = []
+    for v in speed:
+        slip = 0.0
+        for _ in range(100):
+            brush_n = downhill_n - 4.0 * DAMPING_N_S_M * slip * v
+            give = max(1.0 - truth.contact.softening * brush_n / (mu * load_n), 0.05)
+            slip = brush_n / (stiffness * load_n * give)
+        found.append(slip)
+    return float(np.average(found, weights=speed))
+
+
+def slides(seed, heading_deg):
+    """The plant alone, wheels locked after a tenth of a second: whether it moves 2 mm in 1.5 s."""
+    pose = [0.0, 0.0, math.radians(heading_deg)]
+    bench = open_bench("emulated", seed=seed, overrides={"emulation.start_pose": pose})
+    plant = bench.world.plant
+    plant.advance(nanoseconds(0.1))
+    for joint in range(8):
+        plant.command(joint, JointCommand("velocity" if joint < 4 else "position", 0.0))
+    plant.advance(nanoseconds(0.105))
+    before = plant.truth().pose_body_in_wall
+    plant.advance(nanoseconds(1.6))
+    moved = plant.truth().pose_body_in_wall - before
+    bench.close()
+    return math.hypot(moved[0], moved[1]) > 2e-3
+
+
+def true_hold_deg(seed, sense):
+    low, high = 10.0, 70.0
+    while high - low > 0.1:
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if slides(seed, sense * middle) else (middle, high)
+    return low
+
+
+def check_recovery(folder, seed):
+    result, found = identify(folder, seed)
+    assert result.verdict.value in ("PASS", "MARGINAL"), result.measurements
+    truth = true_robot(seed)
+    errors = {}
+    for name, stiffness in (("slip", truth.contact.creep_along), ("sag", truth.contact.creep_across)):
+        expected = 1e3 * creep_by_law(truth, stiffness, 0.4, 0.1)
+        errors[name] = (found[f"{name}_per_metre"] - expected) / found[f"{name}_uncertainty"]
+    for side, sense in (("left", 1.0), ("right", -1.0)):
+        low = found[f"hold_angle_{side}"]
+        assert low - 0.2 <= true_hold_deg(seed, sense) <= low + 2.0 * found["hold_uncertainty"] + 0.2
+    return errors
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_injected_surface_comes_back_within_the_stated_uncertainty(tmp_path, seed):
+    errors = check_recovery(tmp_path / "run", seed)
+    assert max(map(abs, errors.values())) < 1.0, errors
+
+
+@pytest.mark.long
+def test_over_twenty_seeds_the_stated_intervals_cover_the_truth(tmp_path):
+    errors = [list(check_recovery(tmp_path / str(seed), seed).values()) for seed in range(20)]
+    sizes = np.abs(np.array(errors))
+    assert np.mean(sizes < 1.0) >= 0.9, sizes
+    assert sizes.max() < 2.0, sizes
+
+
+SHORT = {"length_m": "0.25", "repetitions": "2", "hold": "false"}
+
+
+@pytest.mark.parametrize(
+    ("fault", "verdict", "words"),
+    [
+        ("mocap:off", "ERROR", "no server answers"),
+        ("mocap:stuck@3", "ERROR", "no usable frame"),
+        ("plant:adhesion_loss@3+9,factor=0", "ERROR", "robot stopped"),
+        ("servos:off@3", "ERROR", "servo"),
+    ],
+)
+def test_it_fails_under_a_fault_that_makes_it_impossible(tmp_path, fault, verdict, words):
+    result, _ = identify(tmp_path / "run", parameters=SHORT, faults=(fault,))
+    assert result.verdict.value == verdict, (result.error, result.measurements)
+    assert words in result.error.message
+    assert result.exit_code == 3
+
+
+def test_the_floor_is_refused_before_anything_is_opened(tmp_path):
+    with pytest.raises(ConfigError, match="stands on the floor"):
+        dry_run(surface_identification.run, BenchSource("emulated_floor"), {})
+    result, _ = identify(tmp_path / "run", bench="emulated_floor")
+    assert (result.error.kind, result.exit_code) == ("ConfigError", 2), result.error
+    assert not list((tmp_path / "run").glob("*.mcap"))
+
+
+def test_the_plan_holds_every_line_against_the_limits():
+    plan = dry_run(surface_identification.run, BenchSource(load_bench("emulated")), {})
+    assert plan["trajectories_checked"] == 4
+
+
+def test_geometry_cancels_between_opposite_directions():
+    found = rate([0.030 - 0.004, 0.031 - 0.004], [0.030 + 0.004, 0.031 + 0.004], 0.0)
+    assert found.mean == pytest.approx(0.0305)
+    assert found.half_width == pytest.approx(12.706 * 0.0005, rel=1e-3)
+    assert rate([0.03], [0.03], 0.1).half_width == pytest.approx(0.003)
