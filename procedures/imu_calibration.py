@@ -9,7 +9,7 @@ gives the heading; motion capture says by how much it is off, which is put into 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -23,10 +23,10 @@ from hil.config.bench import BenchConfig
 from hil.errors import ConfigError, DeviceError
 from hil.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 from hil.trajectories import Trajectory, line
 from procedures._fragment import write_fragment
-from procedures._noise import BIAS_FACTOR, FEWEST, Allan, allan, evenly
+from procedures._imu_report import draw_allan, draw_headings
+from procedures._noise import BIAS_FACTOR, FEWEST, allan, evenly
 from procedures._samples import inertial, poses
 from procedures._tracking import stand
 
@@ -206,30 +206,11 @@ def rest(ctx: Context, bench: Bench) -> None:
     force = (data.values[:, 5:8] + data.values[:, 8:11]) / _STANDARD_GRAVITY * 1e3
     densities = [allan(evenly(data.t_s, force[:, k], period_s), period_s).white_noise()[0] for k in range(3)]
     ctx.measure("accelerometer_noise", max(densities))
-    _draw_allan(ctx, curves, density)
+    draw_allan(ctx, curves, density)
     ctx.note(
         f"The Allan deviation was lowest at {at_s:.3g} s of averaging. Noise includes the chip's resolution "
         f"of {_GYRO_LSB_DEG_S:g} deg/s."
     )
-
-
-def _draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> None:
-    figure = new_figure(6.4, 3.8)
-    axes = style(figure.add_subplot(), "averaging time (s)", "Allan deviation (deg/s)")
-    for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
-        axes.loglog(curve.tau_s, curve.deviation, color=colour, lw=1.5, label=f"chip {axis}")
-        axes.fill_between(
-            curve.tau_s, curve.deviation * (1 - curve.spread), curve.deviation * (1 + curve.spread),
-            color=colour, alpha=0.15, lw=0,
-        )  # fmt: skip
-    tau = curves["x"].tau_s
-    axes.loglog(
-        tau, density / np.sqrt(tau), color=PALETTE["reference"], lw=1.0, ls="--",
-        label=f"white noise {density:.4f} deg/s/√Hz",
-    )  # fmt: skip
-    axes.grid(which="minor", color=PALETTE["grid"], lw=0.3)
-    legend(axes)
-    ctx.figure(figure, "Turn rate at rest", "Bands: one standard deviation of the estimate.")
 
 
 def turn_and_compare(ctx: Context, bench: Bench) -> float:
@@ -257,7 +238,7 @@ def turn_and_compare(ctx: Context, bench: Bench) -> float:
     ctx.measure("heading_offset", offset * _DEG)
     ctx.measure("heading_offset_uncertainty", float(half) * _DEG)
     ctx.measure("heading_scatter", float(np.sqrt(np.mean(scatter**2))) * _DEG)
-    _draw_headings(ctx, true, error, offset, float(slope))
+    draw_headings(ctx, true, error, offset, float(slope))
     return offset
 
 
@@ -268,26 +249,6 @@ def _dwell(bench: Bench, p: Parameters) -> tuple[float, float]:
         missing = "mocap" if not len(truth) else "imu"
         raise DeviceError(missing, "no usable samples at rest", remedy="run procedures/bring_up.py")
     return truth.mean(2), seen.mean(1)
-
-
-def _draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope: float) -> None:
-    figure = new_figure(6.4, 3.2)
-    axes = style(
-        figure.add_subplot(), "heading by motion capture (deg)", "gravity minus motion capture (deg)"
-    )
-    axes.plot(true * _DEG, error * _DEG, "o", color=SERIES[0], ms=5, label="one dwell each")
-    fitted = (offset + slope * (true - true.mean())) * _DEG
-    axes.plot(true * _DEG, fitted, color=PALETTE["reference"], lw=1.2, ls="--", label="fitted line")
-    axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
-    legend(axes)
-    ctx.figure(
-        figure, "Heading from gravity",
-        "A constant part is a turned mount or an offset across; a slope is an offset along.",
-    )  # fmt: skip
-    rows = [
-        [f"{t:+.2f}", f"{t + e:+.2f}", f"{e:+.3f}"] for t, e in zip(true * _DEG, error * _DEG, strict=True)
-    ]
-    ctx.table("Heading from gravity", ["motion capture (deg)", "gravity (deg)", "difference (deg)"], rows)
 
 
 def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:

@@ -61,6 +61,7 @@ def test_bring_up_finds_wrong_signs_and_leaves_the_right_ones(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
     ratios = [r for seed in range(20) for r in bring_up(seed, tmp_path / str(seed), seed % 4 > 0)[1]]
     assert_covered(ratios, few=False)

@@ -19,6 +19,7 @@ from hil.procedure.scripts import load_procedure, shipped_names
 
 SHORT = {
     "bring_up": {"watch_s": 2.0, "devices": "servos,mocap"},
+    "grid_scan": {"lanes": 2, "lane_length_m": 0.1, "hold_s": 0.5},
     "imu_calibration": {"rest_s": 5.0, "headings": 4, "dwell_s": 0.5, "learn_s": 4.0},
     "latency": {"reversals": 8, "devices": "imu"},
     "odometry_calibration": {
@@ -26,6 +27,7 @@ SHORT = {
         "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
     },
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
+    "surface_identification": {"length_m": 0.15, "repetitions": 2, "hold": False},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},
     "wall_tracking": {
         "cases": "y_line", "feedbacks": "odometry", "optimal": False, "length_m": 0.1, "duration_s": 3.0,
@@ -121,6 +123,7 @@ def steps_of(name):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("kind", list(EXPECTED))
 @pytest.mark.parametrize("name", NAMES)
 def test_every_step_of_every_procedure_ends_held(tmp_path, name, kind):

@@ -60,6 +60,7 @@ def test_delays_come_back(tmp_path, seed):
 
 
 @pytest.mark.long
+@pytest.mark.timeout(3600)
 def test_true_delays_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path):
     ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
     assert_covered(ratios, few=False)

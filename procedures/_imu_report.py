@@ -1,0 +1,55 @@
+"""Figures of an IMU calibration: Allan deviation at rest, and heading from gravity against the truth."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hil.geometry import Array
+from hil.procedure import Context
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+from procedures._noise import Allan
+
+_DEG = float(np.degrees(1.0))
+
+
+def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> None:
+    """Deviation by averaging time, per axis, beside the white noise found."""
+    figure = new_figure(6.4, 3.8)
+    axes = style(figure.add_subplot(), "averaging time (s)", "Allan deviation (deg/s)")
+    for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
+        axes.loglog(curve.tau_s, curve.deviation, color=colour, lw=1.5, label=f"chip {axis}")
+        axes.fill_between(
+            curve.tau_s, curve.deviation * (1 - curve.spread), curve.deviation * (1 + curve.spread),
+            color=colour, alpha=0.15, lw=0,
+        )  # fmt: skip
+    tau = curves["x"].tau_s
+    axes.loglog(
+        tau, density / np.sqrt(tau), color=PALETTE["reference"], lw=1.0, ls="--",
+        label=f"white noise {density:.4f} deg/s/√Hz",
+    )  # fmt: skip
+    axes.grid(which="minor", color=PALETTE["grid"], lw=0.3)
+    legend(axes)
+    ctx.figure(figure, "Turn rate at rest", "Bands: one standard deviation of the estimate.")
+
+
+def draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope: float) -> None:
+    """Error of the heading from gravity by heading, as figure and table; all in rad."""
+    figure = new_figure(6.4, 3.2)
+    axes = style(
+        figure.add_subplot(), "heading by motion capture (deg)", "gravity minus motion capture (deg)"
+    )
+    axes.plot(true * _DEG, error * _DEG, "o", color=SERIES[0], ms=5, label="one dwell each")
+    fitted = (offset + slope * (true - true.mean())) * _DEG
+    axes.plot(true * _DEG, fitted, color=PALETTE["reference"], lw=1.2, ls="--", label="fitted line")
+    axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
+    legend(axes)
+    ctx.figure(
+        figure, "Heading from gravity",
+        "A constant part is a turned mount or an offset across; a slope is an offset along.",
+    )  # fmt: skip
+    rows = [
+        [f"{t:+.2f}", f"{t + e:+.2f}", f"{e:+.3f}"] for t, e in zip(true * _DEG, error * _DEG, strict=True)
+    ]
+    ctx.table("Heading from gravity", ["motion capture (deg)", "gravity (deg)", "difference (deg)"], rows)
