@@ -53,6 +53,19 @@ class Bus:
         """Let go of the port; never raises."""
         self.port.closePort()
 
+    def set_baud(self, baud: int) -> None:
+        """Talk at another rate; raises `DeviceError` when the port is lost."""
+        try:
+            self.port.setBaudRate(baud)
+        except PortLost as error:
+            raise DeviceError(
+                self._device,
+                f"the port is gone ({error})",
+                port=self.port.port_name,
+                expected="an adapter that stays plugged in",
+                remedy="check the USB cable, then repeat",
+            ) from None
+
     def ping(self, servo_id: int) -> Answer:
         """Whether a servo is there, one attempt; the data are its model number."""
         model, result, error = self._guard(lambda: self._sdk.ping(self.port, servo_id), (0, None, 0))

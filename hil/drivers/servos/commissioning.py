@@ -55,7 +55,7 @@ def scan(
     bus = Bus(line, clock, _DEVICE)
     try:
         for baud in rates:
-            line.setBaudRate(baud)
+            bus.set_baud(baud)
             for servo in _roll_call(bus, wanted, baud):
                 found[servo.baud, servo.servo_id] = servo
     finally:
@@ -183,4 +183,4 @@ def _rename(bus: Bus, servo_id: int, register: Register, raw: int) -> None:
     if answer.status not in (Status.OK, Status.TIMEOUT):
         raise bus.failure(answer, f"servo {servo_id}: {register.name} cannot be written")
     if register.name == "baud_rate":
-        bus.port.setBaudRate(BAUD_RATES[raw])
+        bus.set_baud(BAUD_RATES[raw])

@@ -90,10 +90,10 @@ def _other_baud(bus: Bus, config: ServosConfig) -> str:
     for baud in BAUD_RATES.values():
         if baud == config.baud:
             continue
-        bus.port.setBaudRate(baud)
+        bus.set_baud(baud)
         if any(bus.ping(i).status is Status.OK for i in config.ids[:2]):
             heard.append(baud)
-    bus.port.setBaudRate(config.baud)
+    bus.set_baud(config.baud)
     if heard:
         return f"the servos answer at {heard[0]} baud: set servos.baud, or change theirs with `hil setup`"
     return "check that the bus has power and that port and baud rate are right"

@@ -15,7 +15,6 @@ import serial
 from dynamixel_sdk import PortHandler
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
-from hil.config.xh430 import BAUD_CODES
 from hil.errors import DeviceError
 
 _BITS = 10
@@ -68,8 +67,17 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def open(self, device: str) -> None:
         """Open the port; raises `DeviceError` that says what can be done about it."""
+        local: dict[str, Any] = {} if "://" in self.port_name else {"exclusive": True}
         try:
-            self.setupPort(self.baudrate)
+            self.ser = serial.serial_for_url(
+                self.port_name,
+                baudrate=self.baudrate,
+                timeout=_SMALLEST_TIMEOUT_S,
+                write_timeout=1.0,
+                **local,
+            )
+            self.is_open = True
+            self.ser.reset_input_buffer()
         except PORT_ERRORS as error:
             raise self._cannot_open(device, error) from None
 
@@ -89,18 +97,14 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             remedy=remedy,
         )
 
-    def setupPort(self, cflag_baud: int) -> bool:
-        """Open at a rate (called by the SDK too)."""
-        if self.is_open:
-            self.closePort()
-        local: dict[str, Any] = {} if "://" in self.port_name else {"exclusive": True}
-        self.baudrate = cflag_baud
-        self.ser = serial.serial_for_url(
-            self.port_name, baudrate=cflag_baud, timeout=_SMALLEST_TIMEOUT_S, write_timeout=1.0, **local
-        )
-        self.is_open = True
-        self._timeout_s = -1.0
-        self.ser.reset_input_buffer()
+    def setBaudRate(self, baudrate: int) -> bool:
+        """Another rate on the open port; raises `PortLost`."""
+        try:
+            self.ser.baudrate = baudrate
+            self.ser.reset_input_buffer()
+        except PORT_ERRORS as error:
+            raise PortLost(str(error)) from None
+        self.baudrate = baudrate
         return True
 
     def closePort(self) -> None:
@@ -111,10 +115,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
                 ser.close()
         except PORT_ERRORS:
             return
-
-    def getCFlagBaud(self, baudrate: int) -> int:
-        """Every rate of the servo, 4.5 Mbit/s too."""
-        return baudrate if baudrate in BAUD_CODES else -1
 
     def wire_s(self, count: int) -> float:
         """Time of `count` bytes on the wire."""
@@ -166,14 +166,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         sent_ns = max(self._clock.now_ns(), self._sent_ns)
         self._deadline_ns = sent_ns + nanoseconds(self.reply_s(0, packet_length))
 
-    def setPacketTimeoutMillis(self, msec: float) -> None:
-        """Deadline in ms from now."""
-        self._deadline_ns = self._clock.now_ns() + nanoseconds(msec * 1e-3)
-
     def isPacketTimeout(self) -> bool:
         """Whether the deadline has passed."""
         return self._clock.now_ns() >= self._deadline_ns
-
-    def getCurrentTime(self) -> float:
-        """Bench time, ms."""
-        return self._clock.now_ns() * 1e-6
