@@ -24,6 +24,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 COMMANDS = {
     "calibrate": "fit the odometry parameters to recordings, with validation",
     "calibration": "list, apply and roll back versions of a calibration",
+    "campaign": "a procedure over many seeds and settings, in parallel",
     "demo-data": "write a generated data set of the six motions",
     "discover": "find ports, IDs and baud rates; print a ready bench.toml",
     "doctor": "examine every device of a bench without moving it",

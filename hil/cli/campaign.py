@@ -1,0 +1,211 @@
+"""`hil campaign`: one procedure over many seeds and settings, in parallel, into one table."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.campaign_runs import Job, Setup, finished, lost, run_case
+from hil.cli.progress import reporting
+from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
+
+if TYPE_CHECKING:
+    from hil.campaign import Case, Row
+    from hil.procedure.declaration import Procedure
+
+SCHEMA = 1
+PLAN, TABLE, CSV, PAGE = "plan.json", "campaign.json", "campaign.csv", "campaign.html"
+
+
+@click.command()
+@click.argument("script")
+@click.option("--seeds", default="0:10", show_default=True, help="Seeds: 0:10 for 0 to 9, or 1,4,7.")
+@click.option("--vary", "axes", multiple=True, metavar="KEY=A,B,...",
+              help="Setting and its values (repeatable). KEY as in --set, or `fault`.")  # fmt: skip
+@click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's].")
+@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in hil run, for all cases.")
+@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As in hil run, for all cases.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
+@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@click.option("--workers", type=click.IntRange(0), default=os.cpu_count() or 1,
+              help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
+@click.option("--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to use instead.")
+@click.option("--out", type=click.Path(path_type=Path), help="Results [default: out/campaign_NAME/TIME].")
+@click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
+    settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
+    workers: int, scheduler: str, out: Path | None, resume: bool, as_json: bool,
+) -> int:  # fmt: skip
+    """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table."""
+    from hil.campaign import expand, parse_axis, parse_seeds
+    from hil.procedure.scripts import load_procedure
+
+    proc = load_procedure(script)
+    cases = expand(parse_seeds(seeds), [parse_axis(text) for text in axes])
+    setup = Setup(
+        _absolute(script), _optional(bench), emulate, settings, faults, _optional(calibration),
+        _optional(answers),
+    )  # fmt: skip
+    _check(setup, proc, cases)
+    if out is None:
+        if resume:
+            raise UsageError("--resume needs the folder of the campaign", remedy="name it with --out")
+        out = Path("out") / f"campaign_{proc.name}" / datetime.now().strftime("%Y%m%d-%H%M%S")
+    out = out.absolute()
+    _keep_plan(out, proc, setup, resume)
+    rows = _run(setup, cases, out, workers, scheduler)
+    tree = _write(out, proc, setup, cases, rows)
+    if as_json:
+        click.echo(json.dumps(tree, allow_nan=False))
+    else:
+        click.echo(_text(tree))
+        click.echo(f"page: {out / PAGE}")
+    return exit_code(rows)
+
+
+def _absolute(given: str | Path) -> str:
+    """A file by its absolute path, whatever directory a worker has; anything else as it is.
+
+    A procedure chosen from several in a file (`mine.py:name`) keeps its name.
+    """
+    file, mark, name = str(given).partition(".py:")
+    path = Path(file + ".py" if mark else file)
+    return f"{path.absolute()}{':' if mark else ''}{name}" if path.is_file() else str(given)
+
+
+def _optional(given: str | Path | None) -> str | None:
+    return None if given is None else _absolute(given)
+
+
+def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
+    """Refuse before anything runs what no case, or a single one, could do."""
+    from hil.procedure.parameters import make_parameters
+
+    seen = set()
+    for case in cases:
+        if case.settings in seen:
+            continue
+        seen.add(case.settings)
+        source, parameters = setup.source(proc, case)
+        make_parameters(proc.parameters, parameters, proc.name)
+        proc.check_needs(source.config)
+        if not source.virtual:
+            raise UsageError(
+                f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",
+                expected="every device emulated", remedy="add --emulate all",
+            )  # fmt: skip
+
+
+def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
+    """Write the plan of a new campaign, or hold it against that of the one to go on with."""
+    plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **vars(setup)}))
+    path = out / PLAN
+    if not path.exists():
+        if resume:
+            raise ConfigError(f"{path}: there is no campaign to resume")
+        try:
+            out.mkdir(parents=True, exist_ok=True)
+            path.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
+        return
+    if not resume:
+        raise ConfigError(f"{out}: holds another campaign", remedy="choose another --out, or --resume")
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))
+        different = [key for key in plan if before.get(key) != plan[key]]
+    except (OSError, ValueError, AttributeError) as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
+    if different:
+        raise ConfigError(
+            f"{path}: the campaign had another {', '.join(different)}",
+            remedy="resume with the same options (--seeds and --vary may grow), or start anew",
+        )
+
+
+def _run(setup: Setup, cases: Sequence[Case], out: Path, workers: int, scheduler: str) -> list[Row]:
+    """Run what is not finished; rows in the order of the cases."""
+    from hil.campaign import spread
+
+    jobs = [Job(setup, case, str(out / "runs" / case.name)) for case in cases]
+    rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
+    missing = [job for job in jobs if job.case not in rows]
+
+    def stop(signum: int, frame: FrameType | None) -> None:
+        raise Aborted("the campaign was ended by SIGTERM", remedy="go on with --resume")
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        with reporting() as report:
+
+            def done(row: Row) -> None:
+                rows[row.case] = row
+                report("runs", len(rows), len(jobs))
+
+            report("runs", len(rows), len(jobs))
+            if missing:
+                spread(run_case, missing, lost=lost, done=done, workers=workers, scheduler=scheduler)
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    return [rows[case] for case in cases]
+
+
+def exit_code(rows: Sequence[Row]) -> int:
+    """0 all good, 1 a limit failed, else that of the first run that ended in an error."""
+    broken = next(
+        (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
+    )
+    return broken if broken is not None else max(row.exit_code for row in rows)
+
+
+def _write(
+    out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
+) -> dict[str, Any]:
+    from hil.campaign import summarise, write_campaign_page, write_csv
+    from hil.campaign.table import count
+
+    code = exit_code(rows)
+    tree: dict[str, Any] = {
+        "schema": SCHEMA,
+        "procedure": proc.name,
+        "summary": proc.summary,
+        "bench": setup.source(proc, cases[0])[0].config.name,
+        "verdict": {EXIT_PASS: "PASS", EXIT_LIMIT_FAILED: "FAIL"}.get(code, "ERROR"),
+        "exit_code": code,
+        "cases": len(rows),
+        "verdicts": count(row.verdict for row in rows),
+        "groups": summarise(rows),
+        "folder": str(out),
+        "page": str(out / PAGE),
+        "rows": [row.to_json() for row in rows],
+    }
+    (out / TABLE).write_text(json.dumps(tree, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_csv(out / CSV, rows)
+    write_campaign_page(out / PAGE, tree, rows)
+    return tree
+
+
+def _text(tree: dict[str, Any]) -> str:
+    from hil.report.run_page import number
+
+    lines = []
+    for group in tree["groups"]:
+        low, high = group["pass_share_95"]
+        good = f"{100 * group['pass_share']:.0f} % good (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+        lines.append(f"{group['group']}: {group['n']} runs, {good}")
+        for m in group["measurements"]:
+            span = f"[{number(m['min'])} to {number(m['max'])}]"
+            lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
+    counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
+    return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])

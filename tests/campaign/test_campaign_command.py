@@ -1,0 +1,168 @@
+"""`hil campaign` over a procedure of a user's own."""
+
+import csv
+import json
+from urllib.parse import quote
+
+import pytest
+
+from hil.cli import main
+
+SCRIPT = '''
+"""A procedure of a moment."""
+import os
+import signal
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.procedure import Context, Measurement, procedure
+
+
+@dataclass
+class Parameters:
+    gain: float = 1.0
+    deadly: int = -1
+
+
+@procedure(
+    name="rest", needs=("mocap",), parameters=Parameters,
+    measurements=[
+        Measurement("drift", "mm", high=20.0, rationale="it holds itself"),
+        Measurement("gained", "1", high=5.0, rationale="gain times seed"),
+    ],
+)
+def run(ctx: Context) -> None:
+    """Hold for a moment."""
+    if ctx.seed == ctx.parameters.deadly:
+        os.kill(os.getpid(), signal.SIGKILL)
+    with ctx.step("rest"):
+        ctx.bench.rig.servos.enable()
+        seen = ctx.bench.observe(0.3, feedback="odometry").mocap[:, 0]
+    ctx.measure("drift", 1e3 * float(np.nanmax(seen) - np.nanmin(seen)))
+    ctx.measure("gained", ctx.parameters.gain * ctx.seed)
+'''
+
+
+@pytest.fixture
+def script(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = tmp_path / "rest.py"
+    path.write_text(SCRIPT)
+    return path.name
+
+
+@pytest.fixture
+def campaign(script, capsys):
+    """Exit code, JSON and stderr of a campaign."""
+
+    def go(*options):
+        code = main(["campaign", script, *options, "--json"])
+        said = capsys.readouterr()
+        return code, json.loads(said.out) if said.out else None, said.err
+
+    return go
+
+
+def test_runs_table_and_page(campaign, tmp_path):
+    code, tree, _ = campaign("--seeds", "0:3", "--vary", "gain=1,3", "--workers", "0", "--out", "o")
+    assert (code, tree["verdict"], tree["verdicts"]) == (1, "FAIL", {"FAIL": 1, "PASS": 5})
+    assert [(g["settings"], g["pass_share"]) for g in tree["groups"]] == [
+        ({"gain": "1"}, 1.0),
+        ({"gain": "3"}, 2 / 3),
+    ]
+    gained = {row["case"]: row["measurements"]["gained"]["value"] for row in tree["rows"]}
+    assert gained["seed=2_gain=3"] == 6.0
+    drifts = {row["seed"]: row["measurements"]["drift"]["value"] for row in tree["rows"]}
+    assert len(set(drifts.values())) == 3
+    assert json.loads((tmp_path / "o" / "campaign.json").read_text()) == tree
+    with (tmp_path / "o" / "campaign.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [line["verdict"] for line in lines] == [row["verdict"] for row in tree["rows"]]
+    page = (tmp_path / "o" / "campaign.html").read_text()
+    assert page.count("<svg") == 2
+    for row in tree["rows"]:
+        assert f'href="runs/{quote(row["case"])}/report.html"' in page
+        assert (tmp_path / "o" / "runs" / row["case"] / "report.html").exists()
+
+
+def test_it_goes_on_where_it_was_and_may_grow(campaign, tmp_path):
+    campaign("--seeds", "0:2", "--workers", "0", "--out", "o")
+    runs = tmp_path / "o" / "runs"
+    (runs / "seed=1" / "result.json").unlink()
+    journal = runs / "seed=1" / "journal.jsonl"
+    journal.write_text("".join(journal.read_text().splitlines(keepends=True)[:2]) + '{"kind": "st')
+    untouched = (runs / "seed=0" / "result.json").stat().st_mtime_ns
+    code, tree, _ = campaign("--seeds", "0:3", "--workers", "0", "--out", "o", "--resume")
+    assert (code, [row["verdict"] for row in tree["rows"]]) == (0, ["PASS"] * 3)
+    assert (runs / "seed=0" / "result.json").stat().st_mtime_ns == untouched
+    assert json.loads((runs / "seed=1" / "result.json").read_text())["resumed"] == 1
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (("--vary", "speed=1,2"), "speed: unknown parameter"),
+        (("--set", "gain=much"), "gain"),
+        (("--vary", "bench.colour=red"), "colour: unknown key"),
+        (("--seeds", "ten"), "--seeds 'ten' cannot be read"),
+        (("--bench", "sensors"), "needs mocap, which the bench 'sensors' lacks"),
+        (("--resume",), "there is no campaign to resume"),
+        (("--set", "bench.mocap.backend=real"), "mocap cannot be real in a campaign"),
+        (("--scheduler", "tcp://127.0.0.1:9", "--vary", "speed=1"), "speed: unknown parameter"),
+    ],
+)
+def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, options, told):
+    code, tree, said = campaign("--workers", "0", "--out", "o", *options)
+    assert (code, tree) == (2, None)
+    assert told in said
+    assert not (tmp_path / "o").exists()
+
+
+def test_another_campaign_is_not_written_over(campaign):
+    assert campaign("--seeds", "0", "--workers", "0", "--out", "o")[0] == 0
+    code, _, said = campaign("--seeds", "0", "--workers", "0", "--out", "o")
+    assert (code, "holds another campaign" in said) == (2, True)
+    code, _, said = campaign("--seeds", "0", "--workers", "0", "--out", "o", "--resume", "--set", "gain=2")
+    assert (code, "had another settings" in said) == (2, True)
+
+
+def test_an_error_in_one_run_is_a_row(campaign):
+    code, tree, _ = campaign(
+        "--seeds", "1", "--vary", "fault=none;mocap:bus_off", "--workers", "0", "--out", "o"
+    )
+    assert code == 2
+    assert [row["verdict"] for row in tree["rows"]] == ["PASS", "ERROR"]
+    assert "mocap cannot produce the fault 'bus_off'" in tree["rows"][1]["error"]
+
+
+def test_dask_gives_what_one_process_gives(campaign):
+    pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
+    alone = campaign("--seeds", "4:6", "--workers", "0", "--out", "alone")[1]
+    code, spread, said = campaign("--seeds", "4:6", "--workers", "1", "--out", "spread")
+    assert code == 0
+    assert [r["measurements"] for r in spread["rows"]] == [r["measurements"] for r in alone["rows"]]
+    assert "distributed" not in said
+
+
+@pytest.mark.long
+def test_a_run_that_kills_its_worker_is_lost_alone(campaign):
+    pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
+    code, tree, _ = campaign("--seeds", "0:3", "--set", "deadly=1", "--workers", "2", "--out", "o")
+    assert code == 2
+    assert [row["verdict"] for row in tree["rows"]] == ["PASS", "LOST", "PASS"]
+    assert "its worker process died" in tree["rows"][1]["error"]
+
+
+def test_without_dask_it_says_what_to_install(campaign, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
+    code, tree, said = campaign("--seeds", "0:2", "--workers", "2", "--out", "o")
+    assert (code, tree) == (2, None)
+    assert "pip install 'hil-4wis4wid[campaign]'" in said
+
+
+def test_a_scheduler_that_does_not_answer(campaign):
+    pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
+    code, _, said = campaign("--seeds", "0", "--scheduler", "nonsense://1", "--out", "o")
+    assert code == 2
+    assert "Dask scheduler 'nonsense://1' does not answer" in said
