@@ -16,14 +16,14 @@ else:
 SHORT = {"sweep_s": 4.0, "sweeps": 1, "leg_m": 0.2, "legs": 1}
 
 
-def recover(seed, folder):
+def recover(seed, folder, **source):
     """Errors of the zeros over their stated uncertainties."""
     believed = np.random.default_rng([seed, 9]).uniform(-0.02, 0.02, 4).round(4).tolist()
     overrides = {"alignment.steer_zero_rad": believed}
-    done = run("steering_zero", folder, SHORT, seed=seed, overrides=overrides)
+    done = run("steering_zero", folder, SHORT, seed=seed, overrides=overrides, **source)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()
-    truth = -true_world("emulated_floor", seed).plant.parameters.steering_offset_rad
+    truth = -true_world(source.get("bench", "emulated_floor"), seed).plant.parameters.steering_offset_rad
     fragment = tomllib.loads((folder / "bench_fragment.toml").read_text())
     assert fragment["alignment"]["steer_zero_rad"] == pytest.approx(truth, abs=np.radians(0.1))
     wheels = ("FL", "BL", "BR", "FR")
@@ -45,6 +45,11 @@ def test_hidden_steering_zeros_come_back_and_are_driven(tmp_path, seed):
 def test_true_zeros_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path):
     ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
     assert_covered(ratios, few=False)
+
+
+@pytest.mark.long
+def test_zeros_come_back_on_the_wall_too(tmp_path):
+    assert_covered(recover(3, tmp_path / "run", bench="emulated")[0], few=True)
 
 
 def test_an_encoder_with_a_wrong_zero_is_caught_by_the_motion(tmp_path):

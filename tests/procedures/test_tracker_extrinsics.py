@@ -69,6 +69,11 @@ def test_true_mounts_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path)
     assert_covered(ratios, few=False)
 
 
+@pytest.mark.long
+def test_a_camera_is_found_on_the_wall_too(tmp_path):
+    assert_covered(recover(3, tmp_path / "run", bench="emulated")[0], few=True)
+
+
 @pytest.mark.parametrize(
     ("fault", "failed"), [("tracker:wrong,scale=1.2", "scale"), ("tracker:delayed,delay_s=0.08", "late")]
 )
