@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from hil.bench.drivers import Connections
+from hil.bench.repeating import repeating_robot
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.errors import ConfigError, HilError, UsageError
@@ -51,6 +52,8 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
     emulation = config.emulation
+    if emulation.replay is not None:
+        return World(repeating_robot(config), seed=seed, faults=plan)
     plant = make_plant(
         config.robot,
         surface=emulation.surface,

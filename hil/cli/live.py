@@ -64,13 +64,19 @@ _KINDS = ("odometry", "ekf", "ukf")
 @click.option("--record", type=click.Path(path_type=Path), help="Recording to write (.mcap).")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option(
+    "--replay",
+    "repeated",
+    type=click.Path(path_type=Path),
+    help="Recording whose motion the emulated robot repeats, at the wire.",
+)
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
     duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
-    view: str | None, record: Path | None, calibration: Path | None, seed: int, faults: tuple[str, ...],
-    as_json: bool,
+    view: str | None, record: Path | None, calibration: Path | None, seed: int,
+    repeated: Path | None, faults: tuple[str, ...], as_json: bool,
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
 
@@ -82,12 +88,16 @@ def command(
 
     if source is not None and commands != "none":
         raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
+    if repeated is not None and (source is not None or commands != "none"):
+        raise UsageError("--replay: a robot that repeats a recording obeys nobody", remedy="only watch it")
+    overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
     opened = open_bench(
-        bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration
-    )
+        bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
+        overrides=overrides,
+    )  # fmt: skip
     try:
         plan = LivePlan(
             None if source is None else load_trajectory(source), lines, duration_s, feedback, observers,

@@ -110,6 +110,9 @@ class EmulationConfig(Strict):
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
             robot as delivered, less is what a calibration would have left of them.
+        replay: recording (of this project, a public pair, or plain CSV) whose motion the robot repeats,
+            whatever it is commanded; without it the robot is simulated.
+        replay_after_s: world time at which that motion begins; before it the robot stands.
         servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
             in `ServoBusOptions`, `EncoderTruthOptions`, `ImuTruthOptions`, `TrackerTruthOptions` and
             `MocapTruthOptions` of `hil.fakes`.
@@ -121,6 +124,8 @@ class EmulationConfig(Strict):
     randomise_truth: bool = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()
+    replay: str | None = None
+    replay_after_s: float = Field(4.0, ge=0.0)
     servos: dict[str, Any] = {}
     encoders: dict[str, Any] = {}
     imu: dict[str, Any] = {}

@@ -1,7 +1,17 @@
 """The emulated robot body on a floor or wall: rigid body, wheel contacts, servos, falling."""
 
 from hil.fakes.plant.parameters import TrueParameters
+from hil.fakes.plant.recorded import RecordedMotion, RecordedRobot
 from hil.fakes.plant.robot import WallRobot, make_plant
 from hil.fakes.plant.surfaces import SURFACES, Patch, Surface
 
-__all__ = ["SURFACES", "Patch", "Surface", "TrueParameters", "WallRobot", "make_plant"]
+__all__ = [
+    "SURFACES",
+    "Patch",
+    "RecordedMotion",
+    "RecordedRobot",
+    "Surface",
+    "TrueParameters",
+    "WallRobot",
+    "make_plant",
+]
