@@ -15,9 +15,19 @@ import numpy as np
 from hil.clock import nanoseconds
 from hil.errors import SafetyStop
 from hil.geometry import wrap
-from hil.signals import Event, Inputs, Reference, RobotState, Status, WheelSetpoint
+from hil.signals import (
+    WHEELS,
+    Event,
+    Inputs,
+    Reference,
+    RobotState,
+    ServoSample,
+    Status,
+    WheelSetpoint,
+)
 
 _HOLD_SAMPLES = 3
+_BLOCKED_S, _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.5, 0.05
 
 
 @dataclass(frozen=True)
@@ -54,13 +64,17 @@ class Supervisor:
         self._last_ok_ns: dict[str, int] = {}
         self._alarmed: set[str] = set()
         self._weightless = self._sliding = 0
+        self._asked = np.zeros(4)
+        self._asked_since_ns: list[int | None] = [None] * 4
+        self._asked_at_rad = np.zeros(4)
 
     def check(self, inputs: Inputs) -> tuple[Event, ...]:
         """Judge one cycle's inputs.
 
         Raises:
-            SafetyStop: `stale_servos`, `hardware_error`, `adhesion` or `sliding`. A silent IMU or camera is an event, not a
-                stop: the estimator lives without it for a while and says how sure it is.
+            SafetyStop: `stale_servos`, `hardware_error`, `blocked`, `adhesion` or `sliding`. A silent IMU or
+                camera is an event at first: the estimator lives without it for a while and says how sure
+                it is; a silence that lasts is their driver's `DeviceTimeoutError`, which stops as well.
         """
         events: list[Event] = []
         good = {
@@ -77,8 +91,24 @@ class Supervisor:
                     "hardware_error",
                     f"servo alert bytes {sample.alert}; reboot the servo after removing the cause",
                 )
+            self._check_moving(sample, inputs.t_ns)
         self._check_hold(inputs)
         return tuple(events)
+
+    def _check_moving(self, sample: ServoSample, t_ns: int) -> None:
+        """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
+        for i in range(4):
+            since_ns, angle = self._asked_since_ns[i], float(sample.position_rad[i])
+            if abs(self._asked[i]) < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
+                self._asked_since_ns[i] = None
+            elif since_ns is None or abs(angle - self._asked_at_rad[i]) > _BLOCKED_RAD:
+                self._asked_since_ns[i], self._asked_at_rad[i] = t_ns, angle
+            elif t_ns - since_ns > nanoseconds(_BLOCKED_S):
+                raise SafetyStop(
+                    "blocked",
+                    f"wheel {WHEELS[i]} is asked for {self._asked[i]:.2f} rad/s and has not turned for "
+                    f"{_BLOCKED_S:g} s: blocked, or its servo repeats itself",
+                )
 
     def _check_hold(self, inputs: Inputs) -> None:
         """A robot that has come off is weightless; one that slides is faster than it can drive."""
@@ -147,6 +177,7 @@ class Supervisor:
                 "steering_limit", f"steering setpoint {np.degrees(steering).round(1).tolist()} deg"
             )
         peak = float(np.max(np.abs(rate)))
-        if peak <= self.limits.wheel_rate_limit_rad_s:
-            return setpoint
-        return WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
+        if peak > self.limits.wheel_rate_limit_rad_s:
+            setpoint = WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
+        self._asked = setpoint.wheel_rate_rad_s
+        return setpoint

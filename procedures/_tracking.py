@@ -27,7 +27,7 @@ LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, o
 _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
 _LOOKS: dict[str, dict[str, Any]] = {
     "reference": {"color": PALETTE["reference"], "lw": 2.4},
-    "truth": {"lw": 1.4},
+    "truth": {"color": PALETTE["c1"], "lw": 1.5},
     "estimate": {"color": PALETTE["truth"], "lw": 1.0, "ls": (0, (4, 2))},
 }
 
@@ -117,11 +117,33 @@ def time_figure(runs: dict[str, dict[str, Any]]) -> Figure:
             axes = style(grid[k, column], "time (s)" if k == 2 else "", "" if column else label)
             factor = np.degrees(1.0) if k == 2 else 1.0
             for which, look in _LOOKS.items():
-                colour = look.get("color") or _colour(name)
-                values = np.array(run[which][k], dtype=np.float64) * factor
-                axes.plot(run["t"], values, label=which, **{**look, "color": colour})
+                axes.plot(run["t"], np.array(run[which][k], dtype=np.float64) * factor, label=which, **look)
         grid[0, column].set_title(LABELS.get(name, name), fontsize=10, loc="left")
-        legend(grid[0, column])
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
+    return figure
+
+
+def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, length_m: float) -> Figure:
+    """Seen cells (along X, along Y) of a scanned rectangle from its corner `start`, and the paths."""
+    from matplotlib.colors import ListedColormap
+
+    figure = new_figure(5.2, 6.0)
+    axes = style(figure.add_subplot(), "Y, left (m)", "X, up the wall (m)")
+    y_m = start[1] + np.arange(seen.shape[1] + 1) * length_m / seen.shape[0]
+    x_m = start[0] + np.arange(seen.shape[0] + 1) * length_m / seen.shape[0]
+    shade = np.where(seen, 1.0, np.nan)
+    fill = ListedColormap([PALETTE["c3"]])
+    axes.pcolormesh(y_m, x_m, shade, cmap=fill, alpha=0.2, vmin=0.0, vmax=1.0, rasterized=True)
+    first = next(iter(runs.values()))["reference"]
+    for name, run in {"reference": {"truth": first}, **runs}.items():
+        x, y = (np.array(run["truth"][k], dtype=np.float64) for k in range(2))
+        axes.plot(
+            y, x, color=_colour(name), lw=2.2 if name == "reference" else 1.3, label=LABELS.get(name, name)
+        )
+    axes.invert_xaxis()
+    axes.set_aspect("equal", adjustable="datalim")
+    legend(axes)
     return figure
 
 

@@ -36,6 +36,7 @@ Case = Literal["x_line", "y_line", "scan"]
 Feedback = Literal["odometry", "ekf", "ukf"]
 _REFERENCE_M = 1.5
 _SEEDS_FOR_MEANS = 5
+_RESOLVED_MM = 0.1
 _NAMES = {"x_line": "X line", "y_line": "Y line", "scan": "Scan"}
 
 
@@ -138,7 +139,8 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
     if "odometry" in p.feedbacks:
         yield Measurement(
             f"{name}.improvement", "1", low=6.0 if several and p.length_m >= 1.0 else None,
-            rationale=f"shortfall (X line) or sag (Y line) of odometry over that of the filter; {mean}",
+            rationale="shortfall (X line) or sag (Y line) of odometry over the filter's; ending beyond the "
+            f"reference is none (see end); {mean}",
         )  # fmt: skip
 
 
@@ -260,8 +262,8 @@ def _measure(ctx: Context, case: str, feedback: str, errors: dict[str, Any]) -> 
     ctx.measure(f"{name}.end", np.hypot(own["end_x"], own["end_y"]).max())
     ctx.measure(f"{name}.rmse_heading", own["rmse_heading"].mean())
     if "odometry" in ctx.parameters.feedbacks:
-        before = np.abs(errors[f"{case} odometry"][lost]).mean()
-        ctx.measure(f"{name}.improvement", before / np.abs(own[lost]).mean())
+        before, after = (np.maximum(-e[lost], 0.0).mean() for e in (errors[f"{case} odometry"], own))
+        ctx.measure(f"{name}.improvement", before / max(after, _RESOLVED_MM))
 
 
 def _table(ctx: Context, errors: dict[str, Any]) -> None:
