@@ -16,7 +16,18 @@ if TYPE_CHECKING:
     from hil.motion import Motion
     from hil.recording.runs import RecordedRun
 
-_KINDS = ("odometry", "ekf", "ukf")
+_KINDS = ("odometry", "ekf", "ukf", "smoother")
+_COLUMNS = (
+    ("rmse_position_m", "rmse mm", 1e3),
+    ("rmse_theta_rad", "rmse deg", math.degrees(1.0)),
+    ("final_position_m", "end mm", 1e3),
+    ("max_position_m", "worst mm", 1e3),
+    ("nees_pose", "NEES", 1.0),
+    ("nis_wheels", "NIS wheel", 1.0),
+    ("nis_gyro", "NIS gyro", 1.0),
+    ("nis_tracker", "NIS cam", 1.0),
+    ("rejected_tracker", "cam. out", 1.0),
+)
 
 
 @click.command()
@@ -26,7 +37,7 @@ _KINDS = ("odometry", "ekf", "ukf")
     "estimators",
     type=click.Choice(_KINDS),
     multiple=True,
-    help="Estimator to run on the recorded measurements (repeatable) [default: all three].",
+    help="Estimator to run on the recorded measurements (repeatable) [default: all four].",
 )
 @click.option(
     "--verify", is_flag=True, help="Hold every recomputed bit against the recording; exit 1 if one differs."
@@ -95,11 +106,17 @@ def _verified(bench: Bench, runs: list[RecordedRun], header: dict[str, Any]) -> 
 def _compared(
     recording: Path, bench: Bench, run: RecordedRun, kinds: tuple[str, ...], *, foreign: bool
 ) -> dict[str, Motion]:
-    from hil.report.replay import compare
+    from hil.report.replay import compare, smoothed
 
     if run.start is None:
         raise DataError(str(recording), "does not say how its run began")
-    motions = compare(run.records, {kind: bench.make_estimator(kind) for kind in kinds}, run.start.state)
+    filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
+    motions = compare(run.records, filters, run.start.state)
+    if "smoother" in kinds:
+        config = bench.config
+        motions["smoother"] = smoothed(
+            run.records, config.estimator, bench.geometry, config.surface, run.start.state
+        )
     if foreign:
         del motions["recorded"]
     return motions
@@ -119,10 +136,13 @@ def _show(bench: Bench, motions: dict[str, Motion], view: str | None) -> None:
 
 
 def _table(motions: dict[str, Motion]) -> dict[str, dict[str, float | None]]:
-    from hil.report.replay import errors
+    from hil.report.replay import consistency, errors
 
     return {
-        name: {key: value if math.isfinite(value) else None for key, value in errors(motion).items()}
+        name: {
+            key: value if math.isfinite(value) else None
+            for key, value in (errors(motion) | consistency(motion)).items()
+        }
         for name, motion in motions.items()
     }
 
@@ -137,10 +157,9 @@ def _text(result: dict[str, Any]) -> str:
             f"recorded with {k} {old}, now {new}" for k, (old, new) in result["changed_versions"].items()
         ]
         return "\n".join(lines)
-    lines = [f"{'estimator':12} {'rmse mm':>9} {'rmse deg':>9} {'end mm':>9} {'worst mm':>9}"]
+    head = " ".join(f"{title:>9}" for _, title, _ in _COLUMNS)
+    lines = [f"{'estimator':12} {head}"]
     for name, e in result["estimators"].items():
-        scaled = zip(e.values(), (1e3, math.degrees(1.0), 1e3, 1e3), strict=True)
-        lines.append(
-            f"{name:12} " + " ".join(f"{'-' if v is None else f'{v * k:.3f}':>9}" for v, k in scaled)
-        )
+        cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in _COLUMNS)
+        lines.append(f"{name:12} " + " ".join(f"{cell:>9}" for cell in cells))
     return "\n".join(lines)

@@ -67,7 +67,6 @@ class FusionEstimator(Estimator):
     ) -> None:
         self.config, self.geometry, self.surface = config, geometry, surface
         self.engine = engine
-        self._prior = L.prior_variances(config, surface)
         self._gates = config.gates
         self._intake = Intake(config)
         self.history = History(nanoseconds(config.time.history_s))
@@ -80,13 +79,7 @@ class FusionEstimator(Estimator):
         Raises:
             UsageError: the state is not finite or its covariance is not a covariance.
         """
-        check_state(state)
-        x, p = np.zeros(L.STATES), np.diag(self._prior)
-        x[:3], x[3:6] = state.pose_body_in_wall, state.twist_body
-        p[:6, :6] = 0.5 * (state.covariance + state.covariance.T)
-        m = np.zeros(L.MEMORY)
-        m[[L.WHEEL_T, L.FRAME_T, L.TRACKER_T, L.GYRO_T, L.MOCAP_T]] = -1.0
-        m[L.NIS_MEAN : L.NIS_MEAN + 6] = 1.0
+        x, p, m = start_of(self.config, self.surface, state)
         self._zero_ns = state.t_ns
         self._intake.reset()
         self.history.reset(state.t_ns, x, p, m)
@@ -161,6 +154,22 @@ class FusionEstimator(Estimator):
         for name, last_ns in self._intake.last_ns.items():
             out[f"age_{name}_s"] = (t_ns - last_ns) / NS_PER_S
         return out
+
+
+def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array, Array]:
+    """State (20,), covariance (20, 20) and sensor memory of a filter that starts from a known state.
+
+    Raises:
+        UsageError: the state is not finite or its covariance is not a covariance.
+    """
+    check_state(state)
+    x, p = np.zeros(L.STATES), np.diag(L.prior_variances(config, surface))
+    x[:3], x[3:6] = state.pose_body_in_wall, state.twist_body
+    p[:6, :6] = 0.5 * (state.covariance + state.covariance.T)
+    m = np.zeros(L.MEMORY)
+    m[[L.WHEEL_T, L.FRAME_T, L.TRACKER_T, L.GYRO_T, L.MOCAP_T]] = -1.0
+    m[L.NIS_MEAN : L.NIS_MEAN + 6] = 1.0
+    return x, p, m
 
 
 def check_state(state: RobotState) -> None:

@@ -151,6 +151,19 @@ def copy_pose(x: Array, p: Array, at: int) -> None:
 
 
 @compiled
+def anchor_matrix(rx: float, ry: float, size: float, scaled: float) -> Array:
+    """Derivative (20, 20) of the anchored state by the one before; r: from the frame to the body."""
+    a = np.eye(L.STATES)
+    a[14, :] = 0.0
+    a[15, :] = 0.0
+    a[16, :] = 0.0
+    a[14, 0] = a[15, 1] = a[16, 2] = 1.0
+    a[14, 2], a[15, 2] = ry, -rx
+    a[14, 12], a[15, 12] = scaled * rx / size, scaled * ry / size
+    return a
+
+
+@compiled
 def anchor_frame(x: Array, p: Array, z: Array, var_m: float, var_rad: float, scaled: float) -> None:
     """Clone the camera's frame so that the pose z (3,) is what it shows now, and spread its uncertainty.
 
@@ -161,13 +174,7 @@ def anchor_frame(x: Array, p: Array, z: Array, var_m: float, var_rad: float, sca
     size = 1.0 + scaled * x[12]
     c, s = math.cos(heading), math.sin(heading)
     rx, ry = (c * z[0] - s * z[1]) / size, (s * z[0] + c * z[1]) / size
-    a = np.eye(n)
-    a[14, :] = 0.0
-    a[15, :] = 0.0
-    a[16, :] = 0.0
-    a[14, 0] = a[15, 1] = a[16, 2] = 1.0
-    a[14, 2], a[15, 2] = ry, -rx
-    a[14, 12], a[15, 12] = scaled * rx / size, scaled * ry / size
+    a = anchor_matrix(rx, ry, size, scaled)
     p[:, :] = a @ p @ a.T
     x[14], x[15], x[16] = x[0] - rx, x[1] - ry, heading
     b = np.zeros((3, 3))

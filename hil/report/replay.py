@@ -1,7 +1,8 @@
 """Feeds a recording's inputs back through the brain: exact verification, and other estimators.
 
 `verify` holds every estimate, setpoint and event against the recorded one, bit for bit; `compare`
-runs estimators on the recorded measurements and holds them against motion capture.
+runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency` hold
+them against motion capture and against what they say of themselves.
 """
 
 from __future__ import annotations
@@ -11,9 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hil.config.estimator import EstimatorConfig
 from hil.errors import SafetyStop
+from hil.estimator.consistency import nees
 from hil.geometry import Array, wrap_array
 from hil.interfaces import Estimator
+from hil.kinematics import WheelGeometry
 from hil.loop import Brain
 from hil.motion import Motion
 from hil.recording.compare import first_difference
@@ -78,6 +82,38 @@ def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotS
     """The run with the states of another estimator, fed with the recorded measurements."""
     estimator.reset(start)
     return Motion(tuple(replace(r, state=estimator.update(r.measurements)) for r in records))
+
+
+def smoothed(
+    records: Sequence[CycleRecord], config: EstimatorConfig, geometry: WheelGeometry, surface: str,
+    start: RobotState,
+) -> Motion:  # fmt: skip
+    """The run with the states of the smoother, which knows all measurements at every cycle."""
+    from hil.estimator.smoother import smooth
+
+    states = smooth(config, geometry, surface, [r.measurements for r in records], start)
+    return Motion(tuple(replace(r, state=s) for r, s in zip(records, states, strict=True)))
+
+
+def consistency(motion: Motion) -> dict[str, float]:
+    """How sure an estimator was against how wrong it was.
+
+    Returns:
+        `nees_pose`, mean of e' P^-1 e over the cycles (3 is ideal, more is over-confident); running means
+        of the normalised innovations at the end (1 is ideal), and how many rows each sensor's gates left out;
+        NaN where there is no such figure.
+    """
+    difference = motion.estimate - motion.mocap
+    difference[:, 2] = wrap_array(difference[:, 2])
+    values = nees(difference, motion.covariance[:, :3, :3]) if len(motion.records) else np.zeros(0)
+    last = motion.records[-1].state.diagnostics if motion.records else {}
+    known = values[np.isfinite(values)]
+    out = {"nees_pose": float(known.mean()) if len(known) else np.nan}
+    for name in ("wheels", "gyro", "tracker", "gravity"):
+        out[f"nis_{name}"] = float(last.get(f"nis_mean_{name}", np.nan))
+    for name in ("wheels", "gyro", "tracker"):
+        out[f"rejected_{name}"] = float(last.get(f"rejected_{name}", np.nan))
+    return out
 
 
 def errors(motion: Motion) -> dict[str, float]:

@@ -12,13 +12,15 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.errors import DataError
+from hil.estimator.consistency import nees
 from hil.geometry import wrap_array
 from hil.motion import Motion
-from hil.report.replay import errors
+from hil.report.replay import consistency, errors
 
 _TRUTH = "#3f3f46"
-_COLOURS = ("#2563eb", "#d97706", "#059669", "#9333ea")
+_COLOURS = ("#2563eb", "#d97706", "#059669", "#9333ea", "#dc2626")
 _DPI = 110
+_IDEAL_NEES = 3.0
 
 
 def write_replay_page(path: Path, title: str, motions: Mapping[str, Motion], facts: tuple[str, ...]) -> None:
@@ -35,23 +37,29 @@ def write_replay_page(path: Path, title: str, motions: Mapping[str, Motion], fac
     """
     rows = "".join(
         f"<tr><td>{html.escape(name)}</td>"
-        + "".join(f"<td>{value:.4g}</td>" for value in errors(motion).values())
+        + "".join(f"<td>{value:.4g}</td>" for value in _figures(motion).values())
         + "</tr>"
         for name, motion in motions.items()
     )
-    head = "".join(f"<th>{html.escape(k)}</th>" for k in ("estimator", *errors(Motion(()))))
+    head = "".join(f"<th>{html.escape(k)}</th>" for k in ("estimator", *_figures(Motion(()))))
     page = (
         "<!doctype html><meta charset='utf-8'><style>body{font:15px sans-serif;max-width:60em;margin:2em}"
         "td,th{padding:.2em .8em;text-align:right}img{max-width:100%}</style>"
         f"<title>{html.escape(title)}</title><h1>{html.escape(title)}</h1>"
         + "".join(f"<p>{html.escape(line)}</p>" for line in facts)
         + f"<table><tr>{head}</tr>{rows}</table>"
-        + "".join(_image(figure) for figure in (_paths(motions), _errors_over_time(motions)))
+        + "".join(
+            _image(figure) for figure in (_paths(motions), _errors_over_time(motions), _confidence(motions))
+        )
     )
     try:
         path.write_text(page, encoding="utf-8")
     except OSError as error:
         raise DataError(str(path), f"cannot be written ({error})") from None
+
+
+def _figures(motion: Motion) -> dict[str, float]:
+    return errors(motion) | consistency(motion)
 
 
 def _image(figure: Figure) -> str:
@@ -87,4 +95,19 @@ def _errors_over_time(motions: Mapping[str, Motion]) -> Figure:
     position.set(ylabel="position error (mm)", title="Against motion capture")
     heading.set(xlabel="time (s)", ylabel="heading error (deg)")
     position.legend()
+    return figure
+
+
+def _confidence(motions: Mapping[str, Motion]) -> Figure:
+    """NEES of the pose over time, on a logarithmic axis: 3 is ideal, more is over-confident."""
+    figure = Figure(figsize=(7, 3.2), layout="constrained")
+    axes = figure.add_subplot()
+    for (name, motion), colour in zip(motions.items(), _COLOURS, strict=False):
+        difference = motion.estimate - motion.mocap
+        difference[:, 2] = wrap_array(difference[:, 2])
+        axes.plot(motion.t_s, nees(difference, motion.covariance[:, :3, :3]), color=colour, label=name)
+    axes.axhline(_IDEAL_NEES, color=_TRUTH, linewidth=1.0, linestyle="--")
+    axes.set(xlabel="time (s)", ylabel="NEES of the pose", title="How sure against how wrong", yscale="log")
+    axes.set_ylim(1e-2, None)
+    axes.legend()
     return figure

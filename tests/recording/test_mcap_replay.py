@@ -207,6 +207,6 @@ def test_the_page_shows_every_estimator(tmp_path):
     write_replay_page(tmp_path / "page.html", "Replay", motions, ("verified",))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "dead &lt;reckoning&gt;" in page
-    assert page.count("data:image/png;base64,") == 2
+    assert page.count("data:image/png;base64,") == 3
     with pytest.raises(DataError, match="cannot be written"):
         write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, ())

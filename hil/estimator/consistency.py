@@ -1,0 +1,57 @@
+"""Whether a filter is as good as it says: NEES against truth, bands of chi squared, whiteness.
+
+NEES is e' P^-1 e of the error e; its mean is the number of states where the filter is consistent, above
+it the filter is over-confident. Innovations of a consistent filter are white.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2
+
+from hil.geometry import Array
+
+_LEAST_VARIANCE = 1e-14
+
+
+def nees(error: Array, covariance: Array) -> Array:
+    """Normalised estimation error squared (n,) of errors (n, d) with covariances (n, d, d).
+
+    Rows that are not finite give NaN; a state that is exactly known has no say.
+    """
+    out = np.full(len(error), np.nan)
+    known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))
+    if known.any():
+        size = covariance[known] + _LEAST_VARIANCE * np.eye(error.shape[1])
+        solved = np.linalg.solve(size, error[known][..., None])[..., 0]
+        out[known] = np.sum(error[known] * solved, axis=1)
+    return out
+
+
+def band(degrees: int, runs: int, probability: float = 0.95) -> tuple[float, float]:
+    """Interval for the mean over independent runs of a chi-squared variable.
+
+    Args:
+        degrees: of freedom of one.
+        runs: how many are averaged.
+        probability: with which a consistent filter lies inside.
+    """
+    total = degrees * runs
+    tail = 0.5 * (1.0 - probability)
+    return float(chi2.ppf(tail, total) / runs), float(chi2.ppf(1.0 - tail, total) / runs)
+
+
+def autocorrelation(innovation: Array, lags: int = 20) -> Array:
+    """Autocorrelation (lags,) of a series (n,) at lags 1, 2, ...; its standard error is 1 / sqrt(n)."""
+    centred = innovation - innovation.mean()
+    power = float(centred @ centred)
+    if power <= 0.0:
+        return np.zeros(lags)
+    return np.array([float(centred[k:] @ centred[:-k]) / power for k in range(1, lags + 1)])
+
+
+def whiteness(innovation: Array, lags: int = 20) -> float:
+    """Probability that a white series would be as correlated as this one (Ljung-Box)."""
+    n = len(innovation)
+    weight = n * (n + 2.0) / (n - np.arange(1, lags + 1))
+    return float(chi2.sf(float(weight @ autocorrelation(innovation, lags) ** 2), lags))
