@@ -12,7 +12,7 @@ from hil.calibration.evaluation import Track, evaluate
 from hil.calibration.problem import Setting
 from hil.kinematics import WheelGeometry
 from hil.procedure import Context
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 from procedures._rounds import Driven, improve, nominal_geometry, tracks
 
 if TYPE_CHECKING:
@@ -34,6 +34,8 @@ def show(
     error_table(ctx, "Table II: errors before calibration", evaluate(before))
     error_table(ctx, "Table III: errors after calibration", evaluate(after))
     method_table(ctx, columns, fresh, setting)
+    round_table(ctx, [*rounds, fresh], setting)
+    observable_table(ctx, result)
     draw_rounds(ctx, [*rounds, fresh], setting)
     draw_validation(ctx, tracks(fresh.recordings, rounds[0].geometry, setting), after)
     for line in result.warnings:
@@ -50,6 +52,32 @@ def method_table(ctx: Context, columns: Mapping[str, WheelGeometry], fresh: Driv
     ctx.table(
         "Validation run under every method's parameters: position RMSE (mm)", ["parameters", *motions], rows,
         "Motions driven with the result; the other rows only re-compute odometry from the same wheels.",
+    )  # fmt: skip
+
+
+def round_table(ctx: Context, runs: Sequence[Driven], setting: Setting) -> None:
+    """Every round by motion."""
+    motions = list(dict.fromkeys(r.motion for r in runs[0].recordings))
+    rows: list[list[Any]] = []
+    for run in runs:
+        table: Any = evaluate(tracks(run.recordings, run.geometry, setting))
+        found = table["motions"]
+        cells = (f"{1e3 * found[m]['rmse_position_m']:.2f}" if m in found else "–" for m in motions)
+        rows.append([run.label, len(run.recordings), *cells, f"{1e3 * table['mean']['rmse_position_m']:.2f}"])
+    ctx.table(
+        "Rounds: position RMSE (mm) with the parameters that drove them",
+        ["round", "recordings", *(m.replace("_", " ") for m in motions), "mean"], rows,
+    )  # fmt: skip
+
+
+def observable_table(ctx: Context, result: Calibration) -> None:
+    """What the recordings determine: combinations of parameters, with their information."""
+    pairs = zip(result.spectrum.directions, result.spectrum.information, strict=False)
+    rows = [[k, words, f"{value:.3g}"] for k, (words, value) in enumerate(pairs, start=1)]
+    ctx.table(
+        "What the data determine", ["", "combination (of 1 % or 1 deg)", "data / prior information"], rows,
+        "Wheels are always commanded together, so recordings show only these combinations; everything else "
+        "stays where the prior puts it.",
     )  # fmt: skip
 
 
@@ -100,7 +128,7 @@ def draw_rounds(ctx: Context, runs: Sequence[Driven], setting: Setting) -> None:
         axes.plot(k + rng.uniform(-0.18, 0.18, len(values)), values, ".", color=colour, ms=4, alpha=0.55)
         axes.plot([k - 0.3, k + 0.3], [values.mean()] * 2, color=colour, lw=2)
         axes.annotate(f" {values.mean():.2f}", (k + 0.3, values.mean()), va="center", fontsize=8)
-    axes.set_yscale("log")
+    plain_log(axes)
     axes.set_xlim(-0.5, len(runs) - 0.2)
     axes.set_xticks(range(len(runs)), [r.label for r in runs], fontsize=8)
     ctx.figure(
@@ -125,7 +153,7 @@ def draw_validation(ctx: Context, before: Sequence[Track], after: Sequence[Track
                 t_s, size = thin(run.t_s, 1e3 * np.hypot(run.error[:, 0], run.error[:, 1]))
                 label = name if number == 0 and k == 1 else None
                 axes.plot(t_s, size, color=colour, lw=1.1, label=label)
-        axes.set_yscale("symlog", linthresh=1.0)
+        plain_log(axes, linear_below=1.0)
         legend(axes)
     ctx.figure(paths, "Validation: paths", "First repetition of each motion; turns are shown against time.")
     ctx.figure(errors, "Validation: position errors", "Every repetition; logarithmic above 1 mm.")

@@ -42,7 +42,7 @@ class Sizes:
     line_m: float = 4.0
     radius_m: float = 0.5
     turns: float = 1.0
-    speed_m_s: float = 0.11
+    speed_m_s: float = 0.118
 
 
 @dataclass(frozen=True)

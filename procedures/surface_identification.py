@@ -158,7 +158,7 @@ def stands(ctx: Context, heading_deg: float) -> bool:
     x_m, y_m, _ = ctx.source.config.emulation.start_pose
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
-        f"hold {heading_deg:+.2f} deg",
+        f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
         overrides={**_WITHOUT, "emulation.start_pose": pose, "safety.heading_limit_rad": math.pi / 2},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )

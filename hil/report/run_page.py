@@ -166,7 +166,7 @@ def inline_svg(path: Path) -> Markup:
     for name, colour in PALETTE.items():
         rest = re.sub(re.escape(colour), f"var(--{name})", rest, flags=re.I)
     rest = re.sub(r"#000000|(?<=fill: )black", "currentColor", rest)
-    rest = rest.replace("<text ", '<text fill="currentColor" ')
+    rest = re.sub(r"<text(?=[ >])", '<text fill="currentColor"', rest)
     own = path.stem.split("_")[0]
     rest = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{own}-", rest)
     return Markup(f'{head}{limit} role="img">{rest}')

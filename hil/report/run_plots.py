@@ -49,6 +49,15 @@ def style(axes: Axes, x: str, y: str, title: str = "") -> Axes:
     return axes
 
 
+def plain_log(axes: Axes, linear_below: float | None = None) -> None:
+    """A logarithmic y axis labelled 1, 10, 100; linear around zero where `linear_below` is given."""
+    if linear_below is None:
+        axes.set_yscale("log")
+    else:
+        axes.set_yscale("symlog", linthresh=linear_below)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+
+
 def legend(axes: Axes, columns: int = 1) -> None:
     """A legend without box."""
     if axes.get_legend_handles_labels()[0]:
