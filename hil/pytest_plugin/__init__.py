@@ -67,15 +67,19 @@ def pytest_configure(config: pytest.Config) -> None:
 
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Refuse a wrong bench file, and a real bench shared by several processes, before anything runs."""
-    if session.config.getoption("bench"):
+    if _named(session.config):
         from hil.pytest_plugin.selection import check_session
 
         check_session(session.config)
 
 
+def _named(config: pytest.Config) -> bool:
+    return bool(config.getoption("bench") or config.getini("hil_bench"))
+
+
 def pytest_report_header(config: pytest.Config) -> str | None:
     """The bench, where one was named."""
-    if not (config.getoption("bench") or config.getini("hil_bench")):
+    if not _named(config):
         return None
     from hil.pytest_plugin.selection import describe
 
@@ -111,6 +115,7 @@ def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
     with opened(request.node) as found:
         request.node.stash[_OPENED] = found
         yield found
+        del request.node.stash[_OPENED]
 
 
 @pytest.fixture

@@ -240,6 +240,7 @@ def test_real_devices_of_a_bench_that_is_named_are_used(run, pytester):
     [
         (["--bench=nowhere.toml"], "nowhere.toml: cannot be read"),
         (["--bench=bad.toml"], "colour: unknown key"),
+        (["-o", "hil_bench=bad.toml"], "colour: unknown key"),
         (["--emulate", "test_lab.py"], "write --emulate=all"),
     ],
 )
