@@ -183,6 +183,16 @@ def line(
     return Trajectory(name, (Segment(Straight(_pose(a), _pose(b)), duration_s or needed, law),))
 
 
+def rotation(
+    start: ArrayLike, angle_rad: float, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    law: TimeLaw = "quintic", name: str = "rotation",
+) -> Trajectory:  # fmt: skip
+    """Turn on the spot, counter-clockwise for positive angles."""
+    pose = np.asarray(start, dtype=np.float64)
+    end = pose + np.array([0.0, 0.0, angle_rad])
+    return line(pose, end, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, law=law, name=name)
+
+
 def circle(
     start: ArrayLike, radius_m: float, *, turns: float = 1.0, tangent: bool = True, speed_m_s: float = 0.1,
     acceleration_m_s2: float = 0.2, law: TimeLaw = "quintic", name: str = "circle",

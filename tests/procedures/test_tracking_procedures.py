@@ -83,13 +83,14 @@ def test_a_fault_that_makes_it_impossible_fails_it(name, parameters, fault, tmp_
     ("name", "parameters", "quantity"),
     [
         ("wall_tracking", {"length_m": 1.5, "duration_s": 10.0}, "wheel"),
-        ("wall_tracking", {"length_m": 3.0, "duration_s": 60.0}, "x on the wall"),
+        ("wall_tracking", {"length_m": 3.0, "duration_s": 60.0, "cases": ["x_line"]}, "x on the wall"),
         ("grid_scan", {"speed_m_s": 0.3}, "wheel"),
-        ("grid_scan", {"lanes": 45, "lane_spacing_m": 0.1}, "y on the wall"),
+        ("grid_scan", {"lanes": 6, "lane_length_m": 0.2}, "y on the wall"),
     ],
 )
 def test_what_cannot_be_followed_is_refused_before_the_bench_is_opened(name, parameters, quantity, tmp_path):
-    result = run(name, tmp_path / "run", overrides={"safety.x_range_m": [-1.0, 2.0]}, **parameters)
+    edges = {"safety.x_range_m": [-1.0, 2.0], "safety.y_range_m": [-1.0, 0.45]}
+    result = run(name, tmp_path / "run", overrides=edges, **parameters)
     assert result.error is not None
     assert quantity in result.error.message
     assert " at t = " in result.error.message

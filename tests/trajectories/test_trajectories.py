@@ -19,7 +19,7 @@ ALL = [
     tr.line([0.1, 0.2, 0.1], [0.4, -0.3, -0.1]),
     tr.circle([0, 0, 0.3], 0.5),
     tr.circle(ORIGIN, 0.4, turns=-0.5, tangent=False),
-    tr.line(ORIGIN, [0, 0, 2 * math.pi], name="rotation"),
+    tr.rotation(ORIGIN, 2 * math.pi),
     tr.scan(ORIGIN, 1.0, 5, 0.1),
 ]
 
