@@ -231,9 +231,12 @@ class ServoBus(SerialChip, Scheduled):
         if places[0][0]:
             pieces[0] = pieces[0][8:]
         ready_ns = t_ns + self._processing_ns + max(s.delay_ns for _, s in places)
-        for k, (_, servo) in enumerate(places):
-            if sum(s.id == servo.id for s in able) > 1:
-                pieces[k] = _mixed((pieces[k], pieces[k]))
+        if len(by_id) < len(able):
+            ids = [s.id for s in able]
+            pieces = [
+                _mixed((piece, piece)) if ids.count(servo.id) > 1 else piece
+                for piece, (_, servo) in zip(pieces, places, strict=True)
+            ]
         if len(pieces) == len(wanted) and self._faults.none:
             return [Reply(ready_ns, b"".join(pieces))]
         return self._spaced(pieces, places, wanted, ready_ns, t_ns)

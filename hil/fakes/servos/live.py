@@ -41,7 +41,8 @@ class LiveRegisters:
         if self._stamp != stamp and not self._holding:
             self._stamp = stamp
             self._measure()
-        counts, velocity, current = (row[j] for row in self._all)
+        all_counts, all_velocities, all_currents = self._all
+        counts, velocity, current = all_counts[j], all_velocities[j], all_currents[j]
         if not faults.none:
             age_ns = faults.age_ns(j, t_ns)
             if age_ns:

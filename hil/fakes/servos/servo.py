@@ -83,11 +83,6 @@ class Servo:
         self.busy_until_ns = 0
 
     @property
-    def firmware(self) -> int:
-        """Firmware version."""
-        return self.table.get("firmware_version")
-
-    @property
     def torque(self) -> bool:
         """Whether the motor is driven."""
         return self._torque
@@ -305,6 +300,7 @@ class Servo:
     def _load(self) -> None:
         """Keep at hand what is looked at often."""
         table = self.table
+        self.firmware = table.get("firmware_version")
         self.id, self.secondary = table.get("id"), table.get("secondary_id")
         self.baud = BAUD_RATES[table.get("baud_rate")]
         self.delay_ns = 2000 * table.get("return_delay_time")
