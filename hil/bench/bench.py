@@ -195,10 +195,11 @@ class Bench:
     def check(self, trajectory: Trajectory) -> None:
         """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
         control, safety = self.config.control, self.config.safety
+        heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
         limits = MotionLimits(
             wheel_speed_m_s=control.wheel_speed_m_s,
             wheel_acceleration_m_s2=control.acceleration_m_s2,
-            heading_limit_rad=safety.heading_limit_rad if self.config.surface == "wall" else None,
+            heading_limit_rad=heading_limit_rad if self.config.surface == "wall" else None,
             x_range_m=safety.x_range_m,
             y_range_m=safety.y_range_m,
         )

@@ -16,10 +16,11 @@ from hil.procedure.parameters import as_dict, make_parameters
 def motion_limits(config: BenchConfig) -> MotionLimits:
     """What the configured bench can follow."""
     control, safety = config.control, config.safety
+    heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
     return MotionLimits(
         wheel_speed_m_s=control.wheel_speed_m_s,
         wheel_acceleration_m_s2=control.acceleration_m_s2,
-        heading_limit_rad=safety.heading_limit_rad if config.surface == "wall" else None,
+        heading_limit_rad=heading_limit_rad if config.surface == "wall" else None,
         x_range_m=safety.x_range_m,
         y_range_m=safety.y_range_m,
     )

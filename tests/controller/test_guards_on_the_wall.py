@@ -132,3 +132,12 @@ def test_what_cannot_be_followed_is_refused_before_anything_moves():
         after = bench.truth()
         assert after.t_ns == before.t_ns
         np.testing.assert_array_equal(after.joint_position_rad, before.joint_position_rad)
+
+
+def test_references_may_be_held_closer_than_the_robot():
+    turn = line(ORIGIN, [0.0, 0.0, math.radians(10.0)])
+    closer = open_wall(control__heading_limit_rad=math.radians(8.0))
+    with closer as bench, pytest.raises(TrajectoryError, match="heading on the wall"):
+        bench.check(turn)
+    with open_wall() as bench:
+        bench.check(turn)
