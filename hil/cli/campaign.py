@@ -109,7 +109,8 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
 
 def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
     """Write the plan of a new campaign, or hold it against that of the one to go on with."""
-    plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **vars(setup)}))
+    shared = {key: value for key, value in vars(setup).items() if key != "answers"}
+    plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
     path = out / PLAN
     if not path.exists():
         if resume:
@@ -150,6 +151,8 @@ def _run(setup: Setup, cases: Sequence[Case], out: Path, workers: int, scheduler
         with reporting() as report:
 
             def done(row: Row) -> None:
+                if row.verdict == "ABORTED":
+                    raise Aborted(f"{row.case.name}: {row.error}", remedy="go on with --resume")
                 rows[row.case] = row
                 report("runs", len(rows), len(jobs))
 

@@ -23,6 +23,7 @@ from hil.procedure import Context, Measurement, procedure
 class Parameters:
     gain: float = 1.0
     deadly: int = -1
+    asks: int = -1
 
 
 @procedure(
@@ -36,6 +37,8 @@ def run(ctx: Context) -> None:
     """Hold for a moment."""
     if ctx.seed == ctx.parameters.deadly:
         os.kill(os.getpid(), signal.SIGKILL)
+    if ctx.seed == ctx.parameters.asks:
+        ctx.prompt("is the robot on the wall?")
     with ctx.step("rest"):
         ctx.bench.rig.servos.enable()
         seen = ctx.bench.observe(0.3, feedback="odometry").mocap[:, 0]
@@ -134,6 +137,17 @@ def test_an_error_in_one_run_is_a_row(campaign):
     assert code == 2
     assert [row["verdict"] for row in tree["rows"]] == ["PASS", "ERROR"]
     assert "mocap cannot produce the fault 'bus_off'" in tree["rows"][1]["error"]
+
+
+def test_a_run_that_is_aborted_ends_the_campaign_until_it_is_resumed(campaign, tmp_path):
+    common = ("--seeds", "0:3", "--set", "asks=1", "--workers", "0", "--out", "o")
+    code, tree, said = campaign(*common)
+    assert (code, tree) == (4, None)
+    assert "nobody is there to answer" in said
+    assert not (tmp_path / "o" / "runs" / "seed=2").exists()
+    (tmp_path / "answers.txt").write_text("yes\n")
+    code, tree, _ = campaign(*common, "--resume", "--answers", "answers.txt")
+    assert (code, tree["verdicts"]) == (0, {"PASS": 3})
 
 
 def test_dask_gives_what_one_process_gives(campaign):
