@@ -24,6 +24,7 @@ _LOG = logging.getLogger(__name__)
 
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _FARTHEST_M = 1000.0
+_LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
 _NAN7 = (math.nan,) * 7
 _USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
 _REMEDY = (
@@ -213,14 +214,13 @@ class NatNetMocap(Sensor[MocapSample]):
         clock_hz = self._session.server.clock_hz
         exposed, sent = frame.exposure_ticks, frame.sent_ticks
         seq = self._seq_base + frame.number
-        if clock_hz <= 0 or not 0 < exposed <= sent:
-            sent_ns = exposed_ns = (
-                round(frame.timestamp_s * NS_PER_S) if math.isfinite(frame.timestamp_s) else 0
-            )
-            latency_s = math.nan
-        else:
+        if 0 < exposed <= sent < clock_hz * _LONGEST_UP_S and sent - exposed < clock_hz * _LONGEST_LATENCY_S:
             sent_ns, exposed_ns = sent * NS_PER_S // clock_hz, exposed * NS_PER_S // clock_hz
             latency_s = (sent - exposed) / clock_hz
+        else:
+            credible_s = frame.timestamp_s if abs(frame.timestamp_s) < _LONGEST_UP_S else 0.0
+            sent_ns = exposed_ns = round(credible_s * NS_PER_S)
+            latency_s = math.nan
         t_ns, credible = self._clock_map.map(sent_ns, arrived_ns)
         t_ns -= sent_ns - exposed_ns
         return Stamp(t_ns=t_ns, host_ns=arrived_ns, seq=seq, device_ns=exposed_ns), credible, latency_s

@@ -38,6 +38,7 @@ _LOG = logging.getLogger(__name__)
 _MODEL = "T265"
 _WAIT_NS = 5_000_000
 _NS_PER_MS = 1e6
+_LATEST_MS = 5e12
 _USABLE_CONFIDENCE = 2
 _FARTHEST_M = 1000.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
@@ -252,7 +253,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 return None
             self._seq_base += self._number + 1 - number
         self._number, self._timestamp_ms = number, timestamp_ms
-        device_ns, t_ns, credible = None, host_ns, math.isfinite(timestamp_ms)
+        device_ns, t_ns, credible = None, host_ns, abs(timestamp_ms) < _LATEST_MS
         if credible:
             device_ns = round(timestamp_ms * _NS_PER_MS)
             t_ns, credible = self._clock_map.map(device_ns, host_ns)

@@ -1,0 +1,131 @@
+"""Whatever the camera (or somebody in its place) sends, the driver gives samples or an error of ours."""
+
+import contextlib
+import socket
+import struct
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.clock import MonotonicClock
+from hil.config.tracker import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD, TrackerConfig
+from hil.drivers.tracker import T265Tracker
+from hil.drivers.tracker.feed import FeedDevice, FeedFrame
+from hil.errors import DeviceError
+from hil.fakes.world import VirtualClock, World
+from hil.signals import Status
+
+INFO = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"Intel RealSense T265", b"0815", b"0.2.0.951")
+DOUBLES = st.floats(allow_nan=True, allow_infinity=True)
+POSES = st.builds(
+    lambda number, stamp, values, confidence: POSE_RECORD.pack(
+        FEED_MAGIC, 4, number, stamp, *values, confidence
+    ),
+    st.integers(0, 2**62),
+    DOUBLES,
+    st.lists(DOUBLES, min_size=13, max_size=13),
+    st.integers(0, 255),
+)
+
+
+class Standing:
+    """A plant that nobody looks at."""
+
+    t_ns = 0
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+
+class Scripted:
+    """A pipeline whose frames a test makes."""
+
+    def start(self, config, callback):
+        self.put = callback
+        self.put(FeedFrame(POSE_RECORD.unpack(good_pose(1))))
+        return FeedDevice(INFO)
+
+    def stop(self):
+        self.put = None
+
+
+def good_pose(number):
+    values = (0.001 * number, *[0.0] * 8, 1.0, *[0.0] * 3)
+    return POSE_RECORD.pack(FEED_MAGIC, 4, number, 5.0 * number, *values, 3)
+
+
+@settings(max_examples=100, deadline=None)
+@given(poses=st.lists(st.tuples(POSES, st.integers(0, 300_000_000)), max_size=12))
+def test_poses_of_any_content_give_samples_or_a_device_error(poses):
+    clock, pipeline = VirtualClock(World(Standing())), Scripted()
+    driver = T265Tracker(TrackerConfig(fail_after_s=1.0), clock, pipeline=pipeline)
+    driver.open()
+    for data, pause_ns in poses:
+        pipeline.put(FeedFrame(POSE_RECORD.unpack(data)))
+        clock.sleep_until_ns(clock.now_ns() + pause_ns)
+        with contextlib.suppress(DeviceError):
+            for s in driver.read():
+                assert -(2**63) < s.stamp.t_ns <= s.stamp.host_ns
+                assert s.stamp.device_ns is None or abs(s.stamp.device_ns) < 2**63
+                if s.status is Status.OK:
+                    assert np.isfinite(s.position_m).all()
+                    assert np.isfinite(s.quaternion_wxyz).all()
+    driver.close()
+
+
+@pytest.fixture
+def stranger():
+    """Factory of a UDP server that answers everything with the datagrams of a test."""
+    threads, sockets = [], []
+
+    def serve(answers):
+        server = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        server.bind(("127.0.0.1", 0))
+        server.settimeout(0.05)
+        sockets.append(server)
+
+        def run():
+            while server.fileno() >= 0:
+                try:
+                    _, client = server.recvfrom(2048)
+                except TimeoutError:
+                    continue
+                except OSError:
+                    return
+                for answer in answers:
+                    with contextlib.suppress(OSError):
+                        server.sendto(answer, client)
+
+        thread = threading.Thread(target=run)
+        thread.start()
+        threads.append(thread)
+        return server.getsockname()
+
+    yield serve
+    for server in sockets:
+        server.close()
+    for thread in threads:
+        thread.join(5)
+
+
+def tracker_at(address, **values):
+    endpoint = {"host": address[0], "port": address[1]}
+    return T265Tracker(TrackerConfig(endpoint=endpoint, open_timeout_s=1.0, **values), MonotonicClock())
+
+
+@pytest.mark.parametrize(
+    "answers",
+    [
+        [b"x"], [INFO[:-1]], [struct.pack("<3sB", b"XX1", FEED_INFO) + bytes(96)],
+        [INFO], [INFO, b"noise", POSE_RECORD.pack(b"XX1", 4, 1, 1.0, *[0.0] * 13, 3)],
+        [INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, b"D435", b"1", b"1"), good_pose(1)],
+    ],
+)  # fmt: skip
+def test_a_server_that_is_no_t265_is_a_device_error(stranger, answers):
+    driver = tracker_at(stranger(answers))
+    with pytest.raises(DeviceError):
+        driver.open()
+    driver.close()
