@@ -1,0 +1,109 @@
+"""Whatever frames are on the CAN bus, the encoder driver gives samples or an error of ours."""
+
+import contextlib
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil.config.encoders import EncodersConfig
+from hil.drivers.encoders import As5045Encoders
+from hil.errors import DeviceError
+from hil.fakes.can_wire import CanChannel
+from hil.fakes.encoders import EncoderNode
+from hil.fakes.plant_api import PlantState
+from hil.fakes.world import VirtualClock, World
+from hil.signals import Status
+
+OURS = st.sampled_from([416, 417])
+
+
+class Parked:
+    """Steering straight ahead for ever."""
+
+    t_ns = 0
+
+    def advance(self, t_ns):
+        self.t_ns = t_ns
+
+    def truth(self):
+        eight, four = np.zeros(8), np.zeros(4)
+        return PlantState(
+            self.t_ns, np.zeros(3), np.zeros(3), np.zeros(2), eight, eight, eight, four, four,
+            np.zeros((4, 2)), 0.0, False,
+        )  # fmt: skip
+
+
+def frame(identifier, data, extended, remote, error):
+    return can.Message(
+        arbitration_id=identifier,
+        data=b"" if remote else data,
+        dlc=len(data),
+        is_extended_id=extended or identifier > 0x7FF,
+        is_remote_frame=remote and not error,
+        is_error_frame=error,
+    )
+
+
+FRAMES = st.builds(
+    frame,
+    OURS | st.integers(0, 0x1FFFFFFF),
+    st.binary(max_size=8),
+    st.booleans(),
+    st.sampled_from([False, False, False, True]),
+    st.sampled_from([False, False, False, True]),
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(frames=st.lists(st.tuples(FRAMES, st.integers(0, 60_000_000)), max_size=30), with_node=st.booleans())
+def test_any_frames_give_samples_or_a_device_error(frames, with_node):
+    world = World(Parked(), seed=1)
+    channel = CanChannel(world, "fuzz").open()
+    if with_node:
+        EncoderNode(world, channel)
+    clock = VirtualClock(world)
+    config = EncodersConfig(interface="hil", channel="fuzz", fail_after_s=1.0, open_timeout_s=0.2)
+    driver = As5045Encoders(config, clock)
+    try:
+        with contextlib.suppress(DeviceError):
+            driver.open()
+            for message, pause_ns in frames:
+                channel.send(message, world.now_ns)
+                clock.sleep_until_ns(clock.now_ns() + pause_ns)
+                for sample in driver.read():
+                    for angle, status in zip(sample.angle_rad, sample.status, strict=True):
+                        assert np.isfinite(angle) == (status is Status.OK)
+                        assert not np.isfinite(angle) or -np.pi <= angle < np.pi
+        assert clock.now_ns() < 10_000_000_000
+    finally:
+        driver.close()
+        channel.close()
+
+
+def test_frames_of_others_alone_are_no_encoders():
+    world = World(Parked(), seed=1)
+    channel = CanChannel(world, "fuzz").open()
+
+    class Chatter:
+        due_ns = 0
+
+        def next_due_ns(self):
+            return self.due_ns
+
+        def on_due(self, t_ns):
+            self.due_ns = t_ns + 1_000_000
+            channel.transmit(0x123, bytes(range(8)), t_ns)
+
+    world.add(Chatter())
+    config = EncodersConfig(interface="hil", channel="fuzz", open_timeout_s=0.3)
+    driver = As5045Encoders(config, VirtualClock(world))
+    try:
+        with pytest.raises(DeviceError) as caught:
+            driver.open()
+        assert caught.value.remedy
+    finally:
+        driver.close()
+        channel.close()
