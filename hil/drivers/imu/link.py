@@ -10,10 +10,9 @@ import errno
 import os
 from typing import Any
 
-import serial
-
 from hil.clock import Clock, nanoseconds
 from hil.config.imu import ImuConfig
+from hil.drivers.serial_url import PORT_ERRORS, open_serial
 from hil.errors import DeviceError
 from hil.signals import Status
 
@@ -54,16 +53,14 @@ class Link:
         self._dirty = True
         self._ahead = b""
         self.asked_ns = 0
-        local: dict[str, Any] = {} if "://" in config.port else {"exclusive": True}
         try:
-            self._port = serial.serial_for_url(
+            self._port: Any = open_serial(
                 config.port,
-                **local,
-                baudrate=config.baud,
-                timeout=config.reply_timeout_s,
-                write_timeout=max(config.reply_timeout_s, 0.1),
+                baud=config.baud,
+                timeout_s=config.reply_timeout_s,
+                write_timeout_s=max(config.reply_timeout_s, 0.1),
             )
-        except (serial.SerialException, ValueError, OSError) as error:
+        except PORT_ERRORS as error:
             raise self._cannot_open(error) from None
 
     def _cannot_open(self, error: Exception) -> DeviceError:
@@ -86,7 +83,7 @@ class Link:
         """Let go of the port; never raises."""
         try:
             self._port.close()
-        except (serial.SerialException, OSError):
+        except PORT_ERRORS:
             return
 
     def read(self, register: int, length: int, deadline_ns: int) -> bytes:
@@ -102,7 +99,7 @@ class Link:
         request = bytes((0xAA, READ, register, length))
         try:
             self._send(request)
-        except (serial.SerialException, OSError):
+        except PORT_ERRORS:
             return
         self._ahead = request
 
@@ -139,7 +136,7 @@ class Link:
                     raise ExchangeError(Status.TIMEOUT, f"{len(data)} of {length} data bytes")
                 self._dirty = False
                 return data
-        except (serial.SerialException, OSError, ValueError, TypeError) as error:
+        except PORT_ERRORS as error:
             raise ExchangeError(Status.TIMEOUT, f"the port failed ({error})") from None
         if head[0] == 0xEE:
             self._dirty = False

@@ -11,10 +11,10 @@ import errno
 import os
 from typing import Any
 
-import serial
 from dynamixel_sdk import PortHandler
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.drivers.serial_url import PORT_ERRORS, open_serial
 from hil.errors import DeviceError
 
 _BITS = 10
@@ -23,18 +23,6 @@ _SMALLEST_TIMEOUT_S = 1e-4
 
 class PortLost(Exception):
     """The port failed under us (unplugged, closed); stays inside this package."""
-
-
-def _port_errors() -> tuple[type[Exception], ...]:
-    errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError, AttributeError)
-    try:
-        import termios
-    except ImportError:
-        return errors
-    return (*errors, termios.error)
-
-
-PORT_ERRORS = _port_errors()
 
 
 class ServoPort(PortHandler):  # type: ignore[misc]
@@ -67,14 +55,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def open(self, device: str) -> None:
         """Open the port; raises `DeviceError` that says what can be done about it."""
-        local: dict[str, Any] = {} if "://" in self.port_name else {"exclusive": True}
         try:
-            self.ser = serial.serial_for_url(
-                self.port_name,
-                baudrate=self.baudrate,
-                timeout=_SMALLEST_TIMEOUT_S,
-                write_timeout=1.0,
-                **local,
+            self.ser = open_serial(
+                self.port_name, baud=self.baudrate, timeout_s=_SMALLEST_TIMEOUT_S, write_timeout_s=1.0
             )
             self.is_open = True
             self.ser.reset_input_buffer()

@@ -1,0 +1,89 @@
+"""Serial ports by pyserial URL: local devices, raw TCP (`socket://`) and RFC 2217 servers (`rfc2217://`).
+
+pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
+of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
+changes, not at every time-out that is set and every buffer that is cleared (50 ms each).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import queue
+import socket
+import warnings
+from typing import Any
+
+import serial
+from serial import rfc2217
+
+RFC2217 = "rfc2217://"
+
+
+def _port_errors() -> tuple[type[Exception], ...]:
+    errors: tuple[type[Exception], ...] = (OSError, TypeError, ValueError, AttributeError)
+    try:
+        import termios
+    except ImportError:
+        return errors
+    return (*errors, termios.error)
+
+
+PORT_ERRORS = _port_errors()
+"""What pyserial lets through when a port fails under it; `SerialException` is an `OSError`."""
+
+
+_Rfc2217: Any = rfc2217.Serial  # the attributes that are needed here are no part of its type
+
+
+class RemotePort(_Rfc2217):  # type: ignore[misc]
+    """An RFC 2217 port that is quick enough for a request and its reply."""
+
+    _negotiated: tuple[object, ...] | None = None
+
+    def _reconfigure_port(self) -> None:
+        wanted = (
+            self._baudrate, self._bytesize, self._parity, self._stopbits, self._rtscts, self._dsrdtr,
+            self._xonxoff,
+        )  # fmt: skip
+        if wanted != self._negotiated:
+            super()._reconfigure_port()
+            self._negotiated = wanted
+
+    def reset_input_buffer(self) -> None:
+        """Throw away what has arrived here; what is still under way is judged by its checksum."""
+        if not self.is_open:
+            raise serial.PortNotOpenError
+        if self._read_buffer is not None:
+            with contextlib.suppress(queue.Empty):
+                while self._read_buffer.qsize():
+                    self._read_buffer.get(False)
+
+
+def open_serial(url: str, *, baud: int, timeout_s: float, write_timeout_s: float) -> Any:
+    """Open a port.
+
+    Args:
+        url: device path or any pyserial URL.
+        baud: bits per second; a raw socket's server must be set to it.
+        timeout_s: of reads, in the port's own waiting.
+        write_timeout_s: of writes, where the port has one.
+
+    Raises:
+        serial.SerialException, OSError, ValueError: as pyserial raises them.
+    """
+    if url.lower().startswith(RFC2217):
+        remote = RemotePort()
+        remote.port, remote.baudrate, remote.timeout = url, baud, timeout_s
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
+            remote.open()
+        return remote
+    local: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+    port = serial.serial_for_url(
+        url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s, **local
+    )
+    if url.lower().startswith("socket://"):
+        connection = getattr(port, "_socket", None)
+        if isinstance(connection, socket.socket):
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return port
