@@ -8,6 +8,10 @@ For each tab the recording is played into a file, served by `rerun --serve-web`,
 from __future__ import annotations
 
 import argparse
+import base64
+import json
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -16,6 +20,7 @@ import urllib.error
 import urllib.parse
 import urllib.request
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,8 +33,10 @@ from hil.recording.runs import RecordedRun, read_runs
 from hil.trajectories import Trajectory
 
 _START_S = 30.0
-_VIRTUAL_MS = 40_000
-_LIMIT_S = 240.0
+_DRAWN_BYTES = 50_000
+_BETWEEN_S = 10.0
+_PICTURES = 18
+_ALIKE = 0.02
 
 
 def free_port() -> int:
@@ -51,30 +58,92 @@ def play(run: RecordedRun, geometry: WheelGeometry, path: Path, tab: str) -> Non
     stream.close()
 
 
+class Browser:
+    """Headless Chromium, spoken to over its debugging pipe."""
+
+    def __init__(self, chromium: str, size: str, folder: Path) -> None:
+        child_in, self._out = os.pipe()
+        self._in, child_out = os.pipe()
+        width, _, height = size.partition(",")
+        arguments = [
+            chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars",
+            "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
+            f"--user-data-dir={folder / 'profile'}", f"--window-size={width},{height}",
+            "--remote-debugging-pipe", "about:blank",
+        ]  # fmt: skip
+        self._child = subprocess.Popen(
+            ["bash", "-c", f'exec "$@" 3<&{child_in} 4>&{child_out}', "bash", *arguments],
+            pass_fds=(child_in, child_out), stderr=subprocess.DEVNULL, start_new_session=True,
+        )  # fmt: skip
+        os.close(child_in)
+        os.close(child_out)
+        self._number, self._rest = 0, b""
+
+    def ask(self, method: str, session: str | None = None, **parameters: Any) -> Any:
+        """Result of one command."""
+        self._number += 1
+        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
+        if session is not None:
+            message["sessionId"] = session
+        os.write(self._out, json.dumps(message).encode() + b"\0")
+        while True:
+            answer = json.loads(self._next())
+            if answer.get("id") == self._number:
+                return answer["result"]
+
+    def _next(self) -> bytes:
+        while b"\0" not in self._rest:
+            piece = os.read(self._in, 1 << 20)
+            if not piece:
+                raise SystemExit("the browser has ended")
+            self._rest += piece
+        message, self._rest = self._rest.split(b"\0", 1)
+        return message
+
+    def close(self) -> None:
+        """End it."""
+        os.killpg(self._child.pid, signal.SIGKILL)
+        self._child.wait()
+        os.close(self._in)
+        os.close(self._out)
+
+
 def photograph(rrd: Path, png: Path, chromium: str, size: str) -> None:
-    """Serve a file and take a picture of the page once it has been drawn."""
+    """Serve a file, show it, and take pictures until the last two are as large as each other."""
     web, grpc = free_port(), free_port()
     viewer = Path(sys.executable).parent / "rerun"
     command = [str(viewer), "--serve-web", "--bind", "127.0.0.1", "--port", str(grpc)]
     server = subprocess.Popen(
-        [*command, "--web-viewer-port", str(web), str(rrd)], stdout=subprocess.DEVNULL, process_group=0
-    )
+        [*command, "--web-viewer-port", str(web), str(rrd)],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
     try:
         await_page(f"http://127.0.0.1:{web}/")
         source = urllib.parse.quote(f"rerun+http://127.0.0.1:{grpc}/proxy", safe="")
-        subprocess.run(
-            [
-                chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars",
-                "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-                f"--user-data-dir={rrd.parent / 'profile'}", f"--window-size={size}",
-                f"--virtual-time-budget={_VIRTUAL_MS}", f"--screenshot={png}",
-                f"http://127.0.0.1:{web}/?url={source}&renderer=webgl&theme=light",
-            ],
-            check=True, timeout=_LIMIT_S, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
+        browser = Browser(chromium, size, rrd.parent)
+        try:
+            url = f"http://127.0.0.1:{web}/?url={source}&renderer=webgl&theme=light"
+            png.write_bytes(picture(browser, url))
+        finally:
+            browser.close()
     finally:
-        subprocess.run(["kill", "--", f"-{server.pid}"], check=False)
+        os.killpg(server.pid, signal.SIGKILL)
         server.wait()
+
+
+def picture(browser: Browser, url: str) -> bytes:
+    """PNG of a page that has been drawn."""
+    clock = MonotonicClock()
+    target = browser.ask("Target.createTarget", url=url)["targetId"]
+    session = browser.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+    before = 0
+    for _ in range(_PICTURES):
+        clock.sleep_until_ns(clock.now_ns() + nanoseconds(_BETWEEN_S))
+        found = base64.b64decode(browser.ask("Page.captureScreenshot", session, format="png")["data"])
+        if len(found) > _DRAWN_BYTES and abs(len(found) - before) < _ALIKE * len(found):
+            return found
+        before = len(found)
+    raise SystemExit(f"{url}: the page was not drawn within {_PICTURES * _BETWEEN_S:g} s")
 
 
 def await_page(url: str) -> None:

@@ -15,6 +15,7 @@ PATH_COLOURS: dict[str, Colour] = {
     "ekf": (145, 30, 180),
     "ukf": (0, 160, 160),
 }
+_WALL = "Wall (m): estimate blue, truth green, reference grey, odometry orange, EKF violet, UKF teal"
 TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
 
 _PALETTE: tuple[Colour, ...] = (
@@ -57,13 +58,13 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
         return rrb.Vertical(*views, name=name)
 
     area = None if bounds is None else rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1])
-    wall = rrb.Spatial2DView(origin="/wall", name="Wall (m, seen from the front)", visual_bounds=area)
+    wall = rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
     log = rrb.TextLogView(origin="/events", name="Faults and events")
     tabs = (
         tab_of(
             "Motion",
             plot("Tracking error (m)", "state/tracking_error_m"),
-            plot("Heading and its error (rad)", "state/tracking_error_rad", "state/heading_rad"),
+            plot("Heading and its error (rad)", "state/heading_rad"),
             plot("Body twist (m/s, rad/s)", "state/twist"),
         ),
         tab_of(

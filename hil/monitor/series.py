@@ -91,11 +91,12 @@ class SeriesCollector:
             yield "servos/temperature_c", _by_servo(inputs.health[-1].temperature_c)
             yield "servos/voltage_v", _by_servo(inputs.health[-1].voltage_v)
         yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
-        yield "state/heading_rad", {"estimate": float(state.pose_body_in_wall[2])}
+        heading = {"estimate": float(state.pose_body_in_wall[2])}
         if record.reference is not None:
             error = record.reference.pose_in_wall - state.pose_body_in_wall
             yield "state/tracking_error_m", _named(("x", "y"), error)
-            yield "state/tracking_error_rad", {"heading error": wrap(float(error[2]))}
+            heading["error"] = wrap(float(error[2]))
+        yield "state/heading_rad", heading
         yield "ages", self._ages(record)
         yield from _diagnostics(record)
         if record.timing_ns:
@@ -145,9 +146,12 @@ def conditions(record: CycleRecord) -> dict[str, str]:
         status = samples[-1].status
         channels = status if isinstance(status, tuple) else (status,)
         wrong = [(k, s.value) for k, s in enumerate(channels) if s is not Status.OK]
+        kinds = {kind for _, kind in wrong}
+        if len(wrong) == len(channels) and len(kinds) == 1:
+            found[name] = kinds.pop()
+            continue
         labels = SERVOS if name == "servos" else tuple(map(str, range(len(channels))))
-        one = len(channels) == 1
-        found[name] = ", ".join(kind if one else f"{labels[k]} {kind}" for k, kind in wrong)
+        found[name] = ", ".join(f"{labels[k]} {kind}" for k, kind in wrong)
     return found
 
 

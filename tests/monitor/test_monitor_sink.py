@@ -115,6 +115,9 @@ def test_conditions_name_the_servo_and_what_is_wrong():
     spoilt = replace(record, inputs=replace(record.inputs, servos=(replace(sample, status=status),)))
     assert conditions(record) == {"servos": "", "mocap": ""}
     assert conditions(spoilt)["servos"] == f"{SERVOS[1]} timeout, {SERVOS[7]} reset"
+    silent = replace(sample, status=(Status.TIMEOUT,) * 8)
+    alike = replace(record, inputs=replace(record.inputs, servos=(silent,)))
+    assert conditions(alike)["servos"] == "timeout"
 
 
 def test_observers_become_paths():
