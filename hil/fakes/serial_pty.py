@@ -59,7 +59,7 @@ class SerialPty(Face):
         """Take the client's bytes at the rate that it has set."""
         try:
             data = os.read(fd, _CHUNK)
-        except (BlockingIOError, OSError):
+        except OSError:
             return
         with contextlib.suppress(Unplugged):
             self._line.send(data, self._baud())

@@ -100,6 +100,26 @@ def test_two_dead_servos(servo_bench):
     assert [s is Status.OK for s in last.status] == [True, False, True, True, True, True, False, True]
 
 
+def test_servos_that_die_one_by_one_until_none_is_left_and_come_back(servo_bench):
+    faults = [f"servo.{i}:off@{0.5 + 0.2 * i}+{6.0 - 0.2 * i}" for i in range(1, 9)]
+    bench = servo_bench(*faults, config={"fail_after_s": 60.0, "health_period_s": 0.3})
+    bench.driver.enable()
+    samples = cycles(bench, 6)
+    assert set(samples[-1].status) == {Status.TIMEOUT}
+    assert bench.driver.read_health() == ()
+    back = cycles(bench, 12)
+    assert back[-1].ok
+    assert all(s.torque for s in bench.bus.servos)
+
+
+def test_a_servo_that_restarts_without_torque_is_left_without(servo_bench):
+    bench = servo_bench("servo.4:brownout@0.5+0.5")
+    samples = cycles(bench, 3)
+    assert Status.RESET in statuses(samples, 3)
+    assert samples[-1].ok
+    assert not any(s.torque for s in bench.bus.servos)
+
+
 def test_a_bus_that_falls_silent_altogether(servo_bench):
     bench = servo_bench("servos:off@1")
     bench.driver.enable()

@@ -139,7 +139,7 @@ def test_a_servo_told_to_answer_pings_only_is_silent_in_a_group(wire, code):
         (SYNC_READ, b""), (SYNC_READ, POSITION), (FAST_SYNC_READ, POSITION[:3]), (BULK_READ, b""),
         (BULK_READ, b"\x01" + POSITION + b"\x02"), (FAST_BULK_READ, b"\x01\x84"),
         (SYNC_WRITE, b"\x41"), (SYNC_WRITE, word(65) + word(1) + b"\x01"), (BULK_WRITE, b"\x01\x41\x00"),
-        (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"),
+        (BULK_WRITE, b"\x01" + word(65) + word(4) + b"\x01"), (SYNC_WRITE, word(65) + word(0) + b"\x01"),
     ],
 )  # fmt: skip
 def test_cut_group_instructions_do_nothing(wire, code, parameters):
@@ -173,6 +173,13 @@ def test_group_writes_reach_those_named_and_spare_the_rest(wire):
     assert Client(bench, 5).get("goal_position") == 1024
     bench.send(instruction(ALL, WRITE, word(65) + b"\x00"))
     assert [Client(bench, i).get("led") for i in range(1, 9)] == [0] * 8
+
+
+def test_servos_do_not_take_each_others_answers_for_instructions(wire):
+    bench = wire()
+    answer = protocol.status(1, 0, b"\x01\x02")
+    assert bench.send(answer) == b""
+    assert len(statuses(bench.send(answer + instruction(2, PING)))) == 1
 
 
 def test_a_registered_write_starts_all_at_once(wire):

@@ -38,6 +38,19 @@ class Echo(SerialChip):
         self.heard.clear()
 
 
+class Beacon(Echo):
+    """Says something unasked every 10 ms."""
+
+    due_ns = 10_000_000
+
+    def next_poll_ns(self):
+        return self.due_ns
+
+    def poll(self, t_ns):
+        self.due_ns = t_ns + 10_000_000
+        return [Reply(t_ns, b"!")]
+
+
 @pytest.fixture
 def wired():
     lines = []
@@ -122,6 +135,36 @@ def test_a_port_has_one_client_and_a_line_one_name(wired):
         serial.serial_for_url("hil://other")
 
 
+def test_a_chip_may_speak_unasked():
+    world = World(Still())
+    line = SerialLine(world, Beacon(), latency_s=0.0).open()
+    try:
+        port = serial.serial_for_url("hil://echo", baudrate=115_200, timeout=0.05)
+        port.write(b"x")
+        assert port.read(4) == b"X!!!"
+        assert world.now_ns == pytest.approx(30_000_000, abs=200_000)
+    finally:
+        line.close()
+
+
+def test_a_chip_says_nothing_unasked_unless_it_is_made_to():
+    assert Echo().poll(0) == []
+    assert Echo().next_poll_ns() > 1 << 60
+
+
+def test_a_port_has_the_face_of_any_other(wired):
+    """What terminal programs touch: modem lines, buffers, break."""
+    _, _, port = wired()
+    assert (port.cts, port.dsr, port.ri, port.cd) == (True, True, False, True)
+    port.rts = port.dtr = True
+    port.break_condition = True
+    port.reset_output_buffer()
+    assert port.write(b"") == 0
+    port.close()
+    with pytest.raises(serial.SerialException, match="not open"):
+        port.write(b"x")
+
+
 def test_flush_waits_until_the_bytes_have_left(wired):
     world, chip, port = wired()
     port.write(b"abcd")
@@ -191,3 +234,32 @@ def test_a_terminal_client_is_heard_at_the_rate_it_has_set(baud):
         thread.join(5)
     assert not face.filenos()
     assert not os.path.exists(face.endpoint()["port"] or "gone")
+
+
+def test_a_terminal_that_nobody_reads_loses_and_counts():
+    chip = Echo()
+    world = World(Still())
+    line = SerialLine(world, chip, latency_s=0.0)
+    face = SerialPty(line)
+    try:
+        while not face.lost and world.now_ns < 10_000_000_000:
+            line.send(b"a" * 62, 115_200)
+            world.advance_to(world.now_ns + 20_000_000)
+            while face.next_due_ns() <= world.now_ns:
+                face.on_due(world.now_ns)
+        assert face.lost > 0
+    finally:
+        face.close()
+    line.send(b"late", 115_200)
+    world.advance_to(world.now_ns + 100_000_000)
+    face.on_due(world.now_ns)
+    face.close()
+    assert face.endpoint()["port"] == ""
+
+
+def test_a_terminal_event_without_bytes_is_nothing():
+    face = SerialPty(SerialLine(World(Still()), Echo()))
+    try:
+        face.on_readable(face.filenos()[0], 0)
+    finally:
+        face.close()

@@ -98,11 +98,6 @@ class Bus:
                 break
         return answer
 
-    def reboot(self, servo_id: int) -> Answer:
-        """Restart one servo; it is deaf for a while afterwards."""
-        result, error = self._guard(lambda: self._sdk.reboot(self.port, servo_id), (None, 0))
-        return self._answer(result, error, b"")
-
     def send(self, packet: bytes) -> bool:
         """Send a packet that nobody answers; False when the port is lost."""
         self.traffic_ns = self._clock.now_ns()
@@ -164,14 +159,12 @@ class Bus:
         )
 
     def _guard(self, call: Callable[[], T], lost: T) -> T:
-        """A call into the SDK: lost ports and its own slips over garbage become a failed result."""
+        """A call into the SDK; a lost port becomes a failed result."""
         self.traffic_ns = self._clock.now_ns()
         try:
             return call()
         except PortLost:
             self._clock.sleep_until_ns(self.traffic_ns + round(self.port.reply_s(16, 16) * NS_PER_S))
-            return lost
-        except (IndexError, TypeError, ValueError):
             return lost
         finally:
             self.port.is_using = False

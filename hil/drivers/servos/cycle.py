@@ -71,11 +71,6 @@ class CycleReader:
         self._groups: dict[tuple[int, ...], tuple[GroupRead, float]] = {}
 
     @property
-    def dead(self) -> tuple[int, ...]:
-        """Joints that are left out of the group read."""
-        return tuple(self._dead)
-
-    @property
     def live_ids(self) -> tuple[int, ...]:
         """IDs that the group read asks, in its order."""
         return tuple(self._ids[j] for j in self._order)
