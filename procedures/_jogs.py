@@ -14,7 +14,6 @@ import numpy as np
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.geometry import Array
-from hil.motion import Motion
 from hil.signals import WHEELS
 from procedures._samples import Series, encoders, poses, wheels
 from procedures._scripted import Stretch, play
@@ -68,18 +67,17 @@ def jog_steering(bench: Bench, angle_rad: float) -> SteerJogs:
             marks.append(t_s)
     stretches.append(Stretch(0.5, steering_rad=np.zeros(4), ramp=False))
     motion = play(bench, stretches, pose, np.zeros(4))
-    found = []
-    for series, columns in ((wheels(motion), slice(8, 12)), _encoder_columns(bench, motion)):
-        if series is None:
-            found.append(np.full((4, 4), np.nan))
-            continue
-        rows = [series.between(t - _LOOK_S, t)[columns] for t in marks]
-        found.append(np.array([(rows[2 * k] - rows[2 * k + 1]) / (2.0 * angle_rad) for k in range(4)]).T)
-    return SteerJogs(found[0], found[1])
+    servo = _responses(wheels(motion), slice(8, 12), marks, angle_rad)
+    if not bench.has("encoders"):
+        return SteerJogs(servo, np.full((4, 4), np.nan))
+    return SteerJogs(servo, _responses(encoders(motion, bench.config), slice(0, 4), marks, angle_rad))
 
 
-def _encoder_columns(bench: Bench, motion: Motion) -> tuple[Series | None, slice]:
-    return (encoders(motion, bench.config) if bench.has("encoders") else None), slice(0, 4)
+def _responses(series: Series, columns: slice, marks: list[float], angle_rad: float) -> Array:
+    """Turn of every axis over the commanded one, from the ends of the jogs to either side."""
+    rows = [series.between(t - _LOOK_S, t)[columns] for t in marks]
+    turned = [rows[2 * k] - rows[2 * k + 1] for k in range(4)]
+    return np.asarray(np.array(turned).T / (2.0 * angle_rad), dtype=np.float64)
 
 
 def jog_drives(bench: Bench, source: str, steering_rad: float, rate_rad_s: float) -> DriveJogs:

@@ -30,6 +30,7 @@ from procedures._hand_eye import (
     camera_path,
     intervals,
     join,
+    laid_over,
     lateness_curve,
     shifted,
     solve,
@@ -226,11 +227,7 @@ def _table(ctx: Context, found: Extrinsics) -> None:
 def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
     """Path of the camera by motion capture, and by itself laid over it."""
     by_truth = camera_path(truth, seen.t_s - found.late_s, found)
-    own = seen.values[:, 0:3] / found.scale
-    a, b = own - own.mean(axis=0), np.column_stack([by_truth - by_truth.mean(axis=0), np.zeros(len(own))])
-    u, _, vt = np.linalg.svd(a.T @ b)
-    turn = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
-    laid = (a @ turn)[:, :2] + by_truth.mean(axis=0)
+    laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
     figure = new_figure(6.4, 4.2)
     axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
     x, y = thin(*by_truth.T)
