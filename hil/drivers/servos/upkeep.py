@@ -21,8 +21,11 @@ from hil.signals import SERVOS, Status
 
 _LOG = logging.getLogger(__name__)
 
-TRIPPED = 0xFF
+PATIENCE_S = 0.02
+"""What checks outside the cycle wait beside what the wire needs, when the host is busy."""
+
 _FULL_LEVEL = 2
+_ATTEMPTS = 3
 
 
 class Upkeep:
@@ -83,18 +86,38 @@ class Upkeep:
             self._bus.demand(servo_id, reg.INDIRECT_ADDRESS, wanted, "indirect addresses")
         return True
 
-    def arm(self) -> None:
-        """Watchdog armed, then torque on, on all."""
-        count = bytes((self._config.watchdog_count,))
-        self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
-        self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
-        self.torque = True
+    def switch_on(self, hold: bytes, ids: Sequence[int]) -> list[str]:
+        """Hold, arm the watchdog, torque on; names of servos that have not taken it.
 
-    def disarm(self) -> None:
-        """Torque off, then the watchdog, on all."""
-        self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
-        self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
+        Args:
+            hold: packet of goals at which nothing moves.
+            ids: servos that answer.
+        """
+        count = bytes((self._config.watchdog_count,))
+        self.torque = True
+        for _ in range(_ATTEMPTS):
+            self._bus.send(hold)
+            self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
+            self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
+            state = self.audit(ids, patience_s=PATIENCE_S)
+            missing = [SERVOS[j] for j in range(len(SERVOS)) if not state.get(j, (0, 0))[0]]
+            if not missing:
+                break
+        return missing
+
+    def switch_off(self, ids: Sequence[int]) -> list[str]:
+        """Torque off, then the watchdog; names of servos that still have it, or do not say."""
         self.torque = False
+        for _ in range(_ATTEMPTS):
+            self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
+            self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
+            state = self.audit(ids, patience_s=PATIENCE_S)
+            left = [SERVOS[j] for j, (torque, _) in state.items() if torque]
+            asked = [self._ids.index(i) for i in ids]
+            left += [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
+            if state and not left:
+                break
+        return left if state else ["nobody answers"]
 
     def audit(self, ids: Sequence[int], *, patience_s: float = 0.0) -> dict[int, tuple[int, int]]:
         """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors.

@@ -33,7 +33,7 @@ from hil.drivers.servos.health import HealthReader
 from hil.drivers.servos.identity import Finding
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.turns import TurnCounter
-from hil.drivers.servos.upkeep import Upkeep
+from hil.drivers.servos.upkeep import PATIENCE_S, Upkeep
 from hil.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.interfaces import Actuators
 from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
@@ -43,8 +43,7 @@ _LOG = logging.getLogger(__name__)
 _NO_ALERT: tuple[int, ...] = (0,) * 8
 _ALL_SEEN = np.ones(8, dtype=bool)
 _SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
-_VERIFY_ATTEMPTS = 3
-_PATIENCE_S = 0.02
+_READ_ATTEMPTS = 3
 
 
 class XH430Servos(Actuators):
@@ -82,7 +81,7 @@ class XH430Servos(Actuators):
         )
         port.open(self.name)
         self._bus = bus = Bus(port, self._clock, self.name)
-        port.patience_s = _PATIENCE_S
+        port.patience_s = PATIENCE_S
         try:
             self._set_up(bus)
         except BaseException:
@@ -276,9 +275,9 @@ class XH430Servos(Actuators):
         Raises:
             DeviceError: a servo does not answer, has a hardware error or did not take its torque.
         """
-        bus = self._opened()
+        self._opened()
         answering = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
-        for _ in range(_VERIFY_ATTEMPTS):
+        for _ in range(_READ_ATTEMPTS):
             sample = self.read()[0]
             if all(s in answering for s in sample.status):
                 break
@@ -292,24 +291,19 @@ class XH430Servos(Actuators):
                 expected="an answer from all eight servos",
                 remedy="check cable, power and IDs",
             )  # fmt: skip
-        self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
+        self._upkeep.audit(self._cycle.live_ids, patience_s=PATIENCE_S)
         self._upkeep.refuse_hardware_errors()
         self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
-        for _ in range(_VERIFY_ATTEMPTS):
-            bus.send(self._goal_write.packet(self._goals))
-            self._upkeep.arm()
-            state = self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
-            if sum(torque for torque, _ in state.values()) == 8:
-                self.read()
-                return
-        missing = [SERVOS[j] for j in range(8) if not state.get(j, (0, 0))[0]]
-        raise DeviceError(
-            self.name,
-            "torque did not come on: " + ", ".join(missing),
-            port=self._config.port,
-            expected="Torque Enable 1",
-            remedy="look for hardware errors with `hil doctor`",
-        )
+        missing = self._upkeep.switch_on(self._goal_write.packet(self._goals), self._cycle.live_ids)
+        if missing:
+            raise DeviceError(
+                self.name,
+                "torque did not come on: " + ", ".join(missing),
+                port=self._config.port,
+                expected="Torque Enable 1",
+                remedy="look for hardware errors with `hil doctor`",
+            )
+        self.read()
 
     def command(self, setpoint: ServoSetpoint) -> None:
         """One write of the eight goals, clipped to the limits of bench and servos.
@@ -349,21 +343,15 @@ class XH430Servos(Actuators):
             DeviceError: a servo still has torque on, or does not say.
         """
         self._opened()
-        for _ in range(_VERIFY_ATTEMPTS):
-            self._upkeep.disarm()
-            asked = [self._config.ids.index(i) for i in self._cycle.live_ids]
-            state = self._upkeep.audit(self._cycle.live_ids, patience_s=_PATIENCE_S)
-            still = [SERVOS[j] for j, (torque, _) in state.items() if torque]
-            unsure = [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
-            if state and not still and not unsure:
-                return
-        raise DeviceError(
-            self.name,
-            "torque is not off: " + (", ".join(still + unsure) if state else "nobody answers"),
-            port=self._config.port,
-            expected="Torque Enable 0",
-            remedy="cut the servos' supply",
-        )
+        left = self._upkeep.switch_off(self._cycle.live_ids)
+        if left:
+            raise DeviceError(
+                self.name,
+                "torque is not off: " + ", ".join(left),
+                port=self._config.port,
+                expected="Torque Enable 0",
+                remedy="cut the servos' supply",
+            )
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""

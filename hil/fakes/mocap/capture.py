@@ -73,9 +73,9 @@ class CaptureVolume:
         """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
         x, y, theta = state.pose_body_in_wall.tolist()
         noise = self._noise()
-        if self._options.occlusions_per_s and t_ns >= self._hidden_until_ns:
-            if self._rng.random() < self._options.occlusions_per_s / self._options.rate_hz:
-                self._hidden_until_ns = t_ns + round(1e9 * self._options.occlusion_s)
+        often = self._options.occlusions_per_s / self._options.rate_hz
+        if often and t_ns >= self._hidden_until_ns and self._rng.random() < often:
+            self._hidden_until_ns = t_ns + round(1e9 * self._options.occlusion_s)
         if (hidden or t_ns < self._hidden_until_ns) and self._last is not None:
             return self._other, replace(self._last, tracked=False)
         self._last = self._body_at(self._body, self._body_id, x, y, theta, tuple(noise))
