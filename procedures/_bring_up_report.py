@@ -92,11 +92,11 @@ def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
             right = jogs.agreement()[k] >= 0.5
             _arrow(axes, x, y, jogs.found[k], SERIES[0] if right else PALETTE["c5"], 1.5)
             axes.annotate(
-                f"{wheel}\n{jogs.agreement()[k]:+.2f}", (-np.sign(y) * 0.22, x), fontsize=8,
+                f"{wheel}\n{jogs.agreement()[k]:+.2f}", (-np.sign(y) * 0.24, x), fontsize=8,
                 ha="center", va="center",
             )  # fmt: skip
-        axes.set_xlim(-0.28, 0.28)
-        axes.set_ylim(-0.28, 0.28)
+        axes.set_xlim(-0.3, 0.3)
+        axes.set_ylim(-0.3, 0.3)
         axes.set_aspect("equal")
     ctx.figure(
         figure, "Directions of the drives",

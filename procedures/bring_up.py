@@ -162,8 +162,11 @@ def identify(ctx: Context, bench: Bench) -> None:
     """Who is there, and what the servos' registers say."""
     found = {d.name: dict(d.identity()) for d in bench.rig.devices()}
     ctx.measure("devices", sum(bool(f) for f in found.values()))
-    rows = [[name, key, value] for name, facts in found.items() for key, value in facts.items()]
-    ctx.table("Devices", ["device", "fact", "found"], rows)
+    rows = [
+        [name, facts.pop("model", ""), "; ".join(f"{key} {value}" for key, value in facts.items())]
+        for name, facts in found.items()
+    ]
+    ctx.table("Devices", ["device", "model", "found"], rows)
     servos: Any = bench.rig.actuators()
     findings = servos.diagnose()
     ctx.measure("servos.failed_checks", sum(f.level == "failure" for f in findings))
