@@ -9,6 +9,7 @@ it calls is inside: here all kernels share one fingerprint, so that none runs wi
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -21,13 +22,14 @@ except ImportError:
     numba = None
 
 AVAILABLE = numba is not None
+_IMPORT = re.compile(r"^from hil\.estimator\.compiled import .*\bcompiled$", re.MULTILINE)
 
 
 def fingerprint(folder: Path) -> str:
     """Short hash of the sources that kernels are made of: their files and where their constants stand."""
     digest = hashlib.sha256()
     constants = (folder / "layout.py", folder.parent / "kinematics.py")
-    kernels = [path for path in sorted(folder.glob("*.py")) if "@compiled\n" in path.read_text("utf-8")]
+    kernels = [path for path in sorted(folder.glob("*.py")) if _IMPORT.search(path.read_text("utf-8"))]
     for path in (*constants, *kernels):
         digest.update(path.read_bytes())
     return digest.hexdigest()[:12]

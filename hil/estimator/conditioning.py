@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
+from hil.estimator.small_matrices import downdate
 from hil.geometry import Array
 
 
@@ -67,8 +66,7 @@ def condition(
         used += 1
         column = cross[:, i].copy()
         x += column * (nu[i] / size)
-        root = column / math.sqrt(size)
-        p -= np.outer(root, root)
+        downdate(p, column / math.sqrt(size))
         for j in range(i + 1, count):
             gain = own[j, i] / size
             nu[j] -= gain * nu[i]

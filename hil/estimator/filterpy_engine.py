@@ -23,7 +23,7 @@ from hil.estimator.fusion import Engine
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
 from hil.estimator.sensors import jacobian, observe, predicted
-from hil.estimator.unscented import square_root
+from hil.estimator.small_matrices import square_root
 from hil.geometry import Array
 
 Bools = npt.NDArray[np.bool_]
@@ -35,7 +35,7 @@ def _symmetric(p: Array) -> Array:
 
 def upper_root(p: Array) -> Array:
     """U with U' U = P, as filterpy wants it; a singular P is accepted."""
-    return np.ascontiguousarray(square_root(p).T)
+    return np.ascontiguousarray(square_root(p, len(p)).T)
 
 
 def centred_transform(

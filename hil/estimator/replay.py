@@ -15,6 +15,7 @@ from hil.estimator.compiled import compiled
 from hil.estimator.conditioning import condition, guard, joint_nis
 from hil.estimator.process import advance_linear, anchor_frame, copy_pose
 from hil.estimator.sensors import jacobian, observe, predicted
+from hil.estimator.small_matrices import seen
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.geometry import Array
 
@@ -44,9 +45,7 @@ def moments(
     predicted(kind, x, aux, par, rows, mean)
     h = np.zeros((L.ROWS, L.STATES))
     jacobian(kind, x, aux, par, rows, h)
-    product = p @ h.T
-    cross[:, :] = product
-    own[:, :] = h @ product
+    seen(p, h, count, cross, own)
 
 
 @compiled
@@ -92,14 +91,14 @@ def anchor(t_ns: float, x: Array, p: Array, m: Array, data: Array, par: Array) -
 
 
 @compiled
-def tally(slot: int, m: Array, nis: float, used: int, seen: int, par: Array) -> None:
+def tally(slot: int, m: Array, nis: float, used: int, rows: int, par: Array) -> None:
     """Count accepted and rejected rows of a sensor and keep its normalised innovation."""
     m[L.ACCEPTED + slot] += used
-    m[L.REJECTED + slot] += seen - used
-    if seen == 0:
+    m[L.REJECTED + slot] += rows - used
+    if rows == 0:
         return
     m[L.NIS + slot] = nis
-    m[L.NIS_MEAN + slot] += (nis / seen - m[L.NIS_MEAN + slot]) / par[L.NIS_N]
+    m[L.NIS_MEAN + slot] += (nis / rows - m[L.NIS_MEAN + slot]) / par[L.NIS_N]
     if used > 0:
         m[L.IN_ROW + slot] = 0.0
     else:
@@ -143,17 +142,17 @@ def account(kind: int, m: Array, nis: Array, var: Array, count: int, gate: float
             if var[i] > 0.0:
                 tally(slot, m, nis[i], 1 if 0.0 <= nis[i] <= gate else 0, 1, par)
         return
-    total, seen, used = 0.0, 0, 0
+    total, usable, used = 0.0, 0, 0
     for i in range(count):
         if var[i] < 0.0:
             continue
-        seen += 1
+        usable += 1
         if nis[i] <= gate:
             used += 1
             total += nis[i]
         elif kind == L.WHEELS and par[L.WHEEL_ROWS] > 3.0:
             m[L.WHEEL_REJECTED + i // 2] += 1.0
-    tally(kind, m, total, used, seen, par)
+    tally(kind, m, total, used, usable, par)
 
 
 @compiled

@@ -12,8 +12,8 @@ from hil.estimator.consistency import autocorrelation, band, nees, whiteness
 from hil.estimator.process import add_noise, anchor_frame, copy_pose, move
 from hil.estimator.replay import advance, moments
 from hil.estimator.sensors import predicted
+from hil.estimator.small_matrices import square_root
 from hil.estimator.smoother import smooth
-from hil.estimator.unscented import square_root
 from hil.kinematics import WheelGeometry
 from hil.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
@@ -39,14 +39,14 @@ class World:
         self.p[:6, :6] = np.diag(sigma**2)
         anchor_frame(self.x, self.p, np.zeros(3), 1e-6, 1e-6, 1.0)
         copy_pose(self.x, self.p, L.CLONE)
-        self.true = self.x + square_root(self.p) @ self.rng.normal(size=L.STATES)
+        self.true = self.x + square_root(self.p, L.STATES) @ self.rng.normal(size=L.STATES)
         self.nis = {kind: [] for kind in VARIANCE}
 
     def step(self):
         noise = np.zeros((L.STATES, L.STATES))
         add_noise(self.true, noise, DT_S, self.par)
         move(self.true, DT_S, self.par[L.SLIP_S])
-        self.true += square_root(noise) @ self.rng.normal(size=L.STATES)
+        self.true += square_root(noise, L.STATES) @ self.rng.normal(size=L.STATES)
         advance(self.x, self.p, DT_S, self.par)
 
     def sense(self, kind):

@@ -6,6 +6,7 @@ import pytest
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import layout as L
 from hil.estimator import make_estimator
+from hil.estimator import small_matrices as small
 from hil.estimator.conditioning import condition
 from hil.estimator.process import (
     add_noise,
@@ -263,3 +264,29 @@ def test_covariance_stays_a_covariance_for_a_million_steps(kind):
     assert worst > -1e-6
     assert np.all(np.diag(p) >= 0.0)
     assert np.all(np.isfinite(x))
+
+
+def test_both_forms_of_the_costly_operations_agree():
+    rng = np.random.default_rng(8)
+    p, h = some_covariance(rng), rng.normal(size=(L.ROWS, L.STATES))
+    p[5], p[:, 5] = 0.0, 0.0
+    loops, arrays = small.square_root_loops(p, 20), small.square_root_arrays(p, 20)
+    assert np.allclose(loops, arrays, atol=1e-12)
+    assert np.allclose(loops @ loops.T, p, atol=1e-10)
+    assert np.array_equal(small.square_root_loops(p, 6)[:, :6], loops[:, :6])
+    one, other = p.copy(), p.copy()
+    small.downdate_loops(one, h[0])
+    small.downdate_arrays(other, h[0])
+    assert np.array_equal(one, other)
+    results = []
+    for form in (small.seen_loops, small.seen_arrays):
+        cross, own = np.zeros((L.STATES, L.ROWS)), np.zeros((L.ROWS, L.ROWS))
+        form(p, h, 5, cross, own)
+        results.append((cross, own))
+    assert np.allclose(results[0][0], results[1][0], atol=1e-12)
+    assert np.allclose(results[0][1], results[1][1], atol=1e-11)
+    a, b = np.zeros((L.STATES, L.ROWS)), np.zeros((L.STATES, L.ROWS))
+    odd = rng.normal(size=(L.STATES, L.ROWS))
+    small.spread_loops(loops, odd, 3, 0.7, a)
+    small.spread_arrays(loops, odd, 3, 0.7, b)
+    assert np.allclose(a, b, atol=1e-12)
