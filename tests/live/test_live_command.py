@@ -1,0 +1,161 @@
+"""`hil live` from the outside: what it prints, what it leaves behind, how it ends."""
+
+import contextlib
+import io
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import tomli_w
+
+from hil.cli import main
+from hil.config.bench import load_bench
+from hil.recording.mcap_reader import read_cycles
+
+SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"
+LIMIT_S = 120.0
+
+
+PATIENT = {"safety.servo_stale_s": 2.0, "servos.fail_after_s": 5.0, "servos.reply_slack_s": 0.03}
+"""A machine that runs tests may be busy: what is late here is not what is tested here."""
+
+
+def live(folder, *options):
+    """A running `hil live` on an emulated bench that allows for a busy host."""
+    bench = folder / "bench.toml"
+    tree = load_bench("emulated", overrides=PATIENT).model_dump(mode="json", by_alias=True, exclude_none=True)
+    bench.write_bytes(tomli_w.dumps(tree).encode())
+    return subprocess.Popen(
+        [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def verified(path):
+    """What `hil replay --verify --json` says, with its exit code."""
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        code = main(["replay", str(path), "--verify", "--json"])
+    return code, json.loads(out.getvalue())
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A short drive with everything on: its folder and its summary."""
+    folder = tmp_path_factory.mktemp("live")
+    (folder / "square.csv").write_text(SQUARE)
+    process = live(
+        folder, "--trajectory", str(folder / "square.csv"), "--observe", "ukf", "--observe", "odometry",
+        "--record", str(folder / "run.mcap"), "--rerun", str(folder / "run.rrd"), "--duration", "4",
+    )  # fmt: skip
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    return folder, json.loads(out)
+
+
+def test_the_summary_says_what_happened(driven):
+    folder, summary = driven
+    assert summary["ended"] == "duration"
+    timing = summary["timing"]
+    for section in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
+        assert timing[f"{section}_mean_ms"] <= timing[f"{section}_worst_ms"]
+    assert timing["cycles"] + timing["skipped"] == pytest.approx(400, abs=10)
+    assert summary["recording"]["dropped"] == summary["recording"]["lost"] == 0
+    assert summary["recording"]["written"] == sum(1 for _ in read_cycles(folder / "run.mcap"))
+    assert summary["samples"]["servos"]["missing"] == 0
+    assert summary["monitor"]["failure"] == ""
+    assert (folder / "run.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_a_real_time_recording_repeats_bit_for_bit(driven):
+    folder, _ = driven
+    code, told = verified(folder / "run.mcap")
+    assert (code, told["identical"]) == (0, True)
+    assert [r["references"] for r in told["runs"]] == ["none", "computed"]
+    assert told["changed_versions"] == {}
+
+
+def test_nothing_stands_still_while_the_loop_begins(driven):
+    """Code is loaded and devices are drained before the first cycle: it is no slower than the others."""
+    folder, _ = driven
+    records = [r for r in read_cycles(folder / "run.mcap") if r.reference is not None]
+    estimate_ms = np.array([r.timing_ns["estimate"] for r in records]) / 1e6
+    assert estimate_ms[0] < 10.0 + np.percentile(estimate_ms, 95)
+    assert len(records[0].inputs.encoders) <= 20
+
+
+def test_velocity_commands_move_and_silence_stops(tmp_path):
+    """Commands by UDP for a while, then nothing: the dead man's time passes and the robot stands."""
+    process = live(
+        tmp_path, "--command", "udp:0", "--dead-man", "0.3",
+        "--record", str(tmp_path / "run.mcap"), "--duration", "4",
+    )  # fmt: skip
+    said = process.stderr.readline()
+    port = int(said.rsplit(":", 1)[1])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for _ in range(2000):
+            sender.sendto(b"v 0.05 0 0\nnonsense\n", ("127.0.0.1", port))
+            if _moved(tmp_path / "run.mcap"):
+                break
+            process.poll()
+            try:
+                process.wait(0.05)
+            except subprocess.TimeoutExpired:
+                continue
+            break
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    summary = json.loads(out)
+    assert summary["commands"]["accepted"] > 0
+    assert summary["commands"]["refused"] > 0
+    assert "`v VX VY W`" in err
+    assert summary["commands"]["dead_man_stops"] == 1
+    records = list(read_cycles(tmp_path / "run.mcap"))
+    assert np.allclose(records[-1].reference.twist_body, 0.0)
+    assert records[-1].reference.pose_in_wall[0] > records[60].reference.pose_in_wall[0] + 0.01
+    assert verified(tmp_path / "run.mcap")[1]["identical"]
+
+
+def _moved(path):
+    """Whether the flushed part of a recording shows the reference under way."""
+    if not path.exists() or path.stat().st_size < 60_000:
+        return False
+    found = [r for r in read_cycles(path, []) if r.reference is not None]
+    return bool(found) and found[-1].reference.pose_in_wall[0] > found[0].reference.pose_in_wall[0] + 0.015
+
+
+def test_a_signal_holds_the_robot_and_tells_all(tmp_path):
+    """Only watching; SIGTERM ends it with the summary and exit code 4."""
+    process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
+    while process.poll() is None and not _some(tmp_path / "run.mcap"):
+        try:
+            process.wait(0.1)
+        except subprocess.TimeoutExpired:
+            continue
+    os.kill(process.pid, signal.SIGTERM)
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 4, err
+    summary = json.loads(out)
+    assert summary["ended"] == "SIGTERM"
+    assert summary["timing"]["cycles"] > 0
+    records = list(read_cycles(tmp_path / "run.mcap"))
+    assert all(r.reference is None for r in records)
+    assert verified(tmp_path / "run.mcap")[1]["identical"]
+
+
+def _some(path):
+    return path.exists() and path.stat().st_size > 150_000
+
+
+def test_what_contradicts_itself_is_refused():
+    for options in (
+        ["--trajectory", "a.csv", "--command", "stdin"],
+        ["--command", "tcp:1"],
+        ["--replay", "a.csv", "--command", "stdin"],
+    ):
+        assert main(["live", *options]) == 2
