@@ -11,10 +11,11 @@ import numpy.typing as npt
 
 from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
+from hil.estimator.friction import friction_twist
 from hil.estimator.fusion import check_state
 from hil.geometry import Array, compose, se2_exp
 from hil.interfaces import Estimator
-from hil.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
+from hil.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
 from hil.signals import Measurements, RobotState, WheelMeasurement
 
 _LEAST_WHEELS = 2
@@ -27,6 +28,9 @@ class OdometryEstimator(Estimator):
         self._geometry, self._noise = geometry, config.wheels
         self._model = "exact" if config.wheels.model == "equations" else config.wheels.model
         self._projection = projection(geometry.x_m, geometry.y_m)
+        self._contacts = np.array(
+            [geometry.radius_m, geometry.steering_zero_rad, geometry.x_m, geometry.y_m], dtype=np.float64
+        )
         linear = "paper" if self._model == "paper" else "exact"
         self._forward = forward_matrix(geometry.x_m, geometry.y_m, linear)
         self.reset(RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6))))
@@ -38,6 +42,7 @@ class OdometryEstimator(Estimator):
         self._twist = np.array(state.twist_body, dtype=np.float64)
         self._covariance = np.array(state.covariance, dtype=np.float64)
         self._last: WheelMeasurement | None = None
+        self._window = np.zeros(8)
         self._rejected = 0
 
     def update(self, measurements: Measurements) -> RobotState:
@@ -86,7 +91,9 @@ class OdometryEstimator(Estimator):
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
         if np.all(usable):
             if self._model == "dry-friction":
-                return twist_of_vectors(self._geometry.x_m, self._geometry.y_m, u, self._model)
+                self._window *= np.exp(-dt / self._noise.friction_window_s)
+                self._window += u
+                return friction_twist(u, self._window, self._contacts)
             return np.asarray(self._forward @ u, dtype=np.float64)
         rows = np.repeat(usable, 2)
         return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)
