@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hil.config.xh430 import TABLE
+from hil.config.xh430 import RAD_PER_COUNT
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import GoalWrite, GroupRead, find_statuses, instruction
 from hil.fakes.servos import protocol
@@ -59,27 +59,19 @@ def test_the_group_reads_of_the_driver_are_the_vendors():
 
 def test_statuses_of_the_emulated_servos(wire):
     bench = wire(
-        model_by_joint={0: 1030}, firmware_by_joint={0: 38}, steer_mode=3, eeprom={0: {"operating_mode": 3}}
-    )
+        model_by_joint={0: 1030}, firmware_by_joint={0: 38}, steer_mode=3, eeprom={0: {"operating_mode": 3}},
+        drive_start_counts=(166, 0, 0, 0),
+    )  # fmt: skip
     assert bench.send(ASKED["ping"]) == SAID["ping"]
     assert bench.send(ASKED["write"]) == SAID["ok"]
     assert bench.bus.servos[0].table.get("goal_position") == 512
-    place(bench, {0: 166})
     assert bench.send(ASKED["read"]) == SAID["read"]
 
 
-def place(bench, counts):
-    """Turn joints so that their servos' Present Position has these values."""
-    for joint, wanted in counts.items():
-        bench.world.plant.position[joint] = (wanted - bench.bus.servos[joint]._base) * TABLE[
-            "present_position"
-        ].scale
-    bench.world.advance_to(bench.world.now_ns + 10_000_000)
-
-
 def test_fast_replies_of_the_emulated_servos(wire):
-    bench = wire(eeprom={3: {"temperature_limit": 31}}, seed=4)
-    place(bench, {2: 166, 6: 2079, 3: 1023})
+    bench = wire(eeprom={3: {"temperature_limit": 31}}, drive_start_counts=(0, 0, 166, 1023), seed=4)
+    bench.world.plant.position[6] = 31 * RAD_PER_COUNT
+    bench.world.advance_to(10_000_000)
     assert bench.send(ASKED["fast_sync_read"]) == SAID["fast_sync_read"]
     bench.bus.servos[6].write(102, (421).to_bytes(2, "little"))
     request = bytes.fromhex("03840004000766000200041F000100")

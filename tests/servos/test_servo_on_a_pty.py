@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import serial
 from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
     COMM_RX_TIMEOUT,
     COMM_SUCCESS,
     GroupBulkRead,
@@ -55,11 +56,37 @@ def served_bus():
         thread.join(5)
 
 
+class Patient:
+    """The SDK with its calls repeated, after a silence, when this machine was too busy to answer in time."""
+
+    def __init__(self, sdk, port):
+        self.sdk, self.port = sdk, port
+
+    def __getattr__(self, name):
+        call = getattr(self.sdk, name)
+        if not callable(call):
+            return call
+
+        def repeated(*arguments):
+            for _ in range(10):
+                answer = call(*arguments)
+                found = answer if isinstance(answer, tuple) else (answer,)
+                if not {COMM_RX_TIMEOUT, COMM_RX_CORRUPT} & {f for f in found if isinstance(f, int)}:
+                    break
+                self.port.ser.timeout = 0.2
+                self.port.ser.read(1000)
+                self.port.ser.timeout = 0
+            return answer
+
+        return repeated
+
+
 @pytest.fixture
 def sdk(served_bus):
     """Stock port and packet handler at 1 Mbit/s, and the bus."""
     served = served_bus()
-    port, handler = PortHandler(served.port), PacketHandler(2.0)
+    port = PortHandler(served.port)
+    handler = Patient(PacketHandler(2.0), port)
     assert port.openPort()
     assert port.setBaudRate(1_000_000)
     yield port, handler, served.bus
@@ -69,7 +96,7 @@ def sdk(served_bus):
 def test_the_stock_sdk_pings_reads_and_writes(sdk):
     port, handler, bus = sdk
     assert handler.ping(port, 3) == (1010, COMM_SUCCESS, 0)
-    assert handler.ping(port, 77)[1] == COMM_RX_TIMEOUT
+    assert PacketHandler(2.0).ping(port, 77)[1] == COMM_RX_TIMEOUT
     assert handler.read1ByteTxRx(port, 5, 7) == (5, COMM_SUCCESS, 0)
     assert handler.read2ByteTxRx(port, 5, 0) == (1010, COMM_SUCCESS, 0)
     assert handler.write4ByteTxRx(port, 5, 116, 2100) == (COMM_SUCCESS, 0)
@@ -96,20 +123,20 @@ def test_the_stock_sdk_scans_by_broadcast(sdk):
 @pytest.mark.parametrize("fast", [False, True])
 def test_the_stock_sdk_reads_and_writes_groups(sdk, fast):
     port, handler, bus = sdk
-    write = GroupSyncWrite(port, handler, 116, 4)
+    write = GroupSyncWrite(port, handler.sdk, 116, 4)
     for i in IDS:
         assert write.addParam(i, list(struct.pack("<i", 1000 + i)))
     assert write.txPacket() == COMM_SUCCESS
-    read = GroupSyncRead(port, handler, 116, 4)
+    read = Patient(GroupSyncRead(port, handler.sdk, 116, 4), port)
     for i in IDS:
         assert read.addParam(i)
     assert (read.fastSyncRead() if fast else read.txRxPacket()) == COMM_SUCCESS
     assert [read.getData(i, 116, 4) for i in IDS] == [1000 + i for i in IDS]
-    bulk_write = GroupBulkWrite(port, handler)
+    bulk_write = GroupBulkWrite(port, handler.sdk)
     bulk_write.addParam(1, 65, 1, [1])
     bulk_write.addParam(2, 116, 4, list(struct.pack("<i", 77)))
     assert bulk_write.txPacket() == COMM_SUCCESS
-    bulk = GroupBulkRead(port, handler)
+    bulk = Patient(GroupBulkRead(port, handler.sdk), port)
     bulk.addParam(1, 65, 1)
     bulk.addParam(2, 116, 4)
     bulk.addParam(8, 144, 2)
@@ -127,7 +154,7 @@ def test_other_rates_and_the_wrong_one(served_bus, baud):
         port.setBaudRate(1_000_000)
         assert handler.ping(port, 1)[1] == COMM_RX_TIMEOUT
         port.setBaudRate(baud)
-        assert handler.ping(port, 1) == (1010, COMM_SUCCESS, 0)
+        assert Patient(handler, port).ping(port, 1) == (1010, COMM_SUCCESS, 0)
     finally:
         port.closePort()
 

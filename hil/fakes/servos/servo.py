@@ -12,14 +12,12 @@ import struct
 from hil.config.xh430 import (
     A_PER_COUNT,
     BAUD_RATES,
-    COUNTS_PER_TURN,
     CURRENT,
     CURRENT_POSITION,
     EXTENDED,
     MODEL_NUMBER,
     POSITION,
     PWM,
-    RAD_PER_COUNT,
     RAD_S_PER_COUNT,
     VELOCITY,
     WATCHDOG_STEP_S,
@@ -31,6 +29,7 @@ from hil.fakes.servos import protocol
 from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
 from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.options import ServoBusOptions
+from hil.fakes.servos.position import PositionRegister
 
 OFF = JointCommand()
 _FULL_PWM = 885
@@ -42,7 +41,6 @@ _LIVE = struct.Struct("<HBBhhiiiiHB")
 _LIVE_AT = 120
 _CYCLIC = struct.Struct("<hii")
 _CYCLIC_AT = 126
-_WORD, _HALF_WORD = 1 << 32, 1 << 31
 _POSITION_GAINS = {POSITION: (900, 0, 0), CURRENT_POSITION: (900, 0, 0)}
 
 
@@ -71,13 +69,12 @@ class Servo:
             **options.eeprom.get(joint, {}),
         }.items():
             self.table.put(name, raw)
-        self.zero = options.drive_start_counts[joint] if drive else ZERO_COUNTS
+        self._position = PositionRegister(options.drive_start_counts[joint] if drive else ZERO_COUNTS)
         self.trajectory = Trajectory()
         self.dead = False
         self.busy_until_ns = 0
         self._pending: tuple[int, bytes] | None = None
         self._backup: dict[str, int] | None = None
-        self._encoder = 0
         self._velocity = 0
         self.boot(0, 0)
         self.busy_until_ns = 0
@@ -89,8 +86,8 @@ class Servo:
 
     @property
     def present(self) -> int:
-        """Present Position in register counts, which wrap at 32 bits."""
-        return (self._sign * self._encoder + self._base + self._homing + _HALF_WORD) % _WORD - _HALF_WORD
+        """Present Position in register counts."""
+        return self._position.present
 
     def answers_to(self, servo_id: int) -> bool:
         """Whether an instruction packet to an ID is meant for this servo."""
@@ -98,7 +95,7 @@ class Servo:
 
     def boot(self, t_ns: int, encoder: int) -> None:
         """Power-up or reboot: RAM at defaults, one turn, errors cleared, deaf for a while."""
-        self._encoder = encoder
+        self._position.encoder = encoder
         self.table.reset_ram()
         startup = self.table.get("startup_configuration")
         if self._backup is not None:
@@ -110,7 +107,7 @@ class Servo:
         self.tripped, self._pending = False, None
         self._torque = self._shut_down = False
         self._load()
-        self._wrap()
+        self._position.wrap()
         self.table.put("goal_position", self.present)
         self.trajectory.rest(self.present)
         self._plant.command(self.joint, OFF)
@@ -119,7 +116,7 @@ class Servo:
 
     def reboot(self, t_ns: int) -> None:
         """Start over where it stands."""
-        self.boot(t_ns, self._encoder)
+        self.boot(t_ns, self._position.encoder)
 
     def lose_power(self) -> None:
         """No supply: the motor is free."""
@@ -128,16 +125,15 @@ class Servo:
 
     def slip(self, counts: int) -> None:
         """The encoder's magnet turns on its shaft."""
-        self.zero += counts
-        self._base += self._sign * counts
+        self._position.slip(counts)
 
     def sense(self, encoder: int, velocity: int) -> None:
         """Take what the encoder says (joint direction, counts from joint angle 0)."""
-        self._encoder, self._velocity = encoder, velocity
+        self._position.encoder, self._velocity = encoder, velocity
 
     def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
         """Put the live registers 120..146 into the table; `sense` has been called."""
-        sign, present = self._sign, self.present
+        sign, present = self._position.sign, self.present
         tick = (t_ns - self.booted_ns) // 1_000_000 % 32768
         moving = self.trajectory.ongoing or abs(velocity) > self._moving_threshold
         goal_velocity = round(self.trajectory.velocity)
@@ -149,7 +145,7 @@ class Servo:
 
     def show_motion(self, velocity: int, current: int) -> None:
         """Put only current, velocity and position (126..135) into the table: what every cycle reads."""
-        sign = self._sign
+        sign = self._position.sign
         _CYCLIC.pack_into(self.table.data, _CYCLIC_AT, sign * current, sign * velocity, self.present)
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
@@ -210,7 +206,7 @@ class Servo:
         """Forget the turns (instruction 0x10); the error number."""
         if self.trajectory.ongoing or abs(self._velocity) > self._moving_threshold:
             return protocol.RESULT_FAIL
-        self._wrap()
+        self._position.wrap()
         self.table.put("goal_position", self.present)
         self.trajectory.rest(self.present)
         self._drive()
@@ -233,7 +229,7 @@ class Servo:
         """Second half of a restore: values back, then a reboot that keeps the RAM ones."""
         backup = dict(self._backup or {})
         self.table.restore(backup, eeprom=True)
-        self.boot(t_ns, self._encoder)
+        self.boot(t_ns, self._position.encoder)
         self.table.restore(backup, eeprom=False)
         self._load()
 
@@ -247,7 +243,7 @@ class Servo:
         for name, raw in kept.items():
             self.table.put(name, raw)
         self._backup = None
-        self.boot(t_ns, self._encoder)
+        self.boot(t_ns, self._position.encoder)
 
     def _check(self, register: Register, raw: int) -> None:
         self.table.check(register, raw, self._torque)
@@ -280,7 +276,7 @@ class Servo:
         elif register.eeprom:
             self._load()
             if name == "drive_mode":
-                self._wrap()
+                self._position.wrap()
 
     def _change_mode(self, mode: int) -> None:
         table = self.table
@@ -295,7 +291,7 @@ class Servo:
         table.put("goal_current", table.get("current_limit"))
         self._load()
         if mode == POSITION:
-            self._wrap()
+            self._position.wrap()
 
     def _load(self) -> None:
         """Keep at hand what is looked at often."""
@@ -306,18 +302,12 @@ class Servo:
         self.delay_ns = 2000 * table.get("return_delay_time")
         self.mode = table.get("operating_mode")
         self._drive_mode = table.get("drive_mode")
-        self._sign = -1 if self._drive_mode & _REVERSE and self.firmware >= 38 else 1
+        self._position.sign = -1 if self._drive_mode & _REVERSE and self.firmware >= 38 else 1
         self._moving_threshold = table.get("moving_threshold")
         offset, most = table.get("homing_offset"), _HOMING_IN_POSITION_MODE
-        self._homing = min(max(offset, -most), most) if self.mode == POSITION else offset
+        self._position.homing = min(max(offset, -most), most) if self.mode == POSITION else offset
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
-
-    def _wrap(self) -> None:
-        """Count from one turn again; a homing offset still applies on top."""
-        base = self._sign * self.zero
-        turns = (self._sign * self._encoder + base) // COUNTS_PER_TURN
-        self._base = base - turns * COUNTS_PER_TURN
 
     def _set_torque(self, on: bool) -> None:
         if on and self._shut_down:
@@ -326,7 +316,7 @@ class Servo:
         was, self._torque = self._torque, on
         if on and not was:
             if self.mode == POSITION:
-                self._wrap()
+                self._position.wrap()
             self.trajectory.rest(self.present)
             for name in ("goal_velocity", "goal_position"):
                 self._pursue(name, self.table.get(name))
@@ -359,7 +349,7 @@ class Servo:
         if not self._torque:
             self._plant.command(self.joint, OFF)
             return
-        get, mode, sign = self.table.get, self.mode, self._sign
+        get, mode, sign = self.table.get, self.mode, self._position.sign
         duty = get("goal_pwm") / _FULL_PWM
         if mode == VELOCITY:
             goal = sign * self.trajectory.velocity * RAD_S_PER_COUNT
@@ -369,11 +359,9 @@ class Servo:
         elif mode == PWM:
             command = JointCommand("pwm", 0.0 if stopped else sign * duty)
         else:
-            counts = self.trajectory.position - self._base - self._homing
+            goal = self._position.joint_rad(self.trajectory.position)
             limit_a = abs(get("goal_current")) * A_PER_COUNT if mode == CURRENT_POSITION else math.inf
-            command = JointCommand(
-                "position", sign * counts * RAD_PER_COUNT, current_limit_a=limit_a, pwm_limit=abs(duty)
-            )
+            command = JointCommand("position", goal, current_limit_a=limit_a, pwm_limit=abs(duty))
         self._plant.command(self.joint, command)
 
     def _moving_status(self, present: int) -> int:
