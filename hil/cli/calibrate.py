@@ -34,11 +34,13 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 @click.option("--seed", default=0, show_default=True, help="Seed of the stochastic methods.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @click.option("--out", type=click.Path(path_type=Path), help="Write calibration.toml here.")
+@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
-    bounds: float | None, seed: int, no_validation: bool, out: Path | None, plots: Path | None,
+    bounds: float | None, seed: int, no_validation: bool, out: Path | None, topics: Path | None,
+    plots: Path | None,
     as_json: bool,
 ) -> int:  # fmt: skip
     """Calibrate the odometry on recordings with ground truth."""
@@ -49,7 +51,7 @@ def command(
 
     chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
     with reporting() as report:
-        recordings = read_recordings(data, lambda done, total: report("reading", done, total))
+        recordings = read_recordings(data, lambda done, total: report("reading", done, total), topics=topics)
         result = calibrate(
             recordings, chosen, MonotonicClock(), method=method, seed=seed,
             validate=not no_validation, report=report,

@@ -30,11 +30,12 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     "--deploy", type=click.Choice(["parameters", "twist"]), default="parameters", show_default=True,
     help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
 )  # fmt: skip
+@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
-    deploy: str, plots: Path | None, as_json: bool,
+    deploy: str, topics: Path | None, plots: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files."""
     from hil.calibration.artefact import read_calibration
@@ -46,7 +47,7 @@ def command(
         raise UsageError("--deploy twist needs --calibration FILE")
     file = read_calibration(calibration) if calibration is not None else None
     with reporting() as report:
-        recordings = read_recordings(data, lambda done, total: report("reading", done, total))
+        recordings = read_recordings(data, lambda done, total: report("reading", done, total), topics=topics)
     used_model = model or (file.model if file else "exact")
     used_signal = signal or (file.signal if file else "position")
     tracks = _tracks(recordings, file, used_model, used_signal, deploy)

@@ -14,16 +14,28 @@ from hil.errors import EXIT_PASS, EXIT_USAGE
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), help="Default: by --out, else csv.")
 @click.option("--out", type=click.Path(path_type=Path), help="File to write [default: beside RECORDING].")
+@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-def command(recording: Path, kind: str | None, out: Path | None, as_json: bool) -> int:
-    """Write one row per wheel sample; a damaged recording gives what it has and exit code 2."""
+def command(
+    recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool
+) -> int:  # fmt: skip
+    """Write one row per wheel sample; a damaged recording gives what it has and exit code 2.
+
+    RECORDING is one of ours, or a bag of another robot with --topics: wheels and ground truth, no estimate.
+    """
     from hil.recording.export import COLUMNS, write_table
     from hil.recording.mcap_reader import read_cycles
 
     chosen = kind or ("parquet" if out is not None and out.suffix == ".parquet" else "csv")
     target = out or recording.with_suffix(f".{chosen}")
     problems: list[str] = []
-    records = list(read_cycles(recording, problems))
+    if topics is None:
+        records = list(read_cycles(recording, problems))
+    else:
+        from hil.recording.foreign import to_run
+        from hil.recording.rosbag import read_bag, read_topic_map
+
+        records = list(to_run(read_bag(recording, read_topic_map(topics))).records)
     rows = write_table(records, target, chosen)
     for problem in problems:
         click.echo(f"hil: {recording}: {problem}", err=True)

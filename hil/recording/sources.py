@@ -7,21 +7,27 @@ from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.errors import DataError
-from hil.recording import export, plain_csv, public_csv
+from hil.recording import export, plain_csv, public_csv, rosbag
 
 Job = Callable[[], Recording]
 
 
-def find_recordings(paths: Sequence[str | Path]) -> list[Job]:
+def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = None) -> list[Job]:
     """Readers for every run under the given files and folders, in a fixed order.
+
+    Args:
+        paths: files and folders.
+        topics: topic mapping of another robot; every `.mcap` file and rosbag2 folder is then one of its bags.
 
     Raises:
         DataError: a path that does not exist or holds no recording.
+        ConfigError: the topic mapping is wrong.
     """
+    mapping = None if topics is None else rosbag.read_topic_map(topics)
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)
-        found = _folder(path) if path.is_dir() else [_file(path)]
+        found = _folder(path, mapping) if path.is_dir() else [_file(path, mapping)]
         if not found:
             raise DataError(
                 str(path),
@@ -35,10 +41,13 @@ def find_recordings(paths: Sequence[str | Path]) -> list[Job]:
 
 
 def read_recordings(
-    paths: Sequence[str | Path], progress: Callable[[int, int], None] | None = None
+    paths: Sequence[str | Path],
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    topics: str | Path | None = None,
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each."""
-    jobs = find_recordings(paths)
+    jobs = find_recordings(paths, topics)
     out = []
     for number, job in enumerate(jobs, start=1):
         out.append(job())
@@ -47,17 +56,21 @@ def read_recordings(
     return out
 
 
-def _folder(folder: Path) -> list[Job]:
+def _folder(folder: Path, mapping: rosbag.TopicMap | None) -> list[Job]:
+    if mapping is not None and (folder / "metadata.yaml").exists():
+        return [lambda: rosbag.read_bag(folder, mapping)]
     pairs = public_csv.find_pairs(folder)
     if pairs:
         return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
     files = sorted(f for kind in ("*.csv", "*.csv.gz", "*.mcap") for f in folder.glob(kind))
-    return [_file(f) for f in files]
+    return [_file(f, mapping) for f in files]
 
 
-def _file(path: Path) -> Job:
+def _file(path: Path, mapping: rosbag.TopicMap | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist")
+    if path.suffix == ".mcap" and mapping is not None:
+        return lambda: rosbag.read_bag(path, mapping)
     if path.suffix == ".mcap":
         return lambda: export.to_recording(path)
     if public_csv.is_pair_file(path):

@@ -1,0 +1,105 @@
+"""A bag that another robot's `ros2 bag record` wrote: evaluated, exported and replayed by a topic mapping."""
+
+import contextlib
+import io
+import json
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from hil.cli import main
+from hil.kinematics import NOMINAL_RADIUS_M
+
+MAPPING = """
+schema = 1
+[wheels]
+topic = "/wheels"
+drive = ["w1", "w2", "w3", "w4"]
+steer = ["s1", "s2", "s3", "s4"]
+drive_sign = [1, 1, -1, -1]
+[truth]
+topic = "/vicon"
+"""
+RATE_HZ = 50
+SPEED_M_S = 0.1
+
+
+@pytest.fixture
+def bag(tmp_path):
+    """Six seconds: at rest, then straight ahead; the right wheels count backwards."""
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    types = store.types
+    joint, pose = types["sensor_msgs/msg/JointState"], types["nav_msgs/msg/Odometry"]
+    header = types["std_msgs/msg/Header"]
+    stamp = types["builtin_interfaces/msg/Time"]
+    point, quaternion = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"]
+    vector, twist = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Twist"]
+    with_covariance = types["geometry_msgs/msg/PoseWithCovariance"]
+    folder = tmp_path / "line_x_1"
+    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        wheels = writer.add_connection("/wheels", joint.__msgtype__, typestore=store)
+        truth = writer.add_connection("/vicon", pose.__msgtype__, typestore=store)
+        for k in range(6 * RATE_HZ):
+            t_ns = 1_000_000_000 + k * 1_000_000_000 // RATE_HZ
+            head = header(stamp=stamp(sec=t_ns // 10**9, nanosec=t_ns % 10**9), frame_id="")
+            x_m = SPEED_M_S * max(0.0, k / RATE_HZ - 1.0)
+            angle = x_m / NOMINAL_RADIUS_M * np.array([1.0, 1.0, -1.0, -1.0])
+            names = [f"{kind}{i}" for kind in "sw" for i in range(1, 5)]
+            message = joint(
+                header=head, name=names, position=np.r_[np.zeros(4), angle], velocity=np.array([]),
+                effort=np.array([]),
+            )  # fmt: skip
+            writer.write(wheels, t_ns, store.serialize_cdr(message, joint.__msgtype__))
+            body = types["geometry_msgs/msg/Pose"](
+                position=point(x=x_m, y=0.0, z=0.1), orientation=quaternion(x=0.0, y=0.0, z=0.0, w=1.0)
+            )
+            still = types["geometry_msgs/msg/TwistWithCovariance"](
+                twist=twist(linear=vector(x=0.0, y=0.0, z=0.0), angular=vector(x=0.0, y=0.0, z=0.0)),
+                covariance=np.zeros(36),
+            )
+            message = pose(
+                header=head, child_frame_id="", pose=with_covariance(pose=body, covariance=np.zeros(36)),
+                twist=still,
+            )  # fmt: skip
+            writer.write(truth, t_ns, store.serialize_cdr(message, pose.__msgtype__))
+    topics = tmp_path / "topics.toml"
+    topics.write_text(MAPPING)
+    return folder, topics
+
+
+def hil(*arguments):
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        code = main([*map(str, arguments), "--json"])
+    return code, json.loads(out.getvalue())
+
+
+def test_every_command_that_reads_recordings_takes_a_mapping(bag, tmp_path):
+    folder, topics = bag
+    code, table = hil("evaluate", folder, "--topics", topics)
+    assert code == 0
+    assert table["motions"]["line_x"]["final_position_m"] < 1e-3
+    code, told = hil("export", folder, "--topics", topics, "--out", tmp_path / "line_x_1.csv")
+    assert (code, told["rows"]) == (0, 6 * RATE_HZ)
+    code, again = hil("evaluate", tmp_path / "line_x_1.csv")
+    assert again["motions"]["line_x"]["final_position_m"] == pytest.approx(
+        table["motions"]["line_x"]["final_position_m"], abs=1e-6
+    )
+    code, replayed = hil("replay", folder, "--topics", topics, "--estimator", "odometry")
+    assert code == 0
+    assert replayed["estimators"]["odometry"]["final_position_m"] < 5e-3
+
+
+def test_a_single_file_of_the_bag_does_as_well(bag):
+    folder, topics = bag
+    (file,) = folder.glob("*.mcap")
+    assert hil("evaluate", file, "--topics", topics)[0] == 0
+
+
+def test_without_a_mapping_the_remedy_is_named(bag, capsys):
+    folder, _ = bag
+    (file,) = folder.glob("*.mcap")
+    assert main(["evaluate", str(file)]) == 2
+    assert "--topics" in capsys.readouterr().err
