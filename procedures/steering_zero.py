@@ -71,8 +71,8 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         rationale="motion minus encoders: else an encoder's zero, or the capture body's heading, is wrong",
     )  # fmt: skip
     yield Measurement(
-        "turn_disagreement", "deg/m", low=-3.0, high=3.0, marginal=0.5,
-        rationale="largest, half of out minus back, toe taken off; 1 % of unequal radii makes 1.3",
+        "turn_disagreement", "deg/m", low=-6.0, high=6.0, marginal=1.0,
+        rationale="largest, half of out minus back, toe taken off; radii unequal by 1 % make 2.5",
     )  # fmt: skip
     yield Measurement(
         "applied.worst_heading", "deg", high=0.4, marginal=0.1,
