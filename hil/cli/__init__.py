@@ -37,6 +37,7 @@ COMMANDS = {
     "report": "the HTML page of a run, or a comparison of several",
     "run": "run a procedure on a bench",
     "setup": "write one servo's ID, baud rate and operating mode",
+    "tune": "fit the estimator's noise to recordings with ground truth",
 }
 
 

@@ -72,11 +72,11 @@ def with_outliers(wheels, tracker, rng):
     return tuple(bad), tuple(poses)
 
 
-def drive(seconds=2.0, seed=0, outliers=False, camera_rate_hz=100.0):
+def drive(seconds=2.0, seed=0, outliers=False, camera_rate_hz=100.0, wheel_noise_m=2e-5):
     """A drive as control cycles."""
     rng = np.random.default_rng(seed)
     path = true_path(seconds)
-    wheels = wheel_samples(*wheel_log(path, 100.0, rng))
+    wheels = wheel_samples(*wheel_log(path, 100.0, rng, noise_m=wheel_noise_m))
     gyro = inertial(path, InertialErrors(), rng, on_wall=True)
     tracker = camera(path, CameraErrors(rate_hz=camera_rate_hz), rng)
     if outliers:

@@ -1,0 +1,133 @@
+"""`hil tune`: fit the estimator's noise to recordings with ground truth, and save it as configuration."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.progress import reporting
+from hil.errors import DataError, UsageError
+
+if TYPE_CHECKING:
+    from hil.config.bench import BenchConfig
+    from hil.estimator.tuning import Score, TruthRun, Tuned
+
+_DEFAULT = ("wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m")
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option(
+    "--check",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    help="Held-out recording: scored before and after, not fitted (repeatable).",
+)
+@click.option(
+    "--parameter",
+    "names",
+    multiple=True,
+    help=f"Figure to fit, e.g. wall.creep (repeatable) [default: {', '.join(_DEFAULT)}].",
+)
+@click.option("--evaluations", default=40, show_default=True, type=click.IntRange(min=2))
+@click.option("--bench", help="Bench file to start from; --out then is a copy of it with the new figures.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the wheels.")
+@click.option("--out", type=click.Path(path_type=Path), help="Write the fitted [estimator] tables here.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    recordings: tuple[Path, ...], check: tuple[Path, ...], names: tuple[str, ...], evaluations: int,
+    bench: str | None, calibration: Path | None, out: Path | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS."""
+    from hil.estimator.tuning import score, tune
+
+    config, runs = _read(recordings, bench, calibration)
+    held = _read(check, bench, calibration)[1] if check else []
+    pair: tuple[Score, Score] | None = None
+    with reporting(quiet=as_json) as report:
+        found = tune(config.estimator, runs, names or _DEFAULT, evaluations, report)
+    result: dict[str, Any] = {
+        "values": dict(found.values),
+        "fitted": {"before": asdict(found.before), "after": asdict(found.after)},
+        "evaluations": found.evaluations,
+    }
+    if held:
+        pair = (score(config.estimator, held), score(found.config, held))
+        result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
+    if out is not None:
+        _write(out, bench, found)
+    click.echo(json.dumps(result) if as_json else _text(found, pair))
+    return 0
+
+
+def _read(
+    paths: tuple[Path, ...], bench: str | None, calibration: Path | None
+) -> tuple[BenchConfig, list[TruthRun]]:
+    from hil.estimator.tuning import TruthRun
+    from hil.live.playback import open_recording
+    from hil.motion import Motion
+
+    config, runs = None, []
+    for path in paths:
+        opened = open_recording(path, bench=bench, calibration=calibration)
+        config = config or opened.bench.config
+        for run in opened.runs:
+            if run.start is None:
+                raise DataError(str(path), "does not say how its run began")
+            runs.append(
+                TruthRun(
+                    tuple(r.measurements for r in run.records), run.start.state,
+                    Motion(tuple(run.records)).mocap, opened.bench.geometry, opened.bench.config.surface,
+                )
+            )  # fmt: skip
+    if config is None:
+        raise UsageError("no recording given")
+    return config, runs
+
+
+def _write(out: Path, bench: str | None, found: Tuned) -> None:
+    """The fitted tables, in a checked copy of the bench file where one was given."""
+    import tomli_w
+
+    from hil.config.bench import validate
+
+    tree: dict[str, Any] = {}
+    if bench is not None and Path(bench).is_file():
+        tree = _parsed(Path(bench))
+    for name, value in found.values.items():
+        table, key = name.split(".")
+        tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")
+    if "schema" in tree:
+        validate(tree, str(out))
+    try:
+        out.write_text(tomli_w.dumps(tree), encoding="utf-8")
+    except OSError as error:
+        raise DataError(str(out), f"cannot be written ({error})") from None
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    if sys.version_info >= (3, 11):
+        import tomllib
+    else:
+        import tomli as tomllib
+    return tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:
+    lines = [f"{name} = {value:.4g}" for name, value in found.values.items()]
+    lines.append(f"{'':16} {'-ln L':>9} {'rmse mm':>9} {'rmse deg':>9} {'NEES':>9}")
+    rows = [("fitted, before", found.before), ("fitted, after", found.after)]
+    if held is not None:
+        rows += [("held out, before", held[0]), ("held out, after", held[1])]
+    for label, s in rows:
+        lines.append(
+            f"{label:16} {s.likelihood:9.3f} {1e3 * s.rmse_position_m:9.3f} "
+            f"{math.degrees(s.rmse_theta_rad):9.3f} {s.nees:9.3f}"
+        )
+    return "\n".join(lines)

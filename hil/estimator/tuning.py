@@ -1,0 +1,173 @@
+"""Noise of the estimator fitted to recordings with ground truth, by maximum likelihood.
+
+The score is the mean negative log likelihood of the true pose under the estimate, 1/2 (ln det P + e' P^-1 e)
+at instants half a second apart: it rewards small errors and honest covariances at once, and is least where
+NEES is ideal. The search changes one figure after the other by a factor, keeps what helps and refines the
+factor: no derivative, no randomness, the same result every time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.errors import UsageError
+from hil.estimator import make_estimator
+from hil.estimator.consistency import nees
+from hil.geometry import Array, wrap_array
+from hil.kinematics import WheelGeometry
+from hil.signals import Measurements, RobotState
+
+CHECK_EVERY_NS = 500_000_000
+_FACTORS = (3.0, 1.7, 1.3)
+_LEAST_GAIN = 1e-3
+_STEP_RESOLUTION_M = 1e-4
+_HEADING_RESOLUTION_RAD = 2e-4
+
+
+@dataclass(frozen=True)
+class TruthRun:
+    """One run with truth at its cycles: measurements, start, true poses (n, 3), NaN where unknown."""
+
+    measurements: tuple[Measurements, ...]
+    start: RobotState
+    truth: Array
+    geometry: WheelGeometry
+    surface: str
+
+
+@dataclass(frozen=True)
+class Score:
+    """How an estimator did on runs: mean negative log likelihood, RMSE of position and heading, NEES."""
+
+    likelihood: float
+    rmse_position_m: float
+    rmse_theta_rad: float
+    nees: float
+
+
+@dataclass(frozen=True)
+class Tuned:
+    """Result of a search: the fitted values by dotted name, and the scores before and after."""
+
+    config: EstimatorConfig
+    values: Mapping[str, float]
+    before: Score
+    after: Score
+    evaluations: int
+
+
+def tunable(config: EstimatorConfig, surface: str) -> dict[str, float]:
+    """Positive noise figures that a search may change, by dotted name."""
+    names = {
+        "process": ("acceleration_m_s2_sqrt_hz", "angular_acceleration_rad_s2_sqrt_hz"),
+        "wheels": ("step_m", "per_sqrt_m", "steering_m_rad"),
+        surface: ("slip_m_s", "slip_across_m_s", "creep", "creep_across", "creep_per_sqrt_m", "yaw_rad_m",
+                  "yaw_per_sqrt_m"),
+        "gyro": ("rate_rad_s", "bias_rad_s", "gravity_rad", "gravity_offset_rad"),
+        "tracker": ("position_m", "heading_rad", "drift_per_sqrt_m", "yaw_drift_per_sqrt_s", "scale_sigma"),
+    }  # fmt: skip
+    tree = config.model_dump()
+    found = {f"{table}.{key}": float(tree[table][key]) for table, keys in names.items() for key in keys}
+    return {name: value for name, value in found.items() if value > 0.0}
+
+
+def with_values(config: EstimatorConfig, values: Mapping[str, float]) -> EstimatorConfig:
+    """The configuration with some figures replaced; raises `ValueError` for an impossible one."""
+    tree: dict[str, Any] = config.model_dump()
+    for name, value in values.items():
+        table, key = name.split(".")
+        tree[table][key] = value
+    return EstimatorConfig.model_validate(tree)
+
+
+def score(config: EstimatorConfig, runs: Sequence[TruthRun]) -> Score:
+    """Run an estimator over all runs and hold it against the truth."""
+    every, errors = [], []
+    for run in runs:
+        error, covariance = _checked(config, run)
+        squared = nees(error, covariance)
+        size = covariance + np.diag([_STEP_RESOLUTION_M**2] * 2 + [_HEADING_RESOLUTION_RAD**2])
+        every.append(np.column_stack([0.5 * (np.linalg.slogdet(size)[1] + nees(error, size)), squared]))
+        errors.append(error)
+    value, squared = np.concatenate(every).mean(axis=0)
+    error = np.concatenate(errors)
+    return Score(
+        float(value),
+        float(np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1)))),
+        float(np.sqrt(np.mean(error[:, 2] ** 2))),
+        float(squared),
+    )
+
+
+def _checked(config: EstimatorConfig, run: TruthRun) -> tuple[Array, Array]:
+    """Errors (k, 3) and covariances (k, 3, 3) at the checked instants."""
+    estimator = make_estimator(config, run.geometry, surface=run.surface)
+    estimator.reset(run.start)
+    next_ns, error, covariance = run.start.t_ns + CHECK_EVERY_NS, [], []
+    for m, truth in zip(run.measurements, run.truth, strict=True):
+        state = estimator.update(m)
+        if m.t_ns >= next_ns and np.all(np.isfinite(truth)):
+            next_ns += CHECK_EVERY_NS
+            error.append(state.pose_body_in_wall - truth)
+            covariance.append(state.covariance[:3, :3])
+    if not error:
+        raise UsageError("a recording has no ground truth to tune on", expected="motion capture in it")
+    out = np.array(error)
+    out[:, 2] = wrap_array(out[:, 2])
+    return out, np.array(covariance)
+
+
+def tune(
+    config: EstimatorConfig,
+    runs: Sequence[TruthRun],
+    names: Sequence[str],
+    evaluations: int = 60,
+    report: Callable[[str, int, int], None] = lambda what, done, total: None,
+) -> Tuned:
+    """Fit noise figures.
+
+    Args:
+        config: where to start.
+        runs: recordings with truth.
+        names: dotted names of `tunable`, in the order in which they are tried.
+        evaluations: budget: how often all runs are estimated at most.
+        report: told (what, done, total).
+
+    Raises:
+        UsageError: a name that cannot be tuned, or a run without truth.
+    """
+    start = tunable(config, runs[0].surface)
+    unknown = [n for n in names if n not in start]
+    if unknown or not names:
+        raise UsageError(
+            f"cannot tune {', '.join(unknown) or 'nothing'}", expected="some of " + ", ".join(start)
+        )
+    values, used = {n: start[n] for n in names}, 1
+    before = best = score(config, runs)
+    for factor in _FACTORS:
+        improved = True
+        while improved and used < evaluations:
+            improved = False
+            for name, change in ((n, c) for n in names for c in (factor, 1.0 / factor)):
+                if used >= evaluations:
+                    break
+                trial = {**values, name: values[name] * change}
+                found, used = _tried(config, trial, runs), used + 1
+                report("tuning", used, evaluations)
+                if found is not None and found.likelihood < best.likelihood - _LEAST_GAIN:
+                    values, best, improved = trial, found, True
+    return Tuned(with_values(config, values), values, before, best, used)
+
+
+def _tried(config: EstimatorConfig, values: Mapping[str, float], runs: Sequence[TruthRun]) -> Score | None:
+    try:
+        found = score(with_values(config, values), runs)
+    except ValueError:
+        return None
+    return found if math.isfinite(found.likelihood) else None

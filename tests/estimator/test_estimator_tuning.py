@@ -1,0 +1,88 @@
+"""Tuning: finds noise that was put in, keeps what is good, refuses what it cannot fit."""
+
+import json
+
+import numpy as np
+import pytest
+from estimator_drives import drive
+
+from hil.cli.tune import command
+from hil.config.estimator import EstimatorConfig
+from hil.errors import UsageError
+from hil.estimator.tuning import TruthRun, score, tunable, tune, with_values
+from hil.kinematics import WheelGeometry
+
+NAMES = ("wheels.step_m", "wheels.per_sqrt_m")
+
+
+def truth_run(seed, seconds=4.0):
+    """No camera: the pose error is what wheels and inertial unit make of it."""
+    d = drive(seconds=seconds, seed=seed, wheel_noise_m=3e-4)
+    parts = tuple(type(m)(m.cycle, m.t_ns, m.wheels, m.gyro) for m in d.measurements)
+    truth = d.path.at(np.array([m.t_ns for m in parts]) * 1e-9)
+    return TruthRun(parts, d.start, truth, WheelGeometry.nominal(), "wall")
+
+
+@pytest.fixture(scope="module")
+def no_slip():
+    still = {"slip_m_s": 0.0, "slip_across_m_s": 0.0, "creep": 0.0, "creep_across": 0.0, "yaw_rad_m": 0.0,
+             "yaw_per_sqrt_m": 0.0}  # fmt: skip
+    return EstimatorConfig(wall=still, wheels={"step_m": 2e-3, "per_sqrt_m": 2e-2})
+
+
+def test_noise_that_is_far_too_large_is_found(no_slip):
+    runs, held = [truth_run(s) for s in range(2)], [truth_run(s) for s in (7, 8)]
+    found = tune(no_slip, runs, NAMES, evaluations=24)
+    assert found.evaluations <= 24
+    assert found.after.likelihood < found.before.likelihood - 1.0
+    assert score(found.config, held).likelihood < score(no_slip, held).likelihood - 1.0
+    assert found.values["wheels.step_m"] < 1.2e-3
+    assert found.after.nees < 4.5
+    few = tune(no_slip, runs[:1], NAMES, evaluations=5)
+    assert tune(no_slip, runs[:1], NAMES, evaluations=5).values == few.values
+
+
+def test_every_tunable_figure_can_be_replaced():
+    config = EstimatorConfig()
+    for name, value in tunable(config, "wall").items():
+        table, key = name.split(".")
+        assert getattr(getattr(with_values(config, {name: 1.5 * value}), table), key) == 1.5 * value
+    with pytest.raises(UsageError, match="cannot tune"):
+        tune(config, [truth_run(0, 1.0)], ["gates.on"])
+    blind = truth_run(0, 1.0)
+    blind = TruthRun(
+        blind.measurements, blind.start, np.full_like(blind.truth, np.nan), blind.geometry, "wall"
+    )
+    with pytest.raises(UsageError, match="no ground truth"):
+        tune(config, [blind], NAMES)
+
+
+def test_the_command_saves_what_it_found(tmp_path, capsys, csv_with_truth):
+    out = tmp_path / "tuned.toml"
+    arguments = [str(csv_with_truth), "--evaluations", "3", "--out", str(out), "--json"]
+    assert command.main([*arguments, "--parameter", "wheels.per_sqrt_m"], standalone_mode=False) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["evaluations"] == 3
+    assert f"per_sqrt_m = {result['values']['wheels.per_sqrt_m']:.4g}" in out.read_text()
+    bench = tmp_path / "bench.toml"
+    bench.write_text('schema = 1\nname = "table"\nsurface = "floor"\n[estimator.gates]\none_dof = 9.0\n')
+    assert command.main([*arguments, "--bench", str(bench)], standalone_mode=False) == 0
+    saved = out.read_text()
+    assert 'name = "table"' in saved
+    assert "one_dof = 9.0" in saved
+    assert "drift_per_sqrt_m" in saved
+
+
+@pytest.fixture
+def csv_with_truth(tmp_path):
+    """Plain CSV: wheels and ground truth of a short straight drive."""
+    rng = np.random.default_rng(1)
+    lines = ["t,phi1,phi2,phi3,phi4,delta1,delta2,delta3,delta4,x,y,theta"]
+    for k in range(400):
+        x = 0.05 * max(0.0, k * 0.01 - 1.0)
+        angles = x / 0.0254 + 2e-3 * rng.normal(size=4)
+        row = [k * 0.01, *angles, 0, 0, 0, 0, x, 0.0, 0.0]
+        lines.append(",".join(f"{v:.6f}" for v in row))
+    path = tmp_path / "line_x_1.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
