@@ -79,8 +79,7 @@ class Bench:
 
     def __enter__(self) -> Bench:
         try:
-            for callback in self._before_opening:
-                callback()
+            self.begin()
             self.rig.open()
         except BaseException:
             self._let_go()
@@ -110,6 +109,11 @@ class Bench:
     def on_open(self, callback: Callable[[], object]) -> None:
         """Have something else called right before the devices are opened."""
         self._before_opening.append(callback)
+
+    def begin(self) -> None:
+        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
+        while self._before_opening:
+            self._before_opening.pop(0)()
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Have something else ended together with the bench, after the devices."""

@@ -57,6 +57,7 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S) -> Iterator[Finding]:
         watch_s: how long each is read.
     """
     try:
+        bench.begin()
         for device in bench.rig.devices():
             yield from _examine_one(bench, device, watch_s)
     finally:

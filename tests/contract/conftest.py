@@ -27,7 +27,7 @@ def pytest_generate_tests(metafunc):
 
 @pytest.fixture(scope="module")
 def bench(backend, request):
-    """A bench whose devices are still closed."""
+    """A bench whose world runs and whose devices are still closed."""
     if backend == "given":
         source = source_of(request.config)
     elif backend == "wire":
@@ -36,6 +36,7 @@ def bench(backend, request):
         source = BenchSource("emulated", seed=SEED)
     with plainly():
         opened = source.open()
+    opened.begin()
     yield opened
     opened.close()
 
