@@ -134,6 +134,14 @@ def test_what_cannot_be_followed_is_refused_before_anything_moves():
         np.testing.assert_array_equal(after.joint_position_rad, before.joint_position_rad)
 
 
+def test_gains_that_are_no_numbers_stop_the_robot_before_it_moves():
+    with open_wall(control__gains=[math.nan, 4.0, 3.0]) as bench:
+        with pytest.raises(SafetyStop, match="not_finite"):
+            drive(bench)
+        assert np.abs(bench.truth().joint_position_rad[:4]).max() < 1e-2
+        assert_held(bench)
+
+
 def test_references_may_be_held_closer_than_the_robot():
     turn = line(ORIGIN, [0.0, 0.0, math.radians(10.0)])
     closer = open_wall(control__heading_limit_rad=math.radians(8.0))
