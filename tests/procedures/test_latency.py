@@ -6,10 +6,12 @@ from procedure_runs import assert_covered, run
 
 from hil.bench import open_bench
 from hil.clock import NS_PER_S
+from hil.fakes.plant.robot import STEP_NS
 from procedures._delay_fit import Command, fit_delay, integrated
 from procedures.latency import Parameters, body_signals, turn
 
 SHORT = {"reversals": 10}
+GRID_MS = 1e-6 * STEP_NS
 
 
 def hidden_late_s(seed):
@@ -38,6 +40,11 @@ def true_delay_s(seed, overrides):
     return fit_delay(command, t_s[t_s >= 0], np.array(poses)[t_s >= 0]).delay_s
 
 
+def beyond_grid(error_ms, low, high):
+    """The emulated body moves in steps of 1 ms, so that a device sees it up to one step old."""
+    return error_ms - min(max(error_ms, low * GRID_MS), high * GRID_MS)
+
+
 def recover(seed, folder):
     late_s = hidden_late_s(seed)
     overrides = {"emulation.tracker": {"latency_s": 0.02 + late_s}}
@@ -45,10 +52,11 @@ def recover(seed, folder):
     values = done.values
     assert set(done.failed) <= {"tracker.stamp_error"}, done.failed
     done.assert_held()
-    body_ms = 1e3 * true_delay_s(seed, overrides)
+    body_ms = values["body.command_to_motion"] - 1e3 * true_delay_s(seed, overrides)
+    stamp_ms = values["tracker.stamp_error"] - 1e3 * late_s
     return [
-        (values["body.command_to_motion"] - body_ms) / values["body.command_to_motion_uncertainty"],
-        (values["tracker.stamp_error"] - 1e3 * late_s) / values["tracker.stamp_error_uncertainty"],
+        beyond_grid(body_ms, 0, 1) / values["body.command_to_motion_uncertainty"],
+        beyond_grid(stamp_ms, -1, 1) / values["tracker.stamp_error_uncertainty"],
     ], done
 
 
