@@ -3,12 +3,47 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import numbers
 import struct
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+
+_FIELDS: dict[type, tuple[str, ...] | None] = {}
+
+
+def identical(a: Any, b: Any) -> bool:
+    """Whether two values are surely the same bits; quick.
+
+    False also means "not of the same types": then only `first_difference` can tell.
+    """
+    kind = type(a)
+    if kind is not type(b):
+        return False
+    if kind is np.ndarray:
+        return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
+    if kind is float:
+        return (a == b and (a != 0.0 or math.copysign(1.0, a) == math.copysign(1.0, b))) or (
+            a != a and struct.pack("<d", a) == struct.pack("<d", b)
+        )
+    if kind is tuple:
+        return len(a) == len(b) and all(map(identical, a, b))
+    if kind is dict:
+        return a.keys() == b.keys() and all(identical(a[key], b[key]) for key in a)
+    fields = _fields(kind)
+    if fields is None:
+        return bool(a == b)
+    return all(identical(getattr(a, name), getattr(b, name)) for name in fields)
+
+
+def _fields(kind: type) -> tuple[str, ...] | None:
+    """Names of a dataclass's fields, None for other types."""
+    if kind not in _FIELDS:
+        names = tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else None
+        _FIELDS[kind] = names
+    return _FIELDS[kind]
 
 
 def first_difference(a: Any, b: Any, where: str = "") -> str | None:
@@ -22,6 +57,8 @@ def first_difference(a: Any, b: Any, where: str = "") -> str | None:
         b: value to hold against it.
         where: dotted path of the value, for the message.
     """
+    if identical(a, b):
+        return None
     if dataclasses.is_dataclass(a) and type(a) is type(b):
         pairs = ((f.name, getattr(a, f.name), getattr(b, f.name)) for f in dataclasses.fields(a))
         return _first(pairs, where)

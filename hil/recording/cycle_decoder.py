@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import enum
+import math
 import struct
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -26,6 +27,8 @@ from hil.recording.cycle_layout import (
     record_types,
 )
 from hil.signals import CycleRecord, Status
+
+_KNOWN_KEYS = 4096
 
 Decode = Callable[[bytes, int], "tuple[Any, int]"]
 
@@ -50,14 +53,14 @@ def _decode_text(data: bytes, at: int) -> tuple[str, int]:
 
 
 def _decode_array(data: bytes, at: int) -> tuple[Any, int]:
-    dtype, shape_of = DTYPES[data[at : at + 1]], ARRAY_HEADS[data[at + 1]]
+    dtype, ndim = DTYPES[data[at : at + 1]], data[at + 1]
+    shape_of = ARRAY_HEADS[ndim]
     shape = shape_of.unpack_from(data, at)[2:]
     at += shape_of.size
-    count = 1
-    for length in shape:
-        count *= length
+    count = shape[0] if ndim == 1 else math.prod(shape)
     array = np.frombuffer(data, dtype, count, at) if count else np.empty(0, dtype)
-    return array.reshape(shape).copy(), at + count * dtype.itemsize
+    end = at + count * dtype.itemsize
+    return (array.copy() if ndim == 1 else array.reshape(shape).copy()), end
 
 
 def _decode_any(data: bytes, at: int) -> tuple[Any, int]:
@@ -97,6 +100,15 @@ _PRIMITIVE_DECODERS: dict[str, Decode] = {
     "array": _decode_array,
     "any": _decode_any,
 }
+
+
+def _packed(layouts: list[Layout]) -> struct.Struct | None:
+    """One structure for a class of plain numbers; None for any other."""
+    codes = {"int": INT, "float": FLOAT}
+    found = [codes.get(layout) if isinstance(layout, str) else None for layout in layouts]
+    if None in found:
+        return None
+    return struct.Struct("<" + "".join(f.format.lstrip("<") for f in found if f is not None))
 
 
 class CycleDecoder:
@@ -181,7 +193,16 @@ class CycleDecoder:
                 values[field], at = decode(data, at)
             return kind(**{field: value for field, value in values.items() if field not in unknown}), at
 
-        return decode_same if names == known and kind is not dict else decode_named
+        if names != known or kind is dict:
+            return decode_named
+        packed = _packed([layout for _, layout in self._layouts[name]])
+        if packed is None:
+            return decode_same
+
+        def decode_packed(data: bytes, at: int) -> tuple[Any, int]:
+            return kind(*packed.unpack_from(data, at)), at + packed.size
+
+        return decode_packed
 
     def _enum(self, name: str) -> Decode:
         kind = record_types().get(name)
@@ -219,13 +240,24 @@ class CycleDecoder:
 
     def _mapping(self, layout: Layout) -> Decode:
         decode_value = self._decoder(layout)
+        floats = layout == "float"
+        keys: dict[bytes, str] = {}  # the same words come back every cycle
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
             (count,), at = COUNT.unpack_from(data, at), at + 4
             mapping = {}
             for _ in range(count):
-                key, at = _decode_text(data, at)
-                mapping[key], at = decode_value(data, at)
+                end = at + 4 + COUNT.unpack_from(data, at)[0]
+                raw = data[at:end]
+                key = keys.get(raw)
+                if key is None:
+                    key, _ = _decode_text(data, at)
+                    if len(keys) < _KNOWN_KEYS:
+                        keys[raw] = key
+                if floats:
+                    mapping[key], at = FLOAT.unpack_from(data, end)[0], end + 8
+                else:
+                    mapping[key], at = decode_value(data, end)
             return mapping, at
 
         return decode
