@@ -9,7 +9,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -17,10 +17,12 @@ from hil.calibration.datasets import Log, Recording, build_recording
 from hil.clock import NS_PER_S
 from hil.errors import DataError
 from hil.geometry import Array, ArrayLike, rotation2
+from hil.kinematics import inverse
 from hil.motion import Motion
 from hil.procedure import BenchSource, Context
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.trajectories import Trajectory, circle, line
+from procedures._scripted import Stretch, play
 from procedures._tracking import stand
 
 if TYPE_CHECKING:
@@ -33,13 +35,17 @@ MOTIONS: tuple[MotionName, ...] = (
 UNUSED = {"encoders": None, "imu": None, "tracker": None}
 """Bench overrides that leave out what calibration does not look at."""
 _STAGGER_S = 0.13
+_SETTLE_S = 0.2
+_APPROACH_RAD = 0.1
+_FOLD_RAD = math.radians(5.0)
+_ACCELERATION_M_S2 = 0.19
 
 
 @dataclass(frozen=True)
 class Sizes:
     """How large the motions are, and how fast (peak wheel speed)."""
 
-    line_m: float = 4.0
+    line_m: float = 2.5
     radius_m: float = 0.5
     turns: float = 1.0
     speed_m_s: float = 0.118
@@ -66,16 +72,15 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
     """One of the six motions from where the robot stands; lines may be driven backwards."""
     pose = np.asarray(start, dtype=np.float64)
     sense = 1.0 if name.endswith("_ccw") else -1.0
+    limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
     if name.startswith("line"):
         way = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
         way = rotation2(float(pose[2])) @ way * (-1.0 if backwards else 1.0)
-        return line(pose, pose + np.append(way, 0.0), speed_m_s=sizes.speed_m_s, name=name)
+        return line(pose, pose + np.append(way, 0.0), name=name, **limits)
     if name.startswith("circle"):
-        return circle(
-            pose, sizes.radius_m, turns=sense * sizes.turns, speed_m_s=sizes.speed_m_s, name=name
-        )  # fmt: skip
+        return circle(pose, sizes.radius_m, turns=sense * sizes.turns, name=name, **limits)
     turn = np.array([0.0, 0.0, sense * 2.0 * math.pi * sizes.turns])
-    return line(pose, pose + turn, speed_m_s=sizes.speed_m_s, name=name)
+    return line(pose, pose + turn, name=name, **limits)
 
 
 def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
@@ -84,11 +89,12 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
     The first rest is a little longer in every repetition, so that two worlds of one seed do not
     repeat each other's noise.
     """
-    stand(bench, 0.5 + _STAGGER_S * repetition.number)
+    pose = stand(bench, 0.5 + _STAGGER_S * repetition.number)
+    backwards = repetition.number % 2 == 0
     written = []
     for name in repetition.motions:
+        take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
         pose = stand(bench)
-        backwards = repetition.number % 2 == 0
         motion = bench.drive(
             reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
             hold_s=repetition.hold_s, start_pose=pose,
@@ -98,6 +104,22 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
         write_plain(path, recording_of(motion, path.stem, name))
         written.append(path.name)
     return written
+
+
+def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
+    """Turn every wheel to where a motion needs it, the last part always from the same side.
+
+    A wheel may stand anywhere in the play of its gear. Left to chance, an eighth of a degree between
+    front and rear turns the robot by degrees on a few metres, and differently in every round.
+    """
+    standing = bench.observe(_SETTLE_S, feedback="odometry", start_pose=pose).wheels[:, 4:]
+    now = standing[np.all(np.isfinite(standing), axis=1)]
+    if not len(now):
+        raise DataError(trajectory.name, "has no complete servo readings", remedy="run bring_up")
+    _, heading = inverse(bench.geometry, trajectory.sample(0.5 * trajectory.duration_s).twist_body)
+    goal = np.mod(heading + 0.5 * math.pi - _FOLD_RAD, math.pi) - 0.5 * math.pi + _FOLD_RAD
+    parts = (Stretch(0.8, steering_rad=goal - _APPROACH_RAD), Stretch(0.4, steering_rad=goal), Stretch(0.2))
+    play(bench, parts, pose, now[-1])
 
 
 def recording_of(motion: Motion, name: str, group: str) -> Recording:

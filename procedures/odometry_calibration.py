@@ -42,7 +42,7 @@ class Parameters(BaseModel):
     motions: tuple[MotionName, ...] = MOTIONS
     repetitions: int = Field(5, ge=2, le=20)
     validation_repetitions: int = Field(2, ge=1, le=20)
-    line_m: float = Field(4.0, gt=0, le=10)
+    line_m: float = Field(2.5, gt=0, le=10)
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0)
@@ -97,7 +97,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = make_setting("recommended", model="exact")
+    setting = replace(make_setting("recommended", model="exact"), by_motion=True)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]

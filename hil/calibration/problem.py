@@ -39,6 +39,8 @@ class Setting:
         bounds: relative half width of a hard box, None for none.
         block_s: length of a block.
         robust: Cauchy weight per recording.
+        by_motion: a recording stands out only if it differs from the others of its motion; a motion that
+            the model explains badly as a whole is kept.
         choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
     """
 
@@ -54,6 +56,7 @@ class Setting:
     block_s: float
     robust: bool
     choose_model: bool = False
+    by_motion: bool = False
 
 
 PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
@@ -180,8 +183,12 @@ class Problem:
     def cauchy_weights(self, z: Array) -> Array:
         """Weights (R,) from each recording's residual against the median recording."""
         rms = np.sqrt(self.recording_costs(z))
-        scale = _CAUCHY * float(np.median(rms))
-        return np.asarray(1.0 / (1.0 + (rms / max(scale, 1e-12)) ** 2), dtype=np.float64)
+        typical = np.full(len(rms), np.median(rms))
+        if self.setting.by_motion:
+            motions = np.array(self.blocks.motions)
+            own = [np.median(rms[motions == m]) for m in motions]
+            typical = np.maximum(typical, own)
+        return np.asarray(1.0 / (1.0 + (rms / np.maximum(_CAUCHY * typical, 1e-12)) ** 2), dtype=np.float64)
 
     def clip(self, z: Array) -> Array:
         """Parameters moved into the box."""
