@@ -196,7 +196,7 @@ def run(ctx: Context) -> None:
 
 
 def one_world(ctx: Context, seed: int) -> dict[str, Any]:
-    """All cases in worlds of one seed; only the first seed's runs are recorded and drawn."""
+    """All cases in worlds of one seed; only the first seed's are drawn. Several processes do not record."""
     p: Parameters = ctx.parameters
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
