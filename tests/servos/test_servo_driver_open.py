@@ -52,6 +52,11 @@ def test_a_bus_without_power_is_silent(servo_bench):
         servo_bench("servos:off")
 
 
+def test_a_bus_that_is_just_starting_is_waited_for(servo_bench):
+    bench = servo_bench("servos:brownout@0+0.1")
+    assert bench.driver.read()[0].ok
+
+
 def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
     with pytest.raises(DeviceError) as caught:
         servo_bench(

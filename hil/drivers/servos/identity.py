@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hil.clock import Clock
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.config.xh430 import (
     BAUD_RATES,
@@ -19,6 +20,8 @@ from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import Answer
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.signals import SERVOS, Status
+
+_SECOND_CHANCE_NS = 250_000_000
 
 
 @dataclass(frozen=True)
@@ -38,9 +41,18 @@ class Finding:
     remedy: str = ""
 
 
-def read_blocks(bus: Bus, config: ServosConfig) -> list[Answer]:
-    """Registers 0..147 of the eight servos; raises nothing."""
-    return [bus.read(i, 0, reg.BLOCK_LENGTH) for i in config.ids]
+def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
+    """Registers 0..147 of the eight servos; whoever is silent is asked again after a while. Raises nothing.
+
+    A servo that is starting up, or a bus on a host that is busy starting programs, is not a missing one.
+    """
+    answers = [bus.read(i, 0, reg.BLOCK_LENGTH) for i in config.ids]
+    silent = [k for k, answer in enumerate(answers) if answer.status is Status.TIMEOUT]
+    if silent:
+        clock.sleep_until_ns(clock.now_ns() + _SECOND_CHANCE_NS)
+        for k in silent:
+            answers[k] = bus.read(config.ids[k], 0, reg.BLOCK_LENGTH)
+    return answers
 
 
 def check_identity(bus: Bus, config: ServosConfig, answers: list[Answer], device: str) -> None:

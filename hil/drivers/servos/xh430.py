@@ -92,7 +92,7 @@ class XH430Servos(Actuators):
     def _set_up(self, bus: Bus) -> None:
         config = self._config
         Upkeep(bus, config, self.name, fast=False).acknowledge_all()
-        answers = ident.read_blocks(bus, config)
+        answers = ident.read_blocks(bus, config, self._clock)
         ident.check_identity(bus, config, answers, self.name)
         self._blocks = blocks = [a.data for a in answers]
         ident.check_setup(config, blocks, self.name)
