@@ -49,9 +49,9 @@ def command(
 
     for number in _ENDS:
         signal.signal(number, leave)
+    _as_prompt_as_hardware(config.loop.fifo_priority)
     click.echo(json.dumps(server.endpoints()))
     sys.stdout.flush()
-    _as_prompt_as_hardware(config.loop.fifo_priority)
     server.run()
     return EXIT_PASS
 
