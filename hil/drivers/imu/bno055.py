@@ -26,6 +26,7 @@ _PAGE = 0x07
 _REQUEST_BITS = 40.0
 _SYS_STATUS, _UNIT_SEL, _OPR_MODE, _TRIGGER = 0x39, 0x3B, 0x3D, 0x3F
 _POWER, _AXIS_MAP, _CALIBRATION = 0x3E, 0x41, 0x55
+_WITH_STATE = _OPR_MODE + 1 - burst.START
 _IDENTITY = bytes((0xA0, 0xFB, 0x32, 0x0F))
 _IDENTITY_NAMES = ("chip", "accelerometer", "magnetometer", "gyroscope")
 _MODES = {"imu": 0x8, "compass": 0x9, "m4g": 0xA, "ndof_fmc_off": 0xB, "ndof": 0xC}
@@ -62,6 +63,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._check_ns = nanoseconds(config.check_period_s)
         self._stuck_ns = nanoseconds(config.stuck_after_s)
         self._sequence = 0
+        self._length = burst.LENGTH
 
     def open(self) -> None:
         """Open the port, check the four identity bytes, set up and start the fusion.
@@ -116,18 +118,27 @@ class Bno055Imu(Sensor[ImuSample]):
         if now_ns < self._next_poll_ns:
             return ()
         try:
-            if self._suspicious or now_ns >= self._next_check_ns:
+            if self._suspicious or (now_ns >= self._next_check_ns and not self._config.prefetch):
                 self._check(link, now_ns)
                 now_ns = self._clock.now_ns()
             budget_ns = 0 if self._failures else self._retry_ns
-            data = link.read(burst.START, burst.LENGTH, now_ns + budget_ns)
+            data = link.read(burst.START, self._length, now_ns + budget_ns)
+            if self._length == _WITH_STATE:
+                self._judge_state(data[_SYS_STATUS - burst.START :], now_ns)
         except ExchangeError as error:
+            self._length = burst.LENGTH
             return (self._failed(error),)
         self._failures = 0
-        sample = self._sample(link, data)
+        sample = self._sample(link, data[: burst.LENGTH])
         if self._config.prefetch:
-            link.ask_ahead(burst.START, burst.LENGTH)
+            self._ask_ahead(link)
         return (sample,)
+
+    def _ask_ahead(self, link: Link) -> None:
+        """Request the next burst; when a check is due, up to the registers that a check looks at."""
+        due = self._clock.now_ns() >= self._next_check_ns
+        self._length = _WITH_STATE if due else burst.LENGTH
+        link.ask_ahead(burst.START, self._length)
 
     def read_calibration(self) -> ImuCalibration:
         """Offsets that the chip has learnt (it leaves the fusion for about 60 ms).
@@ -229,8 +240,12 @@ class Bno055Imu(Sensor[ImuSample]):
         self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(duration_s))
 
     def _check(self, link: Link, now_ns: int) -> None:
-        """Look at mode and system status; set the chip up again when it has lost its mode."""
+        """Look at mode and system status."""
         state = link.read(_SYS_STATUS, 5, now_ns + (0 if self._failures else self._retry_ns))
+        self._judge_state(state, now_ns)
+
+    def _judge_state(self, state: bytes, now_ns: int) -> None:
+        """Registers 0x39 to 0x3D; set the chip up again when it has lost its mode."""
         self._suspicious = False
         self._checked_ns, self._next_check_ns = now_ns, now_ns + self._check_ns
         self._system_error = state[1] if state[0] == _SYSTEM_ERROR else 0
