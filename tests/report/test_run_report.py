@@ -7,6 +7,7 @@ import subprocess
 from html.parser import HTMLParser
 from types import SimpleNamespace
 
+import matplotlib as mpl
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -18,7 +19,7 @@ from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
 from hil.report.run_page import bar, inline_svg, read_result, write_run_page
-from hil.report.run_plots import PALETTE, legend, new_figure, style
+from hil.report.run_plots import PALETTE, legend, new_figure, plain_log, style
 
 SCRIPTED = SimpleNamespace(ask=lambda question: "yes")
 
@@ -107,6 +108,23 @@ def test_figures_follow_the_theme_and_the_width(folder):
     assert "#000000" not in svg
     assert not re.search(r'<svg[^>]*\swidth="', svg)
     assert "EKF &lt;1&gt;" in svg
+
+
+def test_every_text_of_a_figure_takes_the_colour_of_the_page(tmp_path):
+    figure = new_figure()
+    axes = style(figure.add_subplot(), "$x_0$", "mm")
+    axes.plot([1, 2], [1.0, 1000.0])
+    axes.set_yscale("log")
+    plain_log(axes)
+
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        figure.savefig(tmp_path / "02_plain.svg", format="svg")
+        axes.set_yscale("log")
+        figure.savefig(tmp_path / "03_powers.svg", format="svg")
+    for name in ("02_plain", "03_powers"):
+        svg = str(inline_svg(tmp_path / f"{name}.svg"))
+        assert svg.count("<text") == svg.count('<text fill="currentColor"') > 3
+    assert ">1000<" in str(inline_svg(tmp_path / "02_plain.svg")).replace(" ", "")
 
 
 @given(st.floats(-1e3, 1e3) | st.none(), st.floats(-1e3, 1e3) | st.none(), st.floats(0, 1e3), st.booleans())

@@ -1,0 +1,162 @@
+"""Odometry calibration from end to end: rounds, result, report, installing, faults, seeds."""
+
+import json
+
+import numpy as np
+import pytest
+from procedure_runs import Nobody, run, watched
+
+from hil.calibration.artefact import read_calibration
+from hil.calibration.shelf import Shelf
+from hil.clock import MonotonicClock
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.scripts import load_procedure
+from hil.recording.plain_csv import read_plain
+from hil.report.run_page import write_run_page
+from procedures._rounds import improvement_bound
+
+SMALL = {
+    "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
+    "line_m": 0.7, "radius_m": 0.3, "turns": 0.3, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("calibration")
+    return run("odometry_calibration", folder / "run", {**SMALL, "install": str(folder / "calibration.toml")})
+
+
+def test_what_was_found_drives_better_and_passes(small):
+    assert small.result.verdict.value in ("PASS", "MARGINAL"), small.result.measurements
+    assert small.values["improvement"] > 3.0
+    assert small.values["position_rmse_after"] < 2.0
+    small.assert_held()
+
+
+def test_every_recording_of_every_round_is_there_and_readable(small):
+    folder = small.result.folder / "recordings"
+    for name, count in (("round_1", 8), ("round_2", 8), ("validation", 4)):
+        files = sorted((folder / name).glob("*.csv"))
+        assert len(files) == count
+        for path in files:
+            recording = read_plain(path)
+            assert np.isfinite(recording.truth_pose).all()
+            assert recording.t_s[-1] > 3.0
+
+
+def test_the_result_is_kept_with_its_validation_and_installed(small):
+    kept = read_calibration(small.result.folder / "calibration.toml")
+    assert kept.verdict == small.result.verdict.value
+    assert kept.validation["fresh_run"]["mean"]["rmse_position_m"] == pytest.approx(
+        1e-3 * small.values["position_rmse_after"]
+    )
+    assert kept.made_for.drive_ids == (1, 2, 3, 4)
+    shelf = Shelf(small.result.folder.parent / "calibration.toml")
+    assert [(v.file.version, v.in_place) for v in shelf.versions()] == [(1, True)]
+    assert shelf.versions()[0].file.parameters == kept.parameters
+
+
+def test_the_report_holds_the_papers_tables_and_what_was_driven(small):
+    tree = json.loads((small.result.folder / "result.json").read_text())
+    titles = [t["title"] for t in tree["tables"]]
+    for wanted in ("Table I: ", "Table II: ", "Table III: ", "Rounds: ", "What the data determine"):
+        assert any(t.startswith(wanted) for t in titles), wanted
+    table = {t["title"][:9].strip(": "): t for t in tree["tables"]}
+    assert len(table["Table I"]["rows"]) == 16
+    assert [r[0] for r in table["Table II"]["rows"]] == ["line x", "line y", "circle ccw", "rotation ccw"]
+    page = write_run_page(small.result.folder).read_text()
+    assert page.count("<svg") == 3
+    assert "improvement of at least" in page
+
+
+def test_a_round_is_driven_with_what_the_round_before_found(small):
+    first, second = small.source.benches[0], small.source.benches[2]
+    assert first.calibration == ""
+    assert second.calibration == "calibration_round_1.toml version 1"
+    assert not np.array_equal(first.geometry.vector(), second.geometry.vector())
+
+
+TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.5,
+        "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "", "processes": 1}  # fmt: skip
+
+
+def test_a_bad_result_is_not_installed(tmp_path):
+    target = tmp_path / "calibration.toml"
+    done = run(
+        "odometry_calibration", tmp_path / "run", {**TINY, "install": str(target)}, faults=("servos:delayed",)
+    )
+    assert done.result.verdict.value == "FAIL"
+    assert not target.exists()
+    assert [v.file.verdict for v in Shelf(target).versions()] == ["FAIL"]
+    assert any("was left as it is" in n for n in done.result.facts["notes"])
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        ("mocap:off", "no server answers"),
+        ("mocap:stuck@2", "no usable frame"),
+        ("mocap:garbage@2", "no usable frame"),
+        ("servo.drive_FL:stuck@2", "FL"),
+        ("servos:off@3", "servo"),
+    ],
+)
+def test_it_fails_under_a_fault_that_makes_it_impossible(tmp_path, fault, words):
+    done = run("odometry_calibration", tmp_path / "run", TINY, faults=(fault,))
+    assert (done.result.verdict.value, done.result.exit_code) == ("ERROR", 3)
+    assert words in done.result.error.message
+    assert not (tmp_path / "run" / "calibration.toml").exists()
+
+
+def test_two_processes_record_the_same_bytes_as_one(tmp_path):
+    parameters = {**TINY, "motions": "line_x", "line_m": 0.2, "max_rounds": 1, "min_rounds": 1}
+    for processes in (1, 2):
+        used = watched("odometry_calibration") if processes == 1 else plain_source()
+        options = RunOptions(
+            tmp_path / str(processes), MonotonicClock(), "2026-01-01T00:00:00",
+            {**parameters, "processes": processes}, operator=Nobody(),
+        )  # fmt: skip
+        run_procedure(load_procedure("odometry_calibration"), used, options)
+    first = {p.name: p.read_bytes() for p in (tmp_path / "1" / "recordings").rglob("*.csv")}
+    second = {p.name: p.read_bytes() for p in (tmp_path / "2" / "recordings").rglob("*.csv")}
+    assert first == second
+    assert len(first) == 3
+    results = [json.loads((tmp_path / n / "result.json").read_text()) for n in ("1", "2")]
+    assert results[0]["measurements"] == results[1]["measurements"]
+
+
+def plain_source():
+    from hil.procedure import BenchSource
+
+    return BenchSource("emulated_floor")
+
+
+def test_the_stop_rule_wants_more_than_chance():
+    rng = np.random.default_rng(3)
+    before = rng.uniform(5.0, 50.0, 30)
+    assert improvement_bound(before, 0.5 * before, rng) == pytest.approx(0.5)
+    assert improvement_bound(before, before, rng) == 0.0
+    noise = before * (1.0 + 0.2 * rng.standard_normal(30))
+    assert improvement_bound(before, noise, rng) < 0.05
+    assert improvement_bound(before, 2.0 * before, rng) == pytest.approx(-1.0)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+def test_over_ten_seeds_of_hidden_truth_the_error_falls_eightfold(tmp_path):
+    """Full motions, fewer repetitions; figures of issue 6."""
+    parameters = {"repetitions": 2, "validation_repetitions": 1, "compared_methods": "", "processes": 2}
+    found = []
+    for seed in range(10):
+        options = RunOptions(
+            tmp_path / str(seed), MonotonicClock(), "2026-01-01T00:00:00", parameters, operator=Nobody()
+        )
+        source = plain_source().changed(seed=seed)
+        result = run_procedure(load_procedure("odometry_calibration"), source, options)
+        found.append({m["name"]: m["value"] for m in result.measurements})
+        assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)
+    before, after = (np.array([f[f"position_rmse_{k}"] for f in found]) for k in ("before", "after"))
+    assert before.mean() >= 30.0
+    assert after.max() <= 4.0, after
+    assert before.mean() / after.mean() >= 8.0
