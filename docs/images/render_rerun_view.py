@@ -34,7 +34,7 @@ from hil.trajectories import Trajectory
 
 _START_S = 30.0
 _DRAWN_BYTES = 50_000
-_BETWEEN_S = 10.0
+_BETWEEN_S = 15.0
 _PICTURES = 18
 _ALIKE = 0.02
 

@@ -22,7 +22,9 @@ _PALETTE: tuple[Colour, ...] = (
     (0, 110, 230), (245, 130, 48), (60, 180, 75), (200, 30, 70),
     (145, 30, 180), (0, 160, 160), (170, 110, 40), (90, 90, 90),
 )  # fmt: skip
-_SENSOR_COLOURS = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
+_SENSOR_COLOURS = {
+    "wheels": 0, "servos": 0, "gyro": 1, "imu": 1, "tracker": 2, "gravity": 4, "mocap": 5, "encoders": 6,
+}  # fmt: skip
 
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
