@@ -27,8 +27,8 @@ def _move(x, dt):
 class PlainFilterpy:
     """An `Estimator` that ends with `lost_s` set when filterpy raises or the covariance is no covariance."""
 
-    def __init__(self, geometry):
-        points = MerweScaledSigmaPoints(6, 1e-3, 2.0, 0.0)
+    def __init__(self, geometry, alpha=1e-3):
+        points = MerweScaledSigmaPoints(6, alpha, 2.0, 0.0)
         self._filter = UnscentedKalmanFilter(6, 3, 0.01, None, _move, points)
         self._forward = forward_matrix(geometry.x_m, geometry.y_m, "paper")
         self._geometry = geometry

@@ -167,6 +167,7 @@ def table(held, geometries, camera_errors, seeds=(0, 1)):
         for name, (g, c) in VARIANTS.items()
     }
     makers["filterpy's own UKF"] = lambda: PlainFilterpy(geometries["exact"])
+    makers["the same, alpha 1"] = lambda: PlainFilterpy(geometries["exact"], alpha=1.0)
     for name, make in makers.items():
         scores, lost = [], []
         for recording in held:
