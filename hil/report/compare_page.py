@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import DataError, UsageError
-from hil.report.run_page import environment, number, read_result
+from hil.report.run_page import environment, number, outcome_words, read_result
 
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 
@@ -52,12 +52,18 @@ def _measurements(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
                 "name": name,
                 "unit": next(row["unit"] for row in own if row),
                 "values": values,
-                "outcomes": [row["outcome"] if row else "absent" for row in own],
+                "outcomes": [_outcome(row) for row in own],
                 "change": None if first is None or last is None else last - first,
                 "ratio": last / first if first and last is not None else None,
             }
         )
     return rows
+
+
+def _outcome(row: Mapping[str, Any] | None) -> str:
+    if row is None:
+        return "absent"
+    return outcome_words(row)["word"]
 
 
 def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
