@@ -31,6 +31,17 @@ def test_injected_latency_jitter_and_drift_are_taken_out(drift_ppm, jitter_s):
     assert abs(np.mean(settled)) < 0.5e6
 
 
+def test_times_never_go_back_when_late_samples_are_found_out():
+    """The first dozen arrives at once, because the host was busy; then all come promptly."""
+    clock, period_ns = DeviceClock(latency_ns=0), 5_000_000
+    mapped = []
+    for k in range(40):
+        arrival_ns = max(k * period_ns + 100_000, 55_000_000)
+        mapped.append(clock.map(7_000_000 + k * period_ns, arrival_ns)[0])
+    assert np.all(np.diff(mapped) > 0)
+    assert mapped[-1] == pytest.approx(39 * period_ns + 100_000, abs=20_000)
+
+
 def test_a_new_time_axis_is_taken_up_after_some_insistence():
     clock = DeviceClock(latency_ns=0)
     for k in range(100):

@@ -1,7 +1,8 @@
 """Puts frame arrivals and a node's wrapping clock and counter on the bench's time axis.
 
 The transport only ever delays, so the smallest difference of host time and node time seen so far is
-the best estimate of their offset; it is let go by 200 ppm so that a slow node clock is followed.
+the best estimate of their offset; it is let go by 200 ppm so that a slow node clock is followed. When a
+prompt frame shows that earlier ones were late, times go on from where they are instead of backwards.
 """
 
 from __future__ import annotations
@@ -45,6 +46,7 @@ class NodeTimeline:
         self._started = False
         self._sequence_raw = self._time_raw = self._host_ns = self._node_ns = 0
         self._offset_ns = 0.0
+        self._t_ns = -(1 << 62)
         self.sequence = 0
 
     def update(self, sequence: int, time_raw: int, host_ns: int) -> tuple[int, int, bool]:
@@ -55,7 +57,7 @@ class NodeTimeline:
         """
         if not self._started:
             self._start(sequence, time_raw, host_ns)
-            return host_ns, self._node_ns, False
+            return self._forward(host_ns, host_ns), self._node_ns, False
         elapsed_ns = host_ns - self._host_ns
         node_step_ns = round((time_raw - self._time_raw) % self._wrap * self._lsb_ns)
         wrap_ns = round(self._wrap * self._lsb_ns)
@@ -65,13 +67,18 @@ class NodeTimeline:
             before = self.sequence
             self._start(sequence, time_raw, host_ns)
             self.sequence = before + 1
-            return host_ns, self._node_ns, True
+            return self._forward(host_ns, host_ns), self._node_ns, True
         self.sequence += step
         self._sequence_raw, self._time_raw, self._host_ns = sequence, time_raw, host_ns
         self._node_ns += node_step_ns
         leaked_ns = self._offset_ns + _LEAK * elapsed_ns
         self._offset_ns = min(host_ns - self._node_ns, leaked_ns)
-        return min(host_ns, round(self._node_ns + self._offset_ns)), self._node_ns, False
+        t_ns = self._forward(round(self._node_ns + self._offset_ns), host_ns)
+        return t_ns, self._node_ns, False
+
+    def _forward(self, t_ns: int, host_ns: int) -> int:
+        self._t_ns = max(min(t_ns, host_ns), self._t_ns + 1)
+        return self._t_ns
 
     def _start(self, sequence: int, time_raw: int, host_ns: int) -> None:
         self._started = True

@@ -2,7 +2,8 @@
 
 Transport only ever delays, so the smallest difference of arrival and device time seen so far is the
 best estimate of their offset. It is let go by 100 ppm so that a slow device clock is followed; with
-200 samples per second and 2 ms of jitter that keeps it within a tenth of a millisecond.
+200 samples per second and 2 ms of jitter that keeps it within a tenth of a millisecond. When a prompt
+sample shows that earlier ones were late, times go on from where they are instead of backwards.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ _LEAK = 100e-6
 _EARLIEST_NS = 250_000_000
 _LATEST_NS = 5_000_000_000
 _NEW_AXIS_AFTER = 20
+_BEGINNING_NS = -(1 << 62)
 
 
 class DeviceClock:
@@ -28,7 +30,7 @@ class DeviceClock:
         """Forget the device's time axis."""
         self._known = False
         self._offset_ns = 0.0
-        self._seen_ns = 0
+        self._seen_ns, self._t_ns = 0, _BEGINNING_NS
         self._strange = 0
 
     def map(self, device_ns: int, host_ns: int) -> tuple[int, bool]:
@@ -53,4 +55,5 @@ class DeviceClock:
         self._strange = 0
         self._seen_ns = host_ns
         t_ns = device_ns + round(self._offset_ns) - self._latency_ns
-        return min(t_ns, host_ns), True
+        self._t_ns = max(min(t_ns, host_ns), self._t_ns + 1)
+        return self._t_ns, True
