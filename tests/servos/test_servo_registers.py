@@ -298,6 +298,18 @@ def test_the_bus_watchdog_stops_and_refuses_goals_until_cleared(drive):
     assert drive.bench.world.plant.velocity[0] > 2
 
 
+def test_talk_at_another_rate_is_no_traffic_for_the_watchdog(drive):
+    drive.put("bus_watchdog", 5)
+    drive.put("torque_enable", 1)
+    drive.put("goal_velocity", 100)
+    drive.bench.baud = 57_600
+    for _ in range(20):
+        drive.do(PING)
+        drive.wait(0.02)
+    drive.bench.baud = 1_000_000
+    assert drive.get("bus_watchdog") == -1
+
+
 @pytest.mark.parametrize("mode", [0, 3, 4, 5, 16])
 def test_a_tripped_watchdog_holds_in_every_mode(wire, mode):
     client = Client(wire(), 5)

@@ -123,7 +123,8 @@ class ServoBus(SerialChip, Scheduled):
                 if s.id == instruction.servo_id
                 for r in self._status(s, protocol.CRC_ERROR, b"", t_ns)
             ]
-        self._traffic_ns = t_ns
+        if listeners:
+            self._traffic_ns = t_ns
         if instruction.code in GROUP_READS:
             wanted = GROUP_READS[instruction.code](instruction)
             read = self._fast_read if instruction.code in _FAST else self._read_in_turn
