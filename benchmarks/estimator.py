@@ -140,7 +140,8 @@ def main():
         a, b, c = medians([ours, theirs, lambda book=book: [book() for _ in range(50)]])
         print(
             f"  {kind}: ours {1e6 * a / count:7.1f} us, filterpy {1e6 * b / count:8.1f} us, "
-            f"ratio 1/{b / a:.0f} (goal 1/{goal}); textbook filterpy with 8 states {1e6 * c / 50:.0f} us per step"
+            f"ratio 1/{b / a:.0f} (goal 1/{goal}); "
+            f"textbook filterpy with 8 states {1e6 * c / 50:.0f} us per step"
         )
     works = []
     for kind in ("ekf", "ukf"):

@@ -67,7 +67,8 @@ class SlipModel(_Strict):
         creep_across: the same across gravity, where no weight pulls: what calibration left of the wheels'
             own scale. Small, so that a stretch across teaches the camera's scale.
         creep_per_sqrt_m: random walk of `creep` per square root of rolled metre; across in proportion.
-        yaw_rad_m: prior standard deviation of the turn per rolled metre; `yaw_per_sqrt_m` its walk.
+        yaw_rad_m: prior standard deviation of the turn per rolled metre.
+        yaw_per_sqrt_m: its random walk per square root of rolled metre.
     """
 
     slip_m_s: float = Field(ge=0)
@@ -84,8 +85,9 @@ class GyroNoise(_Strict):
     """Inertial unit.
 
     Attributes:
-        rate_rad_s: noise of one rate sample; `bias_rad_s` prior, `bias_rad_s_sqrt_s` walk of the bias.
-        gravity_rad: noise of one gravity heading; `gravity_per_m_s2` more per body acceleration.
+        rate_rad_s: noise of one rate sample.
+        bias_rad_s, bias_rad_s_sqrt_s: prior of the bias, and its random walk.
+        gravity_rad, gravity_per_m_s2: noise of one gravity heading, and more of it per body acceleration.
         gravity_offset_rad: prior of the constant error of the gravity heading.
         use_gravity: take the gravity heading on the wall.
     """
@@ -129,7 +131,12 @@ class TrackerNoise(_Strict):
 
 
 class MocapNoise(_Strict):
-    """Motion capture is ground truth and stays out of the estimate unless `use` is set."""
+    """Motion capture is ground truth and stays out of the estimate unless `use` is set.
+
+    Attributes:
+        use: take its poses as measurements.
+        position_m, heading_rad: white noise of one pose.
+    """
 
     use: bool = False
     position_m: float = Field(1e-3, gt=0)
