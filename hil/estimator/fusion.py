@@ -17,7 +17,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.errors import UsageError
 from hil.estimator import layout as L
 from hil.estimator.history import History
-from hil.estimator.intake import Intake
+from hil.estimator.intake import Event, Intake
 from hil.estimator.replay import advance, run
 from hil.geometry import Array
 from hil.interfaces import Estimator
@@ -95,7 +95,7 @@ class FusionEstimator(Estimator):
         events = self._intake.events(measurements, h.base_ns)
         h.trim(max(measurements.t_ns, int(h.t_ns[h.newest])), len(events))
         begin = h.count
-        for t_ns, kind, seq, row in events:
+        for t_ns, kind, seq, row in sorted(events, key=_stamp):
             if t_ns <= h.base_ns:
                 self._intake.refused["late"] += 1
                 continue
@@ -151,9 +151,16 @@ class FusionEstimator(Estimator):
             out[f"rejected_wheel_{name}"] = v[L.WHEEL_REJECTED + i]
         for name, count in self._intake.refused.items():
             out[f"rejected_{name}"] = float(count)
+        if self.config.time.clock == "estimated":
+            for name, clock in self._intake.clocks.items():
+                out[f"clock_offset_{name}_s"], out[f"clock_drift_{name}"] = clock.offset_s, clock.drift
         for name, last_ns in self._intake.last_ns.items():
             out[f"age_{name}_s"] = (t_ns - last_ns) / NS_PER_S
         return out
+
+
+def _stamp(event: Event) -> int:
+    return event[0]
 
 
 def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array, Array]:

@@ -115,6 +115,11 @@ class History:
 
     def add(self, t_ns: int, kind: int, seq: int, row: Array) -> int:
         """Insert one event; its place counted from the base, or -1 for a duplicate."""
+        if t_ns > self.t_ns[self.newest]:
+            i = (self.first + self.count) % len(self.t_ns)
+            self.t_ns[i], self.kinds[i], self.seqs[i], self.data[i] = t_ns, kind, seq, row
+            self.count += 1
+            return self.count - 1
         place = insert(
             self.first, self.count, self.t_ns, self.kinds, self.seqs, self.data, t_ns, kind, seq, row
         )
