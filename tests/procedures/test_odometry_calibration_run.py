@@ -83,9 +83,8 @@ TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_rep
 
 def test_a_bad_result_is_not_installed(tmp_path):
     target = tmp_path / "calibration.toml"
-    done = run(
-        "odometry_calibration", tmp_path / "run", {**TINY, "install": str(target)}, faults=("servos:delayed",)
-    )
+    parameters = {**TINY, "motions": "circle_ccw", "turns": 0.25, "install": str(target)}
+    done = run("odometry_calibration", tmp_path / "run", parameters, faults=("servos:delayed,delay_s=0.15",))
     assert done.result.verdict.value == "FAIL"
     assert not target.exists()
     assert [v.file.verdict for v in Shelf(target).versions()] == ["FAIL"]
