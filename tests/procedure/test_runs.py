@@ -252,3 +252,30 @@ def test_results_are_never_overwritten(run_small, tmp_path):
     run_small(small, tmp_path / "same")
     with pytest.raises(ConfigError, match="another run"):
         run_small(small, tmp_path / "same")
+
+
+def test_a_procedure_sees_its_verdict_so_far(run_small):
+    seen = []
+
+    @procedure(
+        name="looking", measurements=(Measurement("a", "1", high=10.0, marginal=2.0), Measurement("b", "1"))
+    )
+    def looking(ctx):
+        for value in (1.0, 9.0, 11.0):
+            ctx.measure("a", value)
+            seen.append((ctx.verdict().value, ctx.passing()))
+        ctx.measure("b", 1.0)
+
+    run_small(looking)
+    assert seen == [("PASS", True), ("MARGINAL", True), ("FAIL", False)]
+
+
+def test_time_driven_in_another_process_counts(run_small):
+    @procedure(name="elsewhere")
+    def elsewhere(ctx):
+        with ctx.step("far away"):
+            ctx.count_bench_time(12.5)
+
+    tree = result_of(run_small(elsewhere))
+    assert tree["bench_duration_s"] == 12.5
+    assert tree["steps"][0]["bench_s"] == 12.5
