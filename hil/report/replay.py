@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.errors import SafetyStop
-from hil.estimator.consistency import nees
+from hil.estimator.consistency import autocorrelation, nees
 from hil.geometry import Array, wrap_array
 from hil.interfaces import Estimator
 from hil.kinematics import WheelGeometry
@@ -100,8 +100,9 @@ def consistency(motion: Motion) -> dict[str, float]:
 
     Returns:
         `nees_pose`, mean of e' P^-1 e over the cycles (3 is ideal, more is over-confident); running means
-        of the normalised innovations at the end (1 is ideal), and how many rows each sensor's gates left out;
-        NaN where there is no such figure.
+        of the normalised innovations at the end (1 is ideal); correlation of the gyro's innovations from one
+        cycle to the next (0 is ideal); how many rows each sensor's gates left out; NaN where there is
+        no such figure.
     """
     difference = motion.estimate - motion.mocap
     difference[:, 2] = wrap_array(difference[:, 2])
@@ -111,6 +112,9 @@ def consistency(motion: Motion) -> dict[str, float]:
     out = {"nees_pose": float(known.mean()) if len(known) else np.nan}
     for name in ("wheels", "gyro", "tracker", "gravity"):
         out[f"nis_{name}"] = float(last.get(f"nis_mean_{name}", np.nan))
+    series = motion.diagnostic("innovation_gyro_rad_s")
+    series = series[np.isfinite(series)]
+    out["lag1_gyro"] = float(autocorrelation(series, 1)[0]) if len(series) > 2 else np.nan
     for name in ("wheels", "gyro", "tracker"):
         out[f"rejected_{name}"] = float(last.get(f"rejected_{name}", np.nan))
     return out
