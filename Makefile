@@ -2,7 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
-EXTRAS := fast,rerun,parquet,test,lint
+EXTRAS := fast,rerun,parquet,campaign,test,lint
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
 .PHONY: help demo demo-calibration docs test test-long lint bench clean

@@ -28,6 +28,7 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 
+_PATHS = ("calibration", "imu.calibration_file", "encoders.dbc", "emulation.replay")
 DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
 
 
@@ -150,7 +151,8 @@ class BenchConfig(Strict):
         schema: version of this format: 1.
         name: of the bench, in every result and recording.
         surface: `wall` (gravity in the plane of motion, heading guarded) or `floor`.
-        calibration: path of the `calibration.toml` to apply; nominal geometry without one.
+        calibration: path of the `calibration.toml` to apply; nominal geometry without one. Like every
+            path in the file, a relative one starts at the file's folder.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -241,11 +243,25 @@ def load_bench(
             tree = tomllib.loads(text)
         except tomllib.TOMLDecodeError as error:
             raise ConfigError(f"{origin}: not valid TOML ({error})") from None
+        if origin == str(source):
+            _anchor(tree, Path(source).parent)
     for dotted, value in (overrides or {}).items():
         _overlay(tree, dotted, value)
+    _anchor(tree, Path.cwd())
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"
     return validate(tree, origin)
+
+
+def _anchor(tree: dict[str, Any], folder: Path) -> None:
+    """Make relative paths absolute: in a bench file they start at its folder, elsewhere at the current one."""
+    for dotted in _PATHS:
+        *tables, key = dotted.split(".")
+        table: Any = tree
+        for name in tables:
+            table = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
 
 
 def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) -> tuple[str, ...]:

@@ -34,6 +34,17 @@ def test_a_good_file_loads_and_can_be_overridden(bench):
     assert isinstance(config, BenchConfig)
 
 
+def test_relative_paths_start_at_the_file(bench, tmp_path, monkeypatch):
+    bench.write_text(
+        GOOD.replace("[imu]", 'calibration = "cal/one.toml"\n[imu]\ncalibration_file = "/etc/imu.toml"')
+    )
+    monkeypatch.chdir("/")
+    config = load_bench(bench, overrides={"encoders.dbc": "mine.dbc"})
+    assert config.calibration == str(tmp_path / "cal" / "one.toml")
+    assert config.imu.calibration_file == "/etc/imu.toml"
+    assert config.encoders.dbc == "/mine.dbc"
+
+
 def test_every_problem_is_told_at_once(bench):
     bench.write_text(
         GOOD.replace("schema = 1", "schema = 9")
