@@ -89,8 +89,9 @@ def worth_going_on(ctx: Context, before: Driven, after: Driven, setting: Setting
     """
     old, new = before.rmse_m(setting), after.rmse_m(setting)
     low = improvement_bound(old, new, np.random.default_rng(ctx.seed))
+    gain = f"better by at least {100 * low:.0f} %" if low > 0 else "no better than by chance"
     ctx.note(
         f"Driven position RMSE {1e3 * old.mean():.2f} mm in {before.label}, {1e3 * new.mean():.2f} mm in "
-        f"{after.label}: improvement of at least {100 * low:.0f} % (97.5 % confidence)."
+        f"{after.label}: {gain} (97.5 % confidence)."
     )
     return low > WORTH

@@ -67,7 +67,7 @@ def test_the_report_holds_the_papers_tables_and_what_was_driven(small):
     assert [r[0] for r in table["Table II"]["rows"]] == ["line x", "line y", "circle ccw", "rotation ccw"]
     page = write_run_page(small.result.folder).read_text()
     assert page.count("<svg") == 3
-    assert "improvement of at least" in page
+    assert "better by at least" in page
 
 
 def test_a_round_is_driven_with_what_the_round_before_found(small):
