@@ -254,7 +254,7 @@ def load_bench(
 
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:
-    """Make relative paths absolute: in a bench file they start at its folder, elsewhere at the current one."""
+    """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
     for dotted in _PATHS:
         *tables, key = dotted.split(".")
         table: Any = tree
