@@ -118,6 +118,7 @@ def run(ctx: Context) -> None:
         _measure(ctx, rounds, fresh, setting)
         ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
         if best == 0:
+            ctx.measure("rejected_recordings", 0)
             ctx.note("No fit was better than the parameters that the run began with; nothing to install.")
             return
         result = results[best - 1]

@@ -123,6 +123,9 @@ def test_two_processes_record_the_same_bytes_as_one(tmp_path):
     assert len(first) == 3
     results = [json.loads((tmp_path / n / "result.json").read_text()) for n in ("1", "2")]
     assert results[0]["measurements"] == results[1]["measurements"]
+    assert "NOT MEASURED" not in {m["outcome"] for m in results[0]["measurements"]}
+    assert all(m["value"] is not None for m in results[0]["measurements"])
+    assert not (tmp_path / "1" / "calibration.toml").exists()
 
 
 def plain_source():
