@@ -2,9 +2,18 @@
 
 import logging
 
+import pytest
+
+from hil.errors import DeviceTimeoutError
 from hil.signals import Status
 
 SECOND = 1_000_000_000
+
+
+def read_for(bench, cycles):
+    for _ in range(cycles):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+        bench.driver.read()
 
 
 def test_a_pause_longer_than_the_persistence_is_not_a_dead_servo(servo_bench):
@@ -18,6 +27,19 @@ def test_a_pause_longer_than_the_persistence_is_not_a_dead_servo(servo_bench):
     bench.clock.sleep_until_ns(5 * SECOND + 200_000_000)
     (later,) = bench.driver.read()
     assert all(s in (Status.OK, Status.RESET) for s in later.status)
+
+
+def test_several_pauses_are_not_a_dead_servo_and_a_dead_one_is_still_found(servo_bench):
+    """Reads after long pauses are all marked RESET; only what is asked and not answered counts."""
+    bench = servo_bench("servo.3:off@20", config={"fail_after_s": 2.0})
+    bench.driver.enable()
+    for _ in range(6):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_500_000_000)
+        (marked,) = bench.driver.read()
+        assert Status.RESET in marked.status
+    bench.clock.sleep_until_ns(20 * SECOND)
+    with pytest.raises(DeviceTimeoutError, match=r"nothing usable .*ID 3"):
+        read_for(bench, 400)
 
 
 def test_a_watchdog_that_trips_in_a_pause_is_armed_again_without_a_warning(servo_bench, caplog):

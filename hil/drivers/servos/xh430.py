@@ -40,6 +40,7 @@ from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, 
 
 _LOG = logging.getLogger(__name__)
 
+_PAUSE_NS = 200_000_000
 _NO_ALERT: tuple[int, ...] = (0,) * 8
 _ALL_SEEN = np.ones(8, dtype=bool)
 _SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
@@ -164,8 +165,8 @@ class XH430Servos(Actuators):
         """
         bus = self._opened()
         silence_ns = self._clock.now_ns() - bus.traffic_ns
-        if silence_ns > self._fail_ns:
-            self._good_ns = [self._clock.now_ns()] * 8  # nobody asked, so nobody failed to answer
+        if silence_ns > _PAUSE_NS:  # nobody asked, so nobody failed to answer
+            self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
         restarted: tuple[int, ...] = ()
         paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
         if self._doubtful or paused:
