@@ -14,6 +14,8 @@ from hil.trajectories import line
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.01, 0.0), duration_s=1.2)
 
+pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+
 
 def record(path, *faults, observers=("ukf", "odometry"), controller="optimal", trajectory=STRAIGHT):
     bench = hil.open_bench("emulated", seed=4, faults=faults)

@@ -18,6 +18,8 @@ PUBLIC = DATA / "odom_21.csv.gz"
 AFTER_S = 1.5
 SECOND = 1_000_000_000
 
+pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+
 
 def eased(t_s, length_s):
     """Smooth from 0 to 1, with its rate."""
