@@ -157,8 +157,9 @@ def _measure(ctx: Context, rounds: list[Driven], fresh: Driven, setting: Setting
         ctx.measure(f"{name}_before", scale * before[key])
         ctx.measure(f"{name}_after", scale * after[key])
     ctx.measure("improvement", before["rmse_position_m"] / after["rmse_position_m"])
-    driven = 1e3 * np.array([d.rmse_m(setting).mean() for d in [*rounds, fresh]])
-    ctx.measure("worst_later_round", float(np.max(driven[1:] - np.minimum.accumulate(driven)[:-1])))
+    driven = 1e3 * np.array([d.rmse_m(setting).mean() for d in rounds])
+    rises = driven[1:] - np.minimum.accumulate(driven)[:-1]
+    ctx.measure("worst_later_round", float(max(rises, default=0.0)))
     ctx.measure("rounds", len(rounds))
 
 
