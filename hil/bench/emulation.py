@@ -76,22 +76,22 @@ def connect_in_process(config: BenchConfig, world: World) -> Connected:
     number = next(_NUMBERS)
     connected = Connected(Connections())
     values = connected.connections.values
-    for name in config.emulated():
-        if name in _SERIAL:
-            line = _SERIAL[name](config, world, f"{name}-{number}").open()
-            connected.closers.append(line.close)
-            values[name] = {"port": f"hil://{line.name}"}
-        elif name == "encoders":
-            channel = _encoders(config, world, f"can-{number}").open()
-            connected.closers.append(channel.close)
-            values[name] = {"interface": "hil", "channel": channel.name, "options": {}}
-        elif name == "tracker":
-            connected.connections.pipeline = _tracker(config, world).pipeline()
-        elif name == "mocap":
-            connected.connections.datagrams = _mocap(config, world).datagrams
     try:
+        for name in config.emulated():
+            if name in _SERIAL:
+                line = _SERIAL[name](config, world, f"{name}-{number}").open()
+                connected.closers.append(line.close)
+                values[name] = {"port": f"hil://{line.name}"}
+            elif name == "encoders":
+                channel = _encoders(config, world, f"can-{number}").open()
+                connected.closers.append(channel.close)
+                values[name] = {"interface": "hil", "channel": channel.name, "options": {}}
+            elif name == "tracker":
+                connected.connections.pipeline = _tracker(config, world).pipeline()
+            elif name == "mocap":
+                connected.connections.datagrams = _mocap(config, world).datagrams
         world.faults.check()
-    except UsageError:
+    except HilError:
         connected.close()
         raise
     return connected

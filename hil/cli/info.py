@@ -1,4 +1,4 @@
-"""`hil info`: versions for a bug report."""
+"""`hil info`: versions for a bug report; compiles the numerical kernels ahead of time on request."""
 
 from __future__ import annotations
 
@@ -30,10 +30,30 @@ def _version(package: str) -> str:
         return "absent"
 
 
+def _compile() -> None:
+    """Run everything that numba compiles for a moment."""
+    from hil.bench import open_bench
+    from hil.report.replay import smoothed
+
+    for profile in ("emulated", "emulated_floor"):
+        with open_bench(profile) as bench:
+            records = bench.observe(0.3, feedback="ekf").records
+            bench.observe(0.1, feedback="ukf")
+            start = records[0].state
+            smoothed(records, bench.config.estimator, bench.geometry, bench.config.surface, start)
+
+
 @click.command()
+@click.option("--compile", "compiling", is_flag=True, help="First compile all numerical kernels.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
-def command(as_json: bool) -> int:
-    """Print the versions that matter for a bug report."""
+def command(compiling: bool, as_json: bool) -> int:
+    """Print the versions that matter for a bug report.
+
+    With --compile the machine code of estimators, smoother and emulated wall is made now (about a minute,
+    once for each version) instead of at the start of the first run.
+    """
+    if compiling:
+        _compile()
     packages = {name: _version(name) for name in _PACKAGES}
     extras = {name: util.find_spec(module) is not None for name, module in _EXTRAS.items()}
     host = platform.platform()

@@ -134,6 +134,7 @@ surface = "wall"
 [servos]
 port = "{emulator["servos"]["port"]}"
 baud = {emulator["servos"]["baud"]}
+reply_slack_s = 0.006
 [mocap]
 command_port = {emulator["mocap"]["command_port"]}
 [imu]
