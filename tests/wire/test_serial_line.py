@@ -131,7 +131,7 @@ def test_a_port_has_one_client_and_a_line_one_name(wired):
     serial.serial_for_url("hil://echo").close()
     with pytest.raises(UsageError, match="exists already"):
         SerialLine(world, Echo()).open()
-    with pytest.raises(serial.SerialException, match="open ones: .*echo"):
+    with pytest.raises(serial.SerialException, match=r"open ones: .*echo"):
         serial.serial_for_url("hil://other")
 
 
