@@ -149,7 +149,18 @@ def _health(bench: Bench, servos: Any) -> Iterator[Finding]:
 
 
 def _encoders(bench: Bench, encoders: Any, samples: list[Any], watch_s: float) -> Iterator[Finding]:
-    rate_hz = bench.config.encoders.rate_hz  # type: ignore[union-attr]
+    config = bench.config.encoders
+    assert config is not None
+    link = Path("/sys/class/net") / config.channel / "operstate"
+    down = config.interface == "socketcan" and link.exists() and link.read_text().strip() == "down"
+    broken = encoders.bus_error or f"{config.channel} is down" * down
+    level: Level = "failure" if broken else "warning" if encoders.error_frames else "ok"
+    yield Finding(
+        "encoders", "CAN state", level, broken or f"{encoders.error_frames} error frames", "no error frames",
+        f"check bit rate ({config.bitrate}), termination (60 ohm) and wiring; "
+        f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
+    )  # fmt: skip
+    rate_hz = config.rate_hz
     for i, wheel in enumerate(WHEELS):
         statuses = [s.status[i] for s in samples]
         for finding in _losses(

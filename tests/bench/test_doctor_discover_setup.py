@@ -67,11 +67,19 @@ def opened_at_s():
     ],
 )
 def test_a_device_that_falls_ill_while_it_is_read_is_named(capsys, opened_at_s, device, kind, check):
-    fault = f"{device}:{kind}@{opened_at_s[device]}+0.45"
+    fault = f"{device}:{kind}@{opened_at_s[device]}"
     code, result = doctor(capsys, "--fault", fault)
     assert code == 3
     assert levels(result)[device, check] == "failure"
     assert {sick for (sick, _), level in levels(result).items() if level == "failure"} == {device}
+
+
+def test_an_ill_can_bus_is_told_from_an_ill_node(capsys, opened_at_s):
+    _, result = doctor(capsys, "--fault", f"encoders:bus_off@{opened_at_s['encoders']}")
+    state = next(f for f in result["findings"] if f["check"] == "CAN state")
+    assert state["level"] == "warning"
+    assert state["found"] == "1 error frames"
+    assert "ip link set" in state["remedy"]
 
 
 def test_what_a_person_reads_has_a_remedy(capsys):

@@ -100,6 +100,11 @@ class As5045Encoders(Sensor[EncoderSample]):
         """Bus, DBC and frames in use; empty while closed."""
         return self._identity
 
+    @property
+    def bus_error(self) -> str:
+        """What the CAN interface reported last (bus off, error frames, lost interface); empty for nothing."""
+        return self._bus_error
+
     def read(self) -> tuple[EncoderSample, ...]:
         """All sample sets received since the last call, oldest first.
 
