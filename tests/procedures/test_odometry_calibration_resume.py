@@ -72,7 +72,13 @@ def undisturbed(tmp_path_factory):
     return json.loads(done.stdout)
 
 
-@pytest.mark.parametrize(("title", "processes"), [("round 1, repetition 1", 1), ("round 2, repetition 1", 2)])
+@pytest.mark.parametrize(
+    ("title", "processes"),
+    [
+        ("round 1, repetition 1", 1),
+        pytest.param("round 2, repetition 1", 2, marks=pytest.mark.long),
+    ],
+)
 def test_after_kill_9_the_run_goes_on_and_ends_the_same(tmp_path, undisturbed, title, processes):
     folder = tmp_path / "run"
     group = kill_after(folder, title, processes)
