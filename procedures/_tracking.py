@@ -7,12 +7,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from hil.bench.settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
 from hil.geometry import Array, wrap_array
-from hil.kinematics import WheelGeometry
 from hil.motion import Motion
 from hil.motion_limits import check
-from hil.procedure.dry_run import motion_limits
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.trajectories import Trajectory
 
@@ -39,7 +38,7 @@ def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Tra
         TrajectoryError: with the first offending time and value.
     """
     for trajectory in references:
-        check(trajectory, WheelGeometry.nominal().projection(), motion_limits(config))
+        check(trajectory, geometry_of(config).projection(), motion_limits(config))
 
 
 def stand(bench: Bench, duration_s: float = 0.5) -> Array:

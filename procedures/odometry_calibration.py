@@ -24,7 +24,7 @@ from hil.calibration.shelf import made_for, shelve
 from hil.calibration.validation import score
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.software import versions
+from hil.versions import versions
 from procedures._calibration_report import show
 from procedures._collecting import MOTIONS, MotionName, Repetition, Sizes, collect, read_round, reference
 from procedures._rounds import Driven, geometry_in, improve, tracks, worth_going_on

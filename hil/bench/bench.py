@@ -10,8 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from hil.alignment import Alignment
-from hil.bench.settings import alignment_parameters, real_time, safety_limits
-from hil.bench.versions import versions
+from hil.bench.settings import alignment_parameters, motion_limits, real_time, safety_limits
 from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
@@ -24,7 +23,7 @@ from hil.interfaces import Estimator, Sink
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
-from hil.motion_limits import MotionLimits, check
+from hil.motion_limits import check
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
@@ -32,6 +31,7 @@ from hil.rig import Rig
 from hil.signals import CycleRecord, RobotState
 from hil.supervisor import Supervisor
 from hil.trajectories import Trajectory
+from hil.versions import versions
 
 FEEDBACK = ("odometry", "ekf", "ukf")
 
@@ -198,23 +198,17 @@ class Bench:
 
     def check(self, trajectory: Trajectory) -> None:
         """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
-        control, safety = self.config.control, self.config.safety
-        heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
-        limits = MotionLimits(
-            wheel_speed_m_s=control.wheel_speed_m_s,
-            wheel_acceleration_m_s2=control.acceleration_m_s2,
-            heading_limit_rad=heading_limit_rad if self.config.surface == "wall" else None,
-            x_range_m=safety.x_range_m,
-            y_range_m=safety.y_range_m,
-        )
-        check(trajectory, self.geometry.projection(), limits)
+        check(trajectory, self.geometry.projection(), motion_limits(self.config))
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
         """Rest, and return the pose (3,) from motion capture averaged over the rest.
 
         Without motion capture the configured start pose is returned.
         """
-        mocap = self.observe(duration_s, feedback="odometry").mocap
+        return self.measured_pose(self.observe(duration_s, feedback="odometry").mocap)
+
+    def measured_pose(self, mocap: Array) -> Array:
+        """Mean pose (3,) of a rest from its motion capture (n, 3); the configured start pose without any."""
         known = mocap[np.all(np.isfinite(mocap), axis=1)]
         if len(known):
             return np.asarray(known.mean(axis=0), dtype=np.float64)

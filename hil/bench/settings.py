@@ -10,6 +10,7 @@ from hil.alignment import AlignmentParameters, Mount
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.kinematics import WheelGeometry
+from hil.motion_limits import MotionLimits
 from hil.realtime import RealTime
 from hil.supervisor import SafetyLimits
 
@@ -19,6 +20,19 @@ def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
     if not isinstance(clock, MonotonicClock):
         return None
     return RealTime(clock, fifo_priority=config.loop.fifo_priority, cpu=config.loop.cpu)
+
+
+def motion_limits(config: BenchConfig) -> MotionLimits:
+    """What references of a configuration have to keep within."""
+    control, safety = config.control, config.safety
+    heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
+    return MotionLimits(
+        wheel_speed_m_s=control.wheel_speed_m_s,
+        wheel_acceleration_m_s2=control.acceleration_m_s2,
+        heading_limit_rad=heading_limit_rad if config.surface == "wall" else None,
+        x_range_m=safety.x_range_m,
+        y_range_m=safety.y_range_m,
+    )
 
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import json
 import platform
-from importlib import metadata, util
+from importlib import util
 
 import click
 
 from hil import __version__
+from hil.versions import version_of
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
@@ -21,13 +22,6 @@ _EXTRAS = {
     "t265": "pyrealsense2",
     "campaign": "distributed",
 }
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return "absent"
 
 
 def _compile() -> None:
@@ -54,7 +48,7 @@ def command(compiling: bool, as_json: bool) -> int:
     """
     if compiling:
         _compile()
-    packages = {name: _version(name) for name in _PACKAGES}
+    packages = {name: version_of(name) for name in _PACKAGES}
     extras = {name: util.find_spec(module) is not None for name, module in _EXTRAS.items()}
     host = platform.platform()
     if as_json:

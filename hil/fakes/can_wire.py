@@ -18,6 +18,7 @@ import can
 
 from hil.clock import NS_PER_S, nanoseconds
 from hil.errors import DeviceError, UsageError
+from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS, World
 
@@ -207,7 +208,7 @@ class CanFace(Face):
         if interface == "udp_multicast":
             if "port" not in self._options:
                 self._claim = _claim_default_port()
-                self._options["port"] = DEFAULT_PORT if self._claim else _free_port()
+                self._options["port"] = DEFAULT_PORT if self._claim else free_udp_port()
             self._options.setdefault("hop_limit", 0)
         try:
             self._bus: can.BusABC | None = can.Bus(interface=interface, channel=address, **self._options)
@@ -292,10 +293,3 @@ def _claim_default_port() -> socket.socket | None:
         claim.close()
         return None
     return claim
-
-
-def _free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        port: int = probe.getsockname()[1]
-        return port

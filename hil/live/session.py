@@ -7,15 +7,14 @@ from __future__ import annotations
 
 import logging
 import signal
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from types import FrameType
 
 import numpy as np
 
 from hil.bench import Bench
+from hil.bench.settings import motion_limits
 from hil.clock import nanoseconds
 from hil.errors import Aborted, HilError
 from hil.geometry import Array
@@ -25,11 +24,11 @@ from hil.live.samples import SampleCounter
 from hil.live.velocity import VelocityReference
 from hil.loop import Brain
 from hil.monitor import RerunMonitor
-from hil.motion_limits import MotionLimits
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
-from hil.signals import CycleRecord, RobotState
+from hil.signals import CycleRecord
+from hil.stop_signals import handled_by
 from hil.trajectories import Segment, Straight, Trajectory
 
 LOG = logging.getLogger(__name__)
@@ -38,7 +37,6 @@ _SETTLE_S = 0.5
 _HOLD_S = 2.0
 _PATH_POINTS = 400
 _HEADING_MARGIN_RAD = 0.035
-_START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 
 
 @dataclass(frozen=True)
@@ -91,7 +89,7 @@ class LiveSession:
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
         here = np.array(bench.config.emulation.start_pose, dtype=np.float64)
-        warm_up(self._brain(_standing(here) if self._moving else None), self._start(here))
+        warm_up(self._brain(_standing(here) if self._moving else None), self.bench.start_state(here))
 
     def run(self) -> None:
         """Settle, then cycle until the end.
@@ -100,7 +98,7 @@ class LiveSession:
             Aborted: a signal ended it.
             SafetyStop, DeviceError, TrajectoryError: as the loop raised them; the robot is held.
         """
-        with self._signals():
+        with handled_by(self._take):
             try:
                 self._run()
             except HilError as error:
@@ -139,7 +137,7 @@ class LiveSession:
         if self._moving:
             bench.rig.actuators().enable()
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
-        pose = self._start_pose(rest.mocap)
+        pose = self.bench.measured_pose(rest.mocap)
         trajectory = self._trajectory(pose) if self._moving else None
         brain = self._brain(trajectory)
         if plan.commands is not None:
@@ -168,28 +166,13 @@ class LiveSession:
             self.monitor.show_path(np.array([trajectory.sample(t).pose_in_wall[:2] for t in times_s]))
         return trajectory
 
-    def _start_pose(self, mocap: Array) -> Array:
-        known = mocap[np.all(np.isfinite(mocap), axis=1)]
-        if len(known):
-            return np.asarray(known.mean(axis=0), dtype=np.float64)
-        return np.array(self.bench.config.emulation.start_pose, dtype=np.float64)
-
     def _obey(self, lines: CommandLines, pose: Array) -> VelocityReference:
-        control, safety = self.bench.config.control, self.bench.config.safety
-        on_wall = self.bench.config.surface == "wall"
-        limits = MotionLimits(
-            wheel_speed_m_s=control.wheel_speed_m_s,
-            wheel_acceleration_m_s2=control.acceleration_m_s2,
-            heading_limit_rad=safety.heading_limit_rad - _HEADING_MARGIN_RAD if on_wall else None,
-            x_range_m=safety.x_range_m,
-            y_range_m=safety.y_range_m,
-        )
+        limits = motion_limits(self.bench.config)
+        if limits.heading_limit_rad is not None:
+            limits = replace(limits, heading_limit_rad=limits.heading_limit_rad - _HEADING_MARGIN_RAD)
         return VelocityReference(
             lines, pose, self.bench.geometry.projection(), limits, dead_man_s=self.plan.dead_man_s
         )
-
-    def _start(self, pose: Array) -> RobotState:
-        return RobotState(self.bench.clock.now_ns(), pose, np.zeros(3), _START_COVARIANCE)
 
     def _cycle(self, brain: Brain, trajectory: Trajectory | None, pose: Array) -> None:
         bench, plan = self.bench, self.plan
@@ -198,7 +181,7 @@ class LiveSession:
         if told is not None and plan.commands is not None:
             told["references"] = "recorded"
         bench.add_sink(self._samples)
-        start = RunStart(self._start(pose), plan.feedback, law, plan.observers, told)
+        start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
         bench.run(brain, start, self._is_over(trajectory))
         if self._signal is not None:
             raise Aborted(f"ended by {self._signal}; the robot is held")
@@ -232,19 +215,6 @@ class LiveSession:
     def _take(self, number: int, _frame: FrameType | None = None) -> None:
         """Handle a signal: the cycle in hand is finished, then the loop ends."""
         self._signal = signal.Signals(number).name
-
-    @contextmanager
-    def _signals(self) -> Iterator[None]:
-        """SIGINT and SIGTERM end the loop; only the main thread can take them."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        before = {n: signal.signal(n, self._take) for n in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def _standing(pose: Array) -> Trajectory:

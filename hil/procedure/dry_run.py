@@ -5,25 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from hil.config.bench import BenchConfig
-from hil.kinematics import WheelGeometry
-from hil.motion_limits import MotionLimits, check
+from hil.bench.settings import geometry_of, motion_limits
+from hil.motion_limits import check
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import as_dict, make_parameters
-
-
-def motion_limits(config: BenchConfig) -> MotionLimits:
-    """What the configured bench can follow."""
-    control, safety = config.control, config.safety
-    heading_limit_rad = min(control.heading_limit_rad, safety.heading_limit_rad)
-    return MotionLimits(
-        wheel_speed_m_s=control.wheel_speed_m_s,
-        wheel_acceleration_m_s2=control.acceleration_m_s2,
-        heading_limit_rad=heading_limit_rad if config.surface == "wall" else None,
-        x_range_m=safety.x_range_m,
-        y_range_m=safety.y_range_m,
-    )
 
 
 def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -42,7 +28,7 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
     steps = []
     for step in proc.steps(parameters, config):
         for trajectory in step.trajectories:
-            check(trajectory, WheelGeometry.nominal().projection(), motion_limits(config))
+            check(trajectory, geometry_of(config).projection(), motion_limits(config))
         driven = [{"name": t.name, "duration_s": t.duration_s} for t in step.trajectories]
         steps.append({"title": step.title, "trajectories": driven})
     return {

@@ -10,10 +10,11 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
 from hil.errors import Aborted, StepTimeoutError
+from hil.stop_signals import handled_by
 
 
 class Interrupts:
@@ -66,18 +67,9 @@ class Interrupts:
         finally:
             self._deferred -= 1
 
-    @contextmanager
-    def installed(self) -> Iterator[None]:
+    def installed(self) -> AbstractContextManager[None]:
         """Handle the signals of this process; only possible in the main thread, elsewhere nothing."""
-        if threading.current_thread() is not threading.main_thread():
-            yield
-            return
-        before = {n: signal.signal(n, self.handle) for n in (signal.SIGINT, signal.SIGTERM)}
-        try:
-            yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
+        return handled_by(self.handle)
 
 
 @contextmanager

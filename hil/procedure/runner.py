@@ -192,7 +192,7 @@ def conclude(
 def _facts(
     proc: Procedure, context: Context, options: RunOptions, past: PastRun | None, wall_s: float
 ) -> dict[str, Any]:
-    from hil.procedure.software import versions
+    from hil.versions import versions
 
     findings, source = context.findings, context.source
     return {

@@ -9,19 +9,25 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import hil
 from hil.errors import ConfigError, HilError
 from hil.procedure.declaration import Procedure
 
 SHIPPED = "procedures"
+SHIPPED_FOLDER = Path(hil.__file__).resolve().parent.parent / SHIPPED
+"""Where they lie. A user's own folder of that name may come first on the import path."""
 
 
 def shipped_names() -> tuple[str, ...]:
     """Names of the procedures that come with the package."""
-    spec = importlib.util.find_spec(SHIPPED)
-    if spec is None or spec.submodule_search_locations is None:
-        return ()
-    found = pkgutil.iter_modules(list(spec.submodule_search_locations))
+    found = pkgutil.iter_modules([str(SHIPPED_FOLDER)])
     return tuple(sorted(m.name for m in found if not m.name.startswith("_")))
+
+
+def _shipped(name: str) -> ModuleType:
+    if SHIPPED not in sys.modules:
+        _load(SHIPPED, SHIPPED_FOLDER / "__init__.py")
+    return importlib.import_module(f"{SHIPPED}.{name}")
 
 
 def load_procedure(script: str) -> Procedure:
@@ -37,7 +43,7 @@ def load_procedure(script: str) -> Procedure:
             raise ConfigError(f"script {path}: no such file", expected=_known())
         module = _from_file(path)
     elif target in shipped_names():
-        module = importlib.import_module(f"{SHIPPED}.{target}")
+        module = _shipped(target)
     else:
         raise ConfigError(f"procedure {script!r} is unknown", expected=_known())
     return _choose(module, wanted, script)
@@ -48,23 +54,25 @@ def _known() -> str:
 
 
 def _from_file(path: Path) -> ModuleType:
-    for entry in map(Path, importlib.util.find_spec(SHIPPED).submodule_search_locations):  # type: ignore
-        if path.resolve().parent == entry.resolve():
-            return importlib.import_module(f"{SHIPPED}.{path.stem}")
-    name = f"hil_script_{path.stem}"
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module
+    if path.resolve().parent == SHIPPED_FOLDER:
+        return _shipped(path.stem)
     try:
-        spec.loader.exec_module(module)
+        return _load(f"hil_script_{path.stem}", path)
     except HilError as error:
         raise ConfigError(f"{path}: {error}") from None
     except SyntaxError as error:
         raise ConfigError(f"{path}: line {error.lineno}: {error.msg}") from None
     except Exception as error:
         raise ConfigError(f"{path}: cannot be loaded ({type(error).__name__}: {error})") from error
+
+
+def _load(name: str, path: Path) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module
+    spec.loader.exec_module(module)
     return module
 
 

@@ -8,6 +8,7 @@ import itertools
 import socket
 
 from hil.errors import DeviceError
+from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap.network import Address
 from hil.fakes.mocap.server import NatNetServer, Outlet
 from hil.fakes.server import Face
@@ -41,7 +42,7 @@ class NatNetFace(Face, Outlet):
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
             self._socket.setblocking(False)
-            server.data_port = data_port or _free_port(host)
+            server.data_port = data_port or free_udp_port(host)
         except OSError as error:
             self._socket.close()
             raise DeviceError(
@@ -97,11 +98,3 @@ class NatNetFace(Face, Outlet):
         if self._socket is not None:
             self._socket.close()
             self._socket = None
-
-
-def _free_port(host: str) -> int:
-    """A UDP port number that nobody uses now."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind((host, 0))
-        number: int = probe.getsockname()[1]
-        return number

@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import hashlib
 import platform
-import sys
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 
 import hil
 
-_PACKAGES = ("numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "filterpy")
+_PACKAGES = (
+    "numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "cantools", "filterpy", "mcap",
+)  # fmt: skip
+
+
+def version_of(package: str) -> str:
+    """Version of an installed package, else `absent`."""
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "absent"
 
 
 @cache
 def versions() -> dict[str, str]:
     """Package name to version, `absent` if not installed; `hil_sources` tells working copies apart."""
-    found = {
+    return {
         "hil": hil.__version__,
         "hil_sources": _sources(),
         "python": platform.python_version(),
-        "platform": sys.platform,
+        "platform": platform.platform(),
+        **{package: version_of(package) for package in _PACKAGES},
     }
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "absent"
-    return found
 
 
 def _sources() -> str:
