@@ -85,7 +85,8 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     driven = tuple(reference(m, config.emulation.start_pose, p.sizes) for m in p.motions)
     for number in range(1, p.min_rounds + 1):
         yield PlannedStep(f"round {number}", driven if number == 1 else ())
-        yield PlannedStep(f"fit {number}")
+        if number < p.min_rounds:
+            yield PlannedStep(f"fit {number}")
     yield PlannedStep("validation")
     yield PlannedStep("report")
 
