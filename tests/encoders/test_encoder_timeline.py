@@ -25,3 +25,56 @@ def test_a_frame_without_a_stamp_of_its_interface_arrived_when_it_was_drained():
     assert clock.arrival_ns(1000.0, 5_000_000) == 5_000_000
     assert clock.arrival_ns(1000.002, 9_000_000) == 7_000_000
     assert clock.arrival_ns(1000.010, 11_000_000) == 11_000_000
+
+
+OFFSET_NS = 700_000_000_000
+FRAME_NS = 5_000_000
+
+
+def drain(clock, timeline, first, count, now_ns, step_ns=0):
+    """Frames `first` and on of a node that samples every 5 ms, drained at `now_ns` from an interface whose
+    clock is OFFSET_NS (and `step_ns`) ahead; their errors in time, and whether the node has restarted."""
+    errors, restarts = [], []
+    for k in range(first, first + count):
+        sampled_ns = k * FRAME_NS
+        arrival_ns = clock.arrival_ns((sampled_ns + OFFSET_NS + step_ns) / 1e9, now_ns)
+        t_ns, _, restarted = timeline.update(k & 0xFF, sampled_ns // 10_000 & 0xFFFFF, arrival_ns)
+        errors.append(t_ns - sampled_ns)
+        restarts.append(restarted)
+    return errors, restarts
+
+
+@pytest.mark.parametrize("kept", [600, 120])
+def test_frames_that_nobody_drained_for_seconds_are_no_restart(kept):
+    """All of them were kept, or what did not fit into the interface's buffer was lost."""
+    clock, timeline = ArrivalClock(), NodeTimeline(0xFF, 0xFFFFF, 1e-5)
+    for k in range(100):
+        drain(clock, timeline, k, 1, k * FRAME_NS + 100_000)
+    errors, restarts = drain(clock, timeline, 100, kept, 700 * FRAME_NS + 100_000)
+    later, again = drain(clock, timeline, 701, 2, 702 * FRAME_NS + 100_000)
+    assert not any(restarts + again)
+    assert max(map(abs, errors + later)) < 300_000
+
+
+def test_a_true_restart_is_told_even_out_of_a_pile_of_frames():
+    clock, timeline = ArrivalClock(), NodeTimeline(0xFF, 0xFFFFF, 1e-5)
+    for k in range(100):
+        drain(clock, timeline, k, 1, k * FRAME_NS)
+    told = []
+    for k in range(400):
+        sampled_ns = (150 + k) * FRAME_NS
+        arrival_ns = clock.arrival_ns((sampled_ns + OFFSET_NS) / 1e9, 700 * FRAME_NS)
+        told.append(timeline.update(k & 0xFF, k * FRAME_NS // 10_000, arrival_ns)[2])
+    assert told == [True] + [False] * 399
+
+
+@pytest.mark.parametrize("step_ns", [-3_000_000_000, 3_000_000_000])
+@pytest.mark.parametrize("silence", [0, 1000])
+def test_the_interfaces_clock_may_be_set_while_it_runs(step_ns, silence):
+    clock, timeline = ArrivalClock(), NodeTimeline(0xFF, 0xFFFFF, 1e-5)
+    for k in range(100):
+        drain(clock, timeline, k, 1, k * FRAME_NS)
+    errors = []
+    for k in range(100 + silence, 400 + silence):
+        errors += drain(clock, timeline, k, 1, k * FRAME_NS, step_ns)[0]
+    assert max(map(abs, errors[100:])) < 300_000
