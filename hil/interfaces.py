@@ -69,7 +69,7 @@ class Actuators(Device, Protocol):
 
     @abstractmethod
     def read_health(self) -> tuple[ServoHealth, ...]:
-        """Voltage and temperature, at the driver's own slow rate; empty between."""
+        """Voltage and temperature, at the driver's own slow rate, as `read` has come by it; empty between."""
 
     @abstractmethod
     def enable(self) -> None:

@@ -132,6 +132,7 @@ def _servos(bench: Bench, servos: Any, samples: list[Any], watch_s: float) -> It
 
 def _health(bench: Bench, servos: Any) -> Iterator[Finding]:
     bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(bench.config.servos.health_period_s))  # type: ignore[union-attr]
+    servos.read()
     found = servos.read_health()
     if not found:
         yield Finding("servos", "health", "warning", "voltage and temperature were not answered")

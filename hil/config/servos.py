@@ -34,6 +34,8 @@ class ServosConfig(BaseModel):
         drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.
         steer_mode: operating mode that the steering servos must have; drives must be in velocity mode.
         fast_sync_read: `auto` uses the fast reads when every firmware has them (45 on).
+        prefetch: ask for the next state right after every command, so that a read need not wait for the
+            bus; the sample is then most of a cycle old, and stamped so. For rates beyond 100 Hz.
         usb_latency_s: latency timer of the USB adapter.
         return_delay_s: Return Delay Time that the servos are expected to have; larger is reported.
         reply_slack_s: silence beyond the computed time of a reply before it counts as lost.
@@ -58,6 +60,7 @@ class ServosConfig(BaseModel):
     steer_ids: Ids = (5, 6, 7, 8)
     steer_mode: Literal["position", "extended", "current_position"] = "position"
     fast_sync_read: Literal["auto"] | bool = "auto"
+    prefetch: bool = False
     usb_latency_s: float = Field(0.001, ge=0, le=0.1)
     return_delay_s: float = Field(0.0, ge=0, le=508e-6)
     reply_slack_s: float = Field(0.0015, gt=0, le=0.1)

@@ -118,6 +118,8 @@ def test_fast_reads_are_used_where_every_servo_has_them(servo_bench, options, co
     for _ in range(20):
         assert bench.driver.read()[0].ok
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
+    assert bench.driver.read_health() == ()
+    assert bench.driver.read()[0].ok
     (health,) = bench.driver.read_health()
     np.testing.assert_allclose(health.voltage_v, 11.1, atol=0.1)
     np.testing.assert_allclose(health.temperature_c, 27.0, atol=1.0)

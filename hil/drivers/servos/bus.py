@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from dynamixel_sdk import (
@@ -23,20 +24,40 @@ from hil.signals import Status
 T = TypeVar("T")
 
 _ATTEMPTS = 3
+_OLDEST_NS = 50_000_000
 _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
 @dataclass(frozen=True)
 class Exchange:
-    """Bytes of one group read, and when: request handed over, answer complete (or given up)."""
+    """Bytes of one group read, and when.
+
+    Attributes:
+        sent_ns: request handed over.
+        received_ns: answer complete, or given up.
+        taken_ns: when the servos took what they tell.
+    """
 
     data: bytes
     sent_ns: int
     received_ns: int
+    taken_ns: int
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """A group read whose answer has not been fetched."""
+
+    group: GroupRead
+    sent_ns: int
+    deadline_ns: int
 
 
 class Bus:
     """An open port with the verbs of Protocol 2.0.
+
+    The bus is half-duplex: while an answer is under way that was asked for ahead, whatever else is to
+    be sent waits for it.
 
     Args:
         port: opened by the caller.
@@ -48,6 +69,8 @@ class Bus:
         self.port, self._clock, self._device = port, clock, device
         self._sdk = PacketHandler(2.0)
         self.traffic_ns = clock.now_ns()
+        self._asked: _Asked | None = None
+        self._ahead: tuple[GroupRead, Exchange] | None = None
 
     def close(self) -> None:
         """Let go of the port; never raises."""
@@ -100,6 +123,7 @@ class Bus:
 
     def send(self, packet: bytes) -> bool:
         """Send a packet that nobody answers; False when the port is lost."""
+        self._settle()
         self.traffic_ns = self._clock.now_ns()
         try:
             self.port.writePort(packet)
@@ -109,19 +133,48 @@ class Bus:
 
     def exchange(self, group: GroupRead, timeout_s: float) -> Exchange:
         """One group read within `timeout_s`; what arrived may be nothing or incomplete."""
-        clock, port = self._clock, self.port
-        backlog_ns = port.backlog_ns()
-        sent_ns = self.traffic_ns = clock.now_ns() + backlog_ns
+        self._settle()
+        asked = self._ask(group, timeout_s)
+        exchange = self._fetch(asked)
+        return replace(exchange, taken_ns=(exchange.sent_ns + exchange.received_ns) // 2)
+
+    def ask(self, group: GroupRead, timeout_s: float) -> None:
+        """Send the request of a group read whose answer `answered` will fetch."""
+        self._settle()
+        self._ahead, self._asked = None, self._ask(group, timeout_s)
+
+    def answered(self) -> tuple[GroupRead, Exchange] | None:
+        """What was asked ahead and its answer, waited for; None when nothing was, or too long ago."""
+        self._settle()
+        found, self._ahead = self._ahead, None
+        if found is None or self._clock.now_ns() - found[1].sent_ns > _OLDEST_NS:
+            return None
+        return found
+
+    def _settle(self) -> None:
+        """Fetch what is still under way."""
+        if self._asked is not None:
+            asked, self._asked = self._asked, None
+            self._ahead = (asked.group, self._fetch(asked))
+
+    def _ask(self, group: GroupRead, timeout_s: float) -> _Asked:
+        sent_ns = self.traffic_ns = self._clock.now_ns() + self.port.backlog_ns()
+        with contextlib.suppress(PortLost):
+            self.port.clearPort()
+            self.port.writePort(group.request)
+        return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
+
+    def _fetch(self, asked: _Asked) -> Exchange:
+        clock, group = self._clock, asked.group
         data = b""
         try:
-            port.clearPort()
-            port.writePort(group.request)
-            data = port.receive(group.expected, timeout_s + backlog_ns / NS_PER_S)
+            data = self.port.receive(group.expected, (asked.deadline_ns - clock.now_ns()) / NS_PER_S)
             if not group.plausible(data):
-                data = self._more(group, data, sent_ns + round(timeout_s * NS_PER_S))
+                data = self._more(group, data, asked.deadline_ns)
         except PortLost:
-            clock.sleep_until_ns(sent_ns + round(timeout_s * NS_PER_S))
-        return Exchange(data, sent_ns, clock.now_ns())
+            clock.sleep_until_ns(asked.deadline_ns)
+        heard_ns = asked.sent_ns + round(self.port.wire_s(len(group.request)) * NS_PER_S)
+        return Exchange(data, asked.sent_ns, clock.now_ns(), heard_ns)
 
     def _more(self, group: GroupRead, data: bytes, deadline_ns: int) -> bytes:
         """Go on receiving when noise, an echo or stuffing has made the answer longer."""
@@ -160,6 +213,7 @@ class Bus:
 
     def _guard(self, call: Callable[[], T], lost: T) -> T:
         """A call into the SDK; a lost port becomes a failed result."""
+        self._settle()
         self.traffic_ns = self._clock.now_ns()
         try:
             return call()

@@ -1,5 +1,8 @@
 """The read of every cycle, and what becomes of it when servos do not answer.
 
+Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
+fifth of a millisecond more on the wire instead of two exchanges of their own.
+
 A servo that misses a read moves to the end of the list, so that a chain that stops at it loses nobody
 else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
 short time-out at a time, never the whole group. When nobody answers it is either the bus or the first of
@@ -29,20 +32,36 @@ class Reading:
     """One read of all eight.
 
     Attributes:
-        registers: (8,) structured `CYCLE_FIELDS`; zero where `status` is not OK.
-        status: per servo, before hardware errors are looked into.
+        registers: (8,) structured `CYCLE_FIELDS` or `FULL_FIELDS`; zero where `status` is not OK.
+        status: per servo, before hardware errors are looked into; `RESET` where a full look has found
+            the map of indirect addresses gone.
         alert: whether the alert bit was set, per servo.
+        taken_ns, received_ns: when the servos took it, and when it had arrived.
+        full: whether it was a full look.
         revived: joints that answer again after having been left out.
     """
 
     registers: np.ndarray
     status: tuple[Status, ...]
     alert: tuple[bool, ...]
-    sent_ns: int
+    taken_ns: int
     received_ns: int
+    full: bool = False
     revived: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True)
+class _Kind:
+    """Which registers a read asks for."""
+
+    address: int
+    length: int
+    fields: np.dtype[np.void]
+
+
+_CYCLE = _Kind(reg.CYCLE_ADDRESS, reg.CYCLE_LENGTH, reg.CYCLE_FIELDS)
+_MAPPED = _Kind(reg.AUDIT_DATA, reg.FULL_FIELDS.itemsize, reg.FULL_FIELDS)
+_DIRECT = _Kind(reg.TORQUE, reg.DIRECT_FULL_LENGTH, reg.DIRECT_FULL_FIELDS)
 _NO_ALERT = (False,) * 8
 
 
@@ -58,9 +77,10 @@ class CycleReader:
         config: IDs and budgets.
         clock: the bench clock.
         fast: use fast sync reads.
+        mapped: full looks go through the map of indirect addresses.
     """
 
-    def __init__(self, bus: Bus, config: ServosConfig, clock: Clock, *, fast: bool) -> None:
+    def __init__(self, bus: Bus, config: ServosConfig, clock: Clock, *, fast: bool, mapped: bool) -> None:
         self._bus, self._ids, self._clock, self.fast = bus, config.ids, clock, fast
         self._budget_ns = nanoseconds(config.retry_budget_s)
         self._slack_ns = nanoseconds(config.reply_slack_s)
@@ -68,42 +88,87 @@ class CycleReader:
         self._order = list(_ALL)
         self._missed = [0] * 8
         self._dead: dict[int, int] = {}
-        self._groups: dict[tuple[int, ...], tuple[GroupRead, float]] = {}
+        self._full = _MAPPED if mapped else _DIRECT
+        self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
+        self._asked: tuple[_Kind, tuple[int, ...]] | None = None
 
     @property
     def live_ids(self) -> tuple[int, ...]:
         """IDs that the group read asks, in its order."""
         return tuple(self._ids[j] for j in self._order)
 
-    def read(self) -> Reading:
-        """One exchange; a second one for what is missing where the budget allows it."""
-        order = tuple(self._order)
+    def ask(self, *, full: bool) -> None:
+        """Send the request of the next `read` now."""
+        kind, order = self._full if full else _CYCLE, tuple(self._order)
+        if order:
+            self._asked = (kind, order)
+            self._bus.ask(*self._group(kind, order))
+
+    def read(self, *, full: bool) -> Reading:
+        """One exchange; a second one for what is missing where the budget allows it.
+
+        What was asked ahead is taken as it was asked. When a part of it is missing, everything is asked
+        again: the parts would be of different times.
+        """
+        reading = self._answered()
+        if reading is not None:
+            return reading
+        kind, order = self._full if full else _CYCLE, tuple(self._order)
         if not order:
             now_ns = self._clock.now_ns()
-            return self._poll_dead(Exchange(b"", now_ns, now_ns), dict.fromkeys(_ALL, NO_ANSWER))
-        group, timeout_s = self._group(order)
+            nothing = Exchange(b"", now_ns, now_ns, now_ns)
+            return self._poll_dead(kind, nothing, dict.fromkeys(_ALL, NO_ANSWER))
+        group, timeout_s = self._group(kind, order)
         exchange = self._bus.exchange(group, timeout_s)
-        rows = group.quick(exchange.data, reg.CYCLE_FIELDS)
-        if rows is not None and order == _ALL:
-            if any(self._missed):
-                self._missed = [0] * 8
-            return Reading(rows, ALL_OK, _NO_ALERT, exchange.sent_ns, exchange.received_ns)
+        reading = self._quick(kind, group, exchange, order)
+        if reading is not None:
+            return reading
         answers = self._by_joint(group, exchange, order)
         missing = [j for j in order if answers[j].status is not Status.OK]
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
-            answers |= self._again(order, missing, answers, deadline_ns)
+            answers |= self._again(kind, order, missing, answers, deadline_ns)
         self._keep_book(order, answers)
-        return self._poll_dead(exchange, answers)
+        return self._poll_dead(kind, exchange, answers)
 
-    def _group(self, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
-        found = self._groups.get(joints)
+    def _answered(self) -> Reading | None:
+        """The reading that was asked ahead, when everybody has answered."""
+        asked, self._asked = self._asked, None
+        found = self._bus.answered()
+        if asked is None or found is None:
+            return None
+        (kind, order), (group, exchange) = asked, found
+        reading = self._quick(kind, group, exchange, order)
+        if reading is not None:
+            return reading
+        answers = self._by_joint(group, exchange, order)
+        if any(a.status is not Status.OK for a in answers.values()):
+            return None
+        self._keep_book(order, answers)
+        return self._poll_dead(kind, exchange, answers)
+
+    def _quick(
+        self, kind: _Kind, group: GroupRead, exchange: Exchange, order: tuple[int, ...]
+    ) -> Reading | None:
+        """The reading of a clean answer of all eight."""
+        rows = group.quick(exchange.data, kind.fields)
+        if rows is None or order != _ALL:
+            return None
+        full = kind is not _CYCLE
+        if full and (rows["level"] != reg.FULL_LEVEL).any():
+            return None
+        if any(self._missed):
+            self._missed = [0] * 8
+        return Reading(rows, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full)
+
+    def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
+        found = self._groups.get((kind, joints))
         if found is None:
             ids = [self._ids[j] for j in joints]
-            group = GroupRead(ids, reg.CYCLE_ADDRESS, reg.CYCLE_LENGTH, fast=self.fast)
+            group = GroupRead(ids, kind.address, kind.length, fast=self.fast)
             delays = 1 if self.fast else len(ids)
             timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
-            found = self._groups[joints] = (group, timeout_s)
+            found = self._groups[kind, joints] = (group, timeout_s)
         return found
 
     def _by_joint(self, group: GroupRead, exchange: Exchange, order: tuple[int, ...]) -> dict[int, Answer]:
@@ -111,7 +176,12 @@ class CycleReader:
         return {j: answers[self._ids[j]] for j in order}
 
     def _again(
-        self, order: tuple[int, ...], missing: list[int], answers: dict[int, Answer], deadline_ns: int
+        self,
+        kind: _Kind,
+        order: tuple[int, ...],
+        missing: list[int],
+        answers: dict[int, Answer],
+        deadline_ns: int,
     ) -> dict[int, Answer]:
         """Ask once more, without the servo at which the answer broke off, if there is time."""
         if len(missing) == len(order):
@@ -121,7 +191,7 @@ class CycleReader:
             joints = tuple(j for j in missing if j != suspect or answers[j].status is not Status.TIMEOUT)
         if not joints:
             return {}
-        group, timeout_s = self._group(joints)
+        group, timeout_s = self._group(kind, joints)
         left_ns = deadline_ns - self._clock.now_ns()
         if left_ns < nanoseconds(timeout_s) - self._slack_ns:
             return {}
@@ -148,13 +218,13 @@ class CycleReader:
         else:
             self._order.append(suspect)
 
-    def _poll_dead(self, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
+    def _poll_dead(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
         """Ask one of the dead if its time has come, then make a reading of everything."""
         revived = []
         now_ns = self._clock.now_ns()
         for j, due_ns in self._dead.items():
             if now_ns >= due_ns:
-                group, timeout_s = self._group((j,))
+                group, timeout_s = self._group(kind, (j,))
                 answer = self._by_joint(group, self._bus.exchange(group, timeout_s), (j,))[j]
                 self._dead[j] = now_ns + self._poll_ns
                 if answer.status is Status.OK:
@@ -165,16 +235,25 @@ class CycleReader:
             del self._dead[j]
             self._missed[j] = 0
             self._order = sorted([*self._order, j])
-        return self._reading(exchange, answers, tuple(revived))
+        return self._reading(kind, exchange, answers, tuple(revived))
 
-    def _reading(self, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]) -> Reading:
-        registers = np.zeros(8, dtype=reg.CYCLE_FIELDS)
+    def _reading(
+        self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
+    ) -> Reading:
+        full = kind is not _CYCLE
+        registers = np.zeros(8, dtype=reg.FULL_FIELDS if full else reg.CYCLE_FIELDS)
         status, alert = [Status.TIMEOUT] * 8, [False] * 8
         for j, answer in answers.items():
             status[j] = answer.status
-            if answer.status is Status.OK:
-                registers[j] = np.frombuffer(answer.data, reg.CYCLE_FIELDS)[0]
-                alert[j] = bool(answer.error & 0x80)
+            if answer.status is not Status.OK:
+                continue
+            row = np.frombuffer(answer.data, kind.fields)[0]
+            if full and row["level"] != reg.FULL_LEVEL:
+                status[j] = Status.RESET
+                continue
+            for name in registers.dtype.names or ():
+                registers[name][j] = row[name]
+            alert[j] = bool(answer.error & 0x80)
         return Reading(
-            registers, tuple(status), tuple(alert), exchange.sent_ns, exchange.received_ns, revived
+            registers, tuple(status), tuple(alert), exchange.taken_ns, exchange.received_ns, full, revived
         )

@@ -30,7 +30,7 @@ ERROR_TEXT = {
 _HEADER = b"\xff\xff\xfd\x00"
 _STATUS = 0x55
 _SYNC_READ, _SYNC_WRITE, _FAST_SYNC_READ = 0x82, 0x83, 0x8A
-_BULK_READ, _BULK_WRITE, _FAST_BULK_READ = 0x92, 0x93, 0x9A
+_BULK_WRITE = 0x93
 _PING = 0x01
 _STATUS_OVERHEAD, _FAST_HEAD, _FAST_OVERHEAD = 11, 8, 4
 _LONGEST = 2048
@@ -103,25 +103,18 @@ def _plain_layout(fields: np.dtype[np.void]) -> np.dtype[np.void]:
 
 
 class GroupRead:
-    """One sync or bulk read of the same registers of several servos, plain or fast.
+    """One sync read of the same registers of several servos, plain or fast.
 
     Attributes:
         request: the packet, built once.
         expected: bytes of a complete answer without stuffing.
     """
 
-    def __init__(
-        self, ids: Sequence[int], address: int, length: int, *, fast: bool, bulk: bool = False
-    ) -> None:
+    def __init__(self, ids: Sequence[int], address: int, length: int, *, fast: bool) -> None:
         self.ids, self.length, self.fast = tuple(ids), length, fast
         where = address.to_bytes(2, "little") + length.to_bytes(2, "little")
-        if bulk:
-            code = _FAST_BULK_READ if fast else _BULK_READ
-            parameters = b"".join(bytes((i,)) + where for i in ids)
-        else:
-            code = _FAST_SYNC_READ if fast else _SYNC_READ
-            parameters = where + bytes(ids)
-        self.request = instruction(BROADCAST, code, parameters)
+        code = _FAST_SYNC_READ if fast else _SYNC_READ
+        self.request = instruction(BROADCAST, code, where + bytes(ids))
         count = len(self.ids)
         overhead = _FAST_OVERHEAD if fast else _STATUS_OVERHEAD
         self.expected = count * (length + overhead) + (_FAST_HEAD if fast else 0)

@@ -15,6 +15,7 @@ from hil.config.xh430 import hardware_error_text
 from hil.drivers.servos import packets
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
+from hil.drivers.servos.cycle import Reading
 from hil.drivers.servos.packets import GoalWrite, GroupRead
 from hil.errors import DeviceError
 from hil.signals import SERVOS, Status
@@ -143,6 +144,19 @@ class Upkeep:
                 state[joint] = (torque, watchdog)
         return state
 
+    def judge(self, reading: Reading) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) by joint from a full look; a lost map reads as none of both."""
+        state = {}
+        rows = reading.registers
+        for joint, status in enumerate(reading.status):
+            if status is Status.OK:
+                self.hardware_error[joint] = int(rows["error"][joint])
+                state[joint] = (int(rows["torque"][joint]), int(rows["watchdog"][joint]))
+            elif status is Status.RESET:
+                self.hardware_error[joint] = 0
+                state[joint] = (0, 0)
+        return state
+
     def repair(
         self, state: Mapping[int, tuple[int, int]], goals: Sequence[int], *, paused: bool = False
     ) -> tuple[int, ...]:
@@ -166,13 +180,14 @@ class Upkeep:
                 level = logging.DEBUG if paused else logging.WARNING
                 _LOG.log(level, "%s: bus watchdog of %s tripped: armed again", self._device, SERVOS[joint])
             else:
-                _LOG.warning("%s: %s has restarted: set up again", self._device, SERVOS[joint])
-                self._restore_settings(joint)
+                self.restore(joint)
             self._resume(joint, goals[joint])
             repaired.append(joint)
         return tuple(repaired)
 
-    def _restore_settings(self, joint: int) -> None:
+    def restore(self, joint: int) -> None:
+        """Write map and registers again into a servo that has restarted; torque and watchdog stay off."""
+        _LOG.warning("%s: %s has restarted: set up again", self._device, SERVOS[joint])
         servo_id = self._ids[joint]
         if self.mapped:
             wanted = reg.indirect_map(self._goal_addresses[joint])

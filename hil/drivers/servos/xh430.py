@@ -29,7 +29,7 @@ from hil.drivers.servos import identity as ident
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cycle import ALL_OK, CycleReader, Reading
-from hil.drivers.servos.health import HealthReader
+from hil.drivers.servos.health import HealthWatch
 from hil.drivers.servos.identity import Finding
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.turns import TurnCounter
@@ -104,8 +104,8 @@ class XH430Servos(Actuators):
             fast = min(firmware) >= FAST_READ_FIRMWARE
         self._upkeep = Upkeep(bus, config, self.name, fast=fast)
         self._upkeep.prepare(blocks)
-        self._cycle = CycleReader(bus, config, self._clock, fast=fast)
-        self._health = HealthReader(bus, config, self._clock, fast=fast)
+        self._cycle = CycleReader(bus, config, self._clock, fast=fast, mapped=self._upkeep.mapped)
+        self._health = HealthWatch(config, self._clock)
         self._goal_write = self._upkeep.goal_write()
         self._limits(blocks)
         self._turns = TurnCounter()
@@ -113,8 +113,7 @@ class XH430Servos(Actuators):
         self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._registers[4:]))
         self._alert = [0] * 8
         self._good_ns = [self._clock.now_ns()] * 8
-        self._doubtful = False
-        self._unsure: set[int] = set()
+        self._doubtful = self._commanded = False
         self._identity = {
             "model": f"XH430 ({config.model_number})",
             "firmware": ", ".join(str(f) for f in firmware),
@@ -167,19 +166,27 @@ class XH430Servos(Actuators):
         silence_ns = self._clock.now_ns() - bus.traffic_ns
         if silence_ns > _PAUSE_NS:  # nobody asked, so nobody failed to answer
             self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
-        restarted: tuple[int, ...] = ()
         paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
-        if self._doubtful or paused:
+        reading = self._cycle.read(full=paused or self._look_closely())
+        restarted: tuple[int, ...] = ()
+        if reading.full:
             self._doubtful = False
-            restarted = self._audit(paused=paused)
-        reading = self._cycle.read()
-        if reading.revived:
-            self._doubtful = True
-        return (self._sample(reading, restarted),)
+            self._health.note(reading)
+            restarted = self._audit(reading, paused=paused)
+        self._doubtful |= bool(reading.revived)
+        sample = self._sample(reading, restarted)
+        if self._config.prefetch and not self._commanded:
+            self._cycle.ask(full=self._look_closely())
+        self._commanded = False
+        return (sample,)
+
+    def _look_closely(self) -> bool:
+        """Whether the next read should show torque, watchdogs and health as well."""
+        return self._doubtful or self._health.due()
 
     def _sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
         self._sequence += 1
-        t_ns = (reading.sent_ns + reading.received_ns) // 2
+        t_ns = reading.taken_ns
         stamp = Stamp(t_ns=t_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
         rows = reading.registers
         velocity = rows["velocity"].astype(np.float64)
@@ -245,10 +252,15 @@ class XH430Servos(Actuators):
             remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
         )
 
-    def _audit(self, *, paused: bool) -> tuple[int, ...]:
-        """Look whether torque and watchdogs are as they should be; repair, holding still."""
-        state = self._upkeep.audit(self._cycle.live_ids)
+    def _audit(self, reading: Reading, *, paused: bool) -> tuple[int, ...]:
+        """Judge by a full look whether torque and watchdogs are as they should be; repair, holding still."""
+        state = self._upkeep.judge(reading)
         held = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
+        lost = [j for j, status in enumerate(reading.status) if status is Status.RESET]
+        if not self._upkeep.torque:
+            for j in lost:
+                self._upkeep.restore(j)
+                self._turns.restarted(j)
         repaired = self._upkeep.repair(state, held.tolist(), paused=paused)
         for j in repaired:
             if state[j][0] == 0:
@@ -263,12 +275,9 @@ class XH430Servos(Actuators):
         return present
 
     def read_health(self) -> tuple[ServoHealth, ...]:
-        """Voltage and temperature every `health_period_s`, empty between; torque and watchdog too."""
+        """Voltage and temperature every `health_period_s`, as `read` has brought them; empty between."""
         self._opened()
-        found = self._health.read(self._cycle.live_ids)
-        if found:
-            self._doubtful = True
-        return found
+        return self._health.take()
 
     def enable(self) -> None:
         """Goal := present, watchdog armed, torque on; checked.
@@ -327,6 +336,9 @@ class XH430Servos(Actuators):
         goals = np.minimum(np.maximum(np.rint(goals), self._goal_low), self._goal_high)
         self._goals = goals.astype(np.int64)
         bus.send(self._goal_write.packet(self._goals))
+        self._commanded = True
+        if self._config.prefetch:
+            self._cycle.ask(full=self._look_closely())
 
     def stop(self) -> None:
         """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
