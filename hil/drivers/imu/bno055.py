@@ -59,6 +59,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._mode = _MODES[config.fusion_mode]
         self._calibration: ImuCalibration | None = None
         self._retry_ns = nanoseconds(config.retry_budget_s)
+        self._patience_ns = nanoseconds(config.reply_timeout_s)
         self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
         self._check_ns = nanoseconds(config.check_period_s)
         self._stuck_ns = nanoseconds(config.stuck_after_s)
@@ -108,14 +109,16 @@ class Bno055Imu(Sensor[ImuSample]):
         return self._identity
 
     def read(self) -> tuple[ImuSample, ...]:
-        """One burst as one sample; empty between the polls of a sensor that has fallen silent.
+        """One burst as one sample; empty between the polls of a silent sensor, and while one is under way.
+
+        A burst that was asked ahead takes longer than a cycle of 200 Hz.
 
         Raises:
             DeviceTimeoutError: nothing usable for `fail_after_s`.
         """
         link = self._opened()
         now_ns = self._clock.now_ns()
-        if now_ns < self._next_poll_ns:
+        if now_ns < self._next_poll_ns or link.under_way(self._patience_ns):
             return ()
         try:
             if self._suspicious or (now_ns >= self._next_check_ns and not self._config.prefetch):

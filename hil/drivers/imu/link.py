@@ -103,6 +103,15 @@ class Link:
             return
         self._ahead = request
 
+    def under_way(self, patience_ns: int) -> bool:
+        """Whether nothing has come yet of what was asked ahead, not longer than `patience_ns` ago."""
+        if not self._ahead or self._clock.now_ns() - self.asked_ns >= patience_ns:
+            return False
+        try:
+            return not self._port.in_waiting
+        except PORT_ERRORS:
+            return False
+
     def _send(self, request: bytes) -> None:
         if self._dirty:
             self._port.reset_input_buffer()
