@@ -26,6 +26,7 @@ DIRECTIONS = ("up", "down", "left", "right")
 _WITHOUT = {"encoders": None, "tracker": None}
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
+_STAGGER_S = 0.13
 
 
 class Parameters(BaseModel):
@@ -124,8 +125,15 @@ def _check_wall(config: BenchConfig) -> None:
 
 
 def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float]]:
-    """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction."""
-    bench = ctx.opened or ctx.reopen("lines", overrides=_WITHOUT)
+    """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction.
+
+    A resumed run begins in a fresh world: the first rest differs, so that it does not repeat the noise
+    of the repetitions before.
+    """
+    bench = ctx.opened
+    if bench is None:
+        bench = ctx.reopen("lines", overrides=_WITHOUT)
+        stand(bench, 0.5 + _STAGGER_S * number)
     found = {}
     for k, direction in enumerate(DIRECTIONS):
         pose = stand(bench)
