@@ -6,12 +6,14 @@ import dataclasses
 import math
 import numbers
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
-_FIELDS: dict[type, tuple[str, ...] | None] = {}
+Same = Callable[[Any, Any], bool]
+
+_FLOATS = {float}
 
 
 def identical(a: Any, b: Any) -> bool:
@@ -19,31 +21,63 @@ def identical(a: Any, b: Any) -> bool:
 
     False also means "not of the same types": then only `first_difference` can tell.
     """
+    if a is b:
+        return True
     kind = type(a)
     if kind is not type(b):
         return False
-    if kind is np.ndarray:
-        return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
-    if kind is float:
-        return (a == b and (a != 0.0 or math.copysign(1.0, a) == math.copysign(1.0, b))) or (
-            a != a and struct.pack("<d", a) == struct.pack("<d", b)
-        )
-    if kind is tuple:
-        return len(a) == len(b) and all(map(identical, a, b))
-    if kind is dict:
-        return a.keys() == b.keys() and all(identical(a[key], b[key]) for key in a)
-    fields = _fields(kind)
-    if fields is None:
-        return bool(a == b)
-    return all(identical(getattr(a, name), getattr(b, name)) for name in fields)
+    same = _SAME.get(kind)
+    if same is None:
+        same = _SAME[kind] = _of_class(kind)
+    return same(a, b)
 
 
-def _fields(kind: type) -> tuple[str, ...] | None:
-    """Names of a dataclass's fields, None for other types."""
-    if kind not in _FIELDS:
-        names = tuple(f.name for f in dataclasses.fields(kind)) if dataclasses.is_dataclass(kind) else None
-        _FIELDS[kind] = names
-    return _FIELDS[kind]
+def _same_arrays(a: Any, b: Any) -> bool:
+    return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
+
+
+def _same_floats(a: float, b: float) -> bool:
+    if a == b:
+        return a != 0.0 or math.copysign(1.0, a) == math.copysign(1.0, b)
+    return a != a and struct.pack("<d", a) == struct.pack("<d", b)
+
+
+def _same_tuples(a: tuple[Any, ...], b: tuple[Any, ...]) -> bool:
+    return len(a) == len(b) and all(map(identical, a, b))
+
+
+def _same_dicts(a: dict[Any, Any], b: dict[Any, Any]) -> bool:
+    if a.keys() != b.keys():
+        return False
+    ours, others = tuple(a.values()), tuple(map(b.__getitem__, a))
+    if set(map(type, ours)) == _FLOATS == set(map(type, others)):
+        form = f"<{len(ours)}d"
+        return struct.pack(form, *ours) == struct.pack(form, *others)
+    return all(map(identical, ours, others))
+
+
+def _same_values(a: Any, b: Any) -> bool:
+    return bool(a == b)
+
+
+def _of_class(kind: type) -> Same:
+    """How two instances of a class are compared: dataclasses field by field, others by value."""
+    if not dataclasses.is_dataclass(kind):
+        return _same_values
+    names = tuple(f.name for f in dataclasses.fields(kind))
+
+    def same(a: Any, b: Any) -> bool:
+        return all(identical(getattr(a, name), getattr(b, name)) for name in names)
+
+    return same
+
+
+_SAME: dict[type, Same] = {
+    np.ndarray: _same_arrays,
+    float: _same_floats,
+    tuple: _same_tuples,
+    dict: _same_dicts,
+}
 
 
 def first_difference(a: Any, b: Any, where: str = "") -> str | None:

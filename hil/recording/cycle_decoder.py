@@ -8,107 +8,24 @@ from __future__ import annotations
 
 import dataclasses
 import enum
-import math
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping, Sequence
+from itertools import groupby
 from typing import Any
 
-import numpy as np
-
-from hil.recording.cycle_layout import (
-    ARRAY_HEADS,
-    COUNT,
-    DTYPES,
-    FLOAT,
-    FORMAT,
-    INT,
-    MAGIC,
-    Layout,
-    record_types,
+from hil.recording.cycle_layout import COUNT, FORMAT, MAGIC, Layout, record_types
+from hil.recording.value_decoders import (
+    CODES,
+    PRIMITIVES,
+    Decode,
+    coded_tuple,
+    decode_int,
+    decode_text,
+    packed,
+    plain_mapping,
+    plain_tuple,
 )
 from hil.signals import CycleRecord, Status
-
-_KNOWN_KEYS = 4096
-
-Decode = Callable[[bytes, int], "tuple[Any, int]"]
-
-
-def _decode_int(data: bytes, at: int) -> tuple[int, int]:
-    return INT.unpack_from(data, at)[0], at + 8
-
-
-def _decode_float(data: bytes, at: int) -> tuple[float, int]:
-    return FLOAT.unpack_from(data, at)[0], at + 8
-
-
-def _decode_bool(data: bytes, at: int) -> tuple[bool, int]:
-    return data[at] != 0, at + 1
-
-
-def _decode_text(data: bytes, at: int) -> tuple[str, int]:
-    end = at + 4 + COUNT.unpack_from(data, at)[0]
-    if end > len(data):
-        raise ValueError("a text runs beyond the end of the record")
-    return data[at + 4 : end].decode("utf-8", "surrogatepass"), end
-
-
-def _decode_array(data: bytes, at: int) -> tuple[Any, int]:
-    dtype, ndim = DTYPES[data[at : at + 1]], data[at + 1]
-    shape_of = ARRAY_HEADS[ndim]
-    shape = shape_of.unpack_from(data, at)[2:]
-    at += shape_of.size
-    count = shape[0] if ndim == 1 else math.prod(shape)
-    array = np.frombuffer(data, dtype, count, at) if count else np.empty(0, dtype)
-    end = at + count * dtype.itemsize
-    return (array.copy() if ndim == 1 else array.reshape(shape).copy()), end
-
-
-def _decode_any(data: bytes, at: int) -> tuple[Any, int]:
-    tag, at = data[at : at + 1], at + 1
-    if tag == b"n":
-        return None, at
-    plain = {
-        b"b": _decode_bool,
-        b"i": _decode_int,
-        b"f": _decode_float,
-        b"s": _decode_text,
-        b"a": _decode_array,
-    }
-    if tag in plain:
-        return plain[tag](data, at)
-    if tag not in (b"t", b"m"):
-        raise ValueError(f"unknown tag {tag!r}")
-    (count,), at = COUNT.unpack_from(data, at), at + 4
-    if tag == b"t":
-        items = []
-        for _ in range(count):
-            item, at = _decode_any(data, at)
-            items.append(item)
-        return tuple(items), at
-    mapping = {}
-    for _ in range(count):
-        key, at = _decode_text(data, at)
-        mapping[key], at = _decode_any(data, at)
-    return mapping, at
-
-
-_PRIMITIVE_DECODERS: dict[str, Decode] = {
-    "int": _decode_int,
-    "float": _decode_float,
-    "bool": _decode_bool,
-    "str": _decode_text,
-    "array": _decode_array,
-    "any": _decode_any,
-}
-
-
-def _packed(layouts: list[Layout]) -> struct.Struct | None:
-    """One structure for a class of plain numbers; None for any other."""
-    codes = {"int": INT, "float": FLOAT}
-    found = [codes.get(layout) if isinstance(layout, str) else None for layout in layouts]
-    if None in found:
-        return None
-    return struct.Struct("<" + "".join(f.format.lstrip("<") for f in found if f is not None))
 
 
 class CycleDecoder:
@@ -158,7 +75,7 @@ class CycleDecoder:
 
     def _decoder(self, layout: Layout) -> Decode:
         if isinstance(layout, str):
-            return _PRIMITIVE_DECODERS[layout]
+            return PRIMITIVES[layout]
         kind, inner = layout
         if kind == "class":
             classes = self._classes
@@ -169,7 +86,7 @@ class CycleDecoder:
 
     def _class_decoder(self, name: str) -> Decode:
         kind = record_types().get(name, dict)
-        decoders = [self._decoder(layout) for _, layout in self._layouts[name]]
+        layouts = [layout for _, layout in self._layouts[name]]
         names = [field for field, _ in self._layouts[name]]
         known = [f.name for f in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else names
         unknown = [field for field in names if field not in known]
@@ -180,44 +97,63 @@ class CycleDecoder:
                 if field.name not in names and not optional:
                     raise ValueError(f"the recording lacks {name}.{field.name}")
 
-        def decode_same(data: bytes, at: int) -> tuple[Any, int]:
-            values = []
-            for decode in decoders:
-                value, at = decode(data, at)
-                values.append(value)
-            return kind(*values), at
+        if names == known and kind is not dict:
+            return self._same_fields(kind, layouts)
+        decoders = [self._decoder(layout) for layout in layouts]
 
-        def decode_named(data: bytes, at: int) -> tuple[Any, int]:
+        def decode(data: bytes, at: int) -> tuple[Any, int]:
             values = {}
-            for field, decode in zip(names, decoders, strict=True):
-                values[field], at = decode(data, at)
+            for field, decode_field in zip(names, decoders, strict=True):
+                values[field], at = decode_field(data, at)
             return kind(**{field: value for field, value in values.items() if field not in unknown}), at
 
-        if names != known or kind is dict:
-            return decode_named
-        packed = _packed([layout for _, layout in self._layouts[name]])
-        if packed is None:
-            return decode_same
+        return decode
 
-        def decode_packed(data: bytes, at: int) -> tuple[Any, int]:
-            return kind(*packed.unpack_from(data, at)), at + packed.size
+    def _same_fields(self, kind: Any, layouts: Sequence[Layout]) -> Decode:
+        """For a class that is today what it was; plain numbers that follow each other are taken together."""
+        steps: list[tuple[struct.Struct | None, Decode]] = []
+        for plain, group in groupby(layouts, key=lambda layout: packed([layout]) is not None):
+            fields = list(group)
+            if plain:
+                steps.append((packed(fields), decode_int))
+            else:
+                steps += [(None, self._decoder(layout)) for layout in fields]
 
-        return decode_packed
+        def decode(data: bytes, at: int) -> tuple[Any, int]:
+            values: list[Any] = []
+            for together, decode_field in steps:
+                if together is not None:
+                    values += together.unpack_from(data, at)
+                    at += together.size
+                else:
+                    value, at = decode_field(data, at)
+                    values.append(value)
+            return kind(*values), at
 
-    def _enum(self, name: str) -> Decode:
+        return decode
+
+    def _members(self, name: str) -> list[Any]:
+        """What each code of an enumeration stands for."""
         kind = record_types().get(name)
         table: list[Any] = list(self._enums[name])
-        if kind is not None and issubclass(kind, enum.Enum):
-            known = {member.value: member for member in kind}
-            for value in table:
-                if value not in known:
-                    self._notes.append(
-                        f"{name} {value!r} is of another version, read as {Status.PROTOCOL.value!r}"
-                    )
-            table = [known.get(value, Status.PROTOCOL) for value in table]
+        if kind is None or not issubclass(kind, enum.Enum):
+            return table
+        known = {member.value: member for member in kind}
+        for value in table:
+            note = f"{name} {value!r} is of another version, read as {Status.PROTOCOL.value!r}"
+            if value not in known and note not in self._notes:
+                self._notes.append(note)
+        return [known.get(value, Status.PROTOCOL) for value in table]
+
+    def _enum(self, name: str) -> Decode:
+        table = self._members(name)
         return lambda data, at: (table[data[at]], at + 1)
 
     def _tuple(self, layout: Layout) -> Decode:
+        if isinstance(layout, str) and layout in CODES:
+            return plain_tuple(CODES[layout])
+        if layout[:1] == ["enum"]:
+            return coded_tuple(self._members(layout[1]))
         decode_item = self._decoder(layout)
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
@@ -239,25 +175,16 @@ class CycleDecoder:
         return decode
 
     def _mapping(self, layout: Layout) -> Decode:
+        if isinstance(layout, str) and layout in CODES:
+            return plain_mapping(CODES[layout])
         decode_value = self._decoder(layout)
-        floats = layout == "float"
-        keys: dict[bytes, str] = {}  # the same words come back every cycle
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
             (count,), at = COUNT.unpack_from(data, at), at + 4
             mapping = {}
             for _ in range(count):
-                end = at + 4 + COUNT.unpack_from(data, at)[0]
-                raw = data[at:end]
-                key = keys.get(raw)
-                if key is None:
-                    key, _ = _decode_text(data, at)
-                    if len(keys) < _KNOWN_KEYS:
-                        keys[raw] = key
-                if floats:
-                    mapping[key], at = FLOAT.unpack_from(data, end)[0], end + 8
-                else:
-                    mapping[key], at = decode_value(data, end)
+                key, at = decode_text(data, at)
+                mapping[key], at = decode_value(data, at)
             return mapping, at
 
         return decode

@@ -11,7 +11,7 @@ import json
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from hil.errors import DataError
 from hil.recording.cycle_decoder import CycleDecoder
@@ -145,19 +145,48 @@ def _compression_errors() -> tuple[type[Exception], ...]:
     return zstandard.ZstdError, EOFError, MemoryError
 
 
+def _top_level(stream: BinaryIO, limit: int) -> Iterator[Any]:
+    """Top-level records, in their order: chunks, metadata and footer parsed, None for every other.
+
+    Nine of ten are message indices, which a pass from the beginning does not need.
+
+    Raises:
+        McapError, ValueError, struct.error: damaged.
+    """
+    from mcap.data_stream import ReadDataStream
+    from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
+    from mcap.opcode import Opcode
+    from mcap.records import Chunk, Footer, Metadata
+    from mcap.stream_reader import read_magic
+
+    wanted: dict[int, Any] = {
+        Opcode.CHUNK: Chunk, Opcode.METADATA: Metadata, Opcode.FOOTER: Footer
+    }  # fmt: skip
+    source = ReadDataStream(stream)
+    read_magic(source)
+    opcode = None
+    while opcode != Opcode.FOOTER:
+        opcode, length = _RECORD.unpack(source.read(_RECORD.size))
+        if length > limit:
+            raise RecordLengthLimitExceeded(opcode, length, limit)
+        data, kind = source.read(length), wanted.get(opcode)
+        if len(data) < length:
+            raise EndOfFile
+        yield None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+    read_magic(source)
+
+
 def _records(path: Path, problems: list[str]) -> Iterator[Any]:
-    """Top-level MCAP records; a file that ends early ends the iteration and is named in `problems`.
+    """What `_top_level` gives; a file that ends early ends the iteration and is named in `problems`.
 
     Raises:
         DataError: not there or not MCAP.
     """
     from mcap.exceptions import InvalidMagic, McapError
-    from mcap.stream_reader import StreamReader
 
     try:
         with path.open("rb") as stream:
-            reader = StreamReader(stream, emit_chunks=True, record_size_limit=max(1, path.stat().st_size))
-            records, count = reader.records, 0
+            records, count = _top_level(stream, max(1, path.stat().st_size)), 0
             while True:
                 try:
                     record = next(records)
