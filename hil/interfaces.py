@@ -64,8 +64,12 @@ class Actuators(Device, Protocol):
     """The eight servos: sensor and actuator on one bus."""
 
     @abstractmethod
+    def ask(self) -> None:
+        """Begin a read, so that other devices can be drained while the bus answers; `read` completes it."""
+
+    @abstractmethod
     def read(self) -> tuple[ServoSample, ...]:
-        """One synchronised read of all eight, as a tuple of one sample."""
+        """One synchronised read of all eight, as a tuple of one sample; begun here if `ask` has not."""
 
     @abstractmethod
     def read_health(self) -> tuple[ServoHealth, ...]:

@@ -44,18 +44,17 @@ class Rig:
             device.close()
 
     def read(self, cycle: int) -> Inputs:
-        """Drain every device once. `t_ns` is the time at which the reading began."""
+        """Drain every device once, the others while the servos answer; `t_ns` is when the reading began."""
         t_ns = self.clock.now_ns()
-        return Inputs(
-            cycle=cycle,
-            t_ns=t_ns,
-            servos=self.servos.read() if self.servos else (),
-            health=self.servos.read_health() if self.servos else (),
-            encoders=self.encoders.read() if self.encoders else (),
-            imu=self.imu.read() if self.imu else (),
-            tracker=self.tracker.read() if self.tracker else (),
-            mocap=self.mocap.read() if self.mocap else (),
-        )
+        if self.servos:
+            self.servos.ask()
+        encoders = self.encoders.read() if self.encoders else ()
+        imu = self.imu.read() if self.imu else ()
+        tracker = self.tracker.read() if self.tracker else ()
+        mocap = self.mocap.read() if self.mocap else ()
+        servos = self.servos.read() if self.servos else ()
+        health = self.servos.read_health() if self.servos else ()
+        return Inputs(cycle, t_ns, servos, health, encoders, imu, tracker, mocap)
 
     def actuators(self) -> Actuators:
         """The servos, or a `DeviceError` when the bench has none."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 from dynamixel_sdk import (
@@ -25,6 +25,7 @@ T = TypeVar("T")
 
 _ATTEMPTS = 3
 _OLDEST_NS = 50_000_000
+_LONGEST_WAY_NS = 100_000_000
 _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
@@ -70,7 +71,8 @@ class Bus:
         self._sdk = PacketHandler(2.0)
         self.traffic_ns = clock.now_ns()
         self._asked: _Asked | None = None
-        self._ahead: tuple[GroupRead, Exchange] | None = None
+        self._ahead: Exchange | None = None
+        self._way_ns = _LONGEST_WAY_NS
 
     def close(self) -> None:
         """Let go of the port; never raises."""
@@ -134,28 +136,35 @@ class Bus:
     def exchange(self, group: GroupRead, timeout_s: float) -> Exchange:
         """One group read within `timeout_s`; what arrived may be nothing or incomplete."""
         self._settle()
-        asked = self._ask(group, timeout_s)
-        exchange = self._fetch(asked)
-        return replace(exchange, taken_ns=(exchange.sent_ns + exchange.received_ns) // 2)
+        return self._fetch(self._ask(group, timeout_s))
 
     def ask(self, group: GroupRead, timeout_s: float) -> None:
         """Send the request of a group read whose answer `answered` will fetch."""
         self._settle()
         self._ahead, self._asked = None, self._ask(group, timeout_s)
 
-    def answered(self) -> tuple[GroupRead, Exchange] | None:
-        """What was asked ahead and its answer, waited for; None when nothing was, or too long ago."""
+    def asked(self) -> bool:
+        """Whether an answer can be fetched; one that was asked for too long ago is forgotten."""
+        sent_ns = self._asked.sent_ns if self._asked else self._ahead.sent_ns if self._ahead else None
+        if sent_ns is None:
+            return False
+        if self._clock.now_ns() - sent_ns > _OLDEST_NS:
+            self._asked = self._ahead = None
+            return False
+        return True
+
+    def answered(self) -> Exchange:
+        """What was asked for with `ask`, waited for."""
         self._settle()
         found, self._ahead = self._ahead, None
-        if found is None or self._clock.now_ns() - found[1].sent_ns > _OLDEST_NS:
-            return None
+        assert found is not None
         return found
 
     def _settle(self) -> None:
         """Fetch what is still under way."""
         if self._asked is not None:
             asked, self._asked = self._asked, None
-            self._ahead = (asked.group, self._fetch(asked))
+            self._ahead = self._fetch(asked)
 
     def _ask(self, group: GroupRead, timeout_s: float) -> _Asked:
         sent_ns = self.traffic_ns = self._clock.now_ns() + self.port.backlog_ns()
@@ -173,8 +182,19 @@ class Bus:
                 data = self._more(group, data, asked.deadline_ns)
         except PortLost:
             clock.sleep_until_ns(asked.deadline_ns)
-        heard_ns = asked.sent_ns + round(self.port.wire_s(len(group.request)) * NS_PER_S)
-        return Exchange(data, asked.sent_ns, clock.now_ns(), heard_ns)
+        received_ns = clock.now_ns()
+        return Exchange(data, asked.sent_ns, received_ns, self._taken_ns(asked, len(data), received_ns))
+
+    def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
+        """When the servos heard the request: after the wire, and half of what a way there and back costs.
+
+        That cost (a network, drivers) is the smallest seen: an answer may have waited to be fetched.
+        """
+        heard_ns = asked.sent_ns + round(self.port.wire_s(len(asked.group.request)) * NS_PER_S)
+        way_ns = max(0, received_ns - heard_ns - self.port.answer_ns(count))
+        if count == asked.group.expected:
+            self._way_ns = way_ns = min(way_ns, self._way_ns)
+        return heard_ns + min(way_ns, self._way_ns) // 2
 
     def _more(self, group: GroupRead, data: bytes, deadline_ns: int) -> bytes:
         """Go on receiving when noise, an echo or stuffing has made the answer longer."""

@@ -23,6 +23,7 @@ from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.signals import Status
 
 _DEAD_AFTER = 3
+_AGE_NS = 2_500_000
 _ALL = tuple(range(8))
 ALL_OK = (Status.OK,) * 8
 
@@ -90,60 +91,46 @@ class CycleReader:
         self._dead: dict[int, int] = {}
         self._full = _MAPPED if mapped else _DIRECT
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
-        self._asked: tuple[_Kind, tuple[int, ...]] | None = None
+        self._kind, self._asked = _CYCLE, _ALL[:0]
 
     @property
     def live_ids(self) -> tuple[int, ...]:
         """IDs that the group read asks, in its order."""
         return tuple(self._ids[j] for j in self._order)
 
+    def asked(self) -> bool:
+        """Whether a request is out whose answer `read` will fetch."""
+        return self._bus.asked()
+
     def ask(self, *, full: bool) -> None:
-        """Send the request of the next `read` now."""
-        kind, order = self._full if full else _CYCLE, tuple(self._order)
-        if order:
-            self._asked = (kind, order)
-            self._bus.ask(*self._group(kind, order))
+        """Send the request of the next `read`."""
+        self._kind, self._asked = self._full if full else _CYCLE, tuple(self._order)
+        if self._asked:
+            self._bus.ask(*self._group(self._kind, self._asked))
 
-    def read(self, *, full: bool) -> Reading:
-        """One exchange; a second one for what is missing where the budget allows it.
+    def read(self) -> Reading:
+        """The answer to what was asked; a second exchange for what is missing where the budget allows it.
 
-        What was asked ahead is taken as it was asked. When a part of it is missing, everything is asked
-        again: the parts would be of different times.
+        When something is missing of what was asked a while ago, everything is asked again: the parts would
+        be of different times.
         """
-        reading = self._answered()
-        if reading is not None:
-            return reading
-        kind, order = self._full if full else _CYCLE, tuple(self._order)
+        kind, order, began_ns = self._kind, self._asked, self._clock.now_ns()
         if not order:
-            now_ns = self._clock.now_ns()
-            nothing = Exchange(b"", now_ns, now_ns, now_ns)
+            nothing = Exchange(b"", began_ns, began_ns, began_ns)
             return self._poll_dead(kind, nothing, dict.fromkeys(_ALL, NO_ANSWER))
         group, timeout_s = self._group(kind, order)
-        exchange = self._bus.exchange(group, timeout_s)
+        exchange = self._bus.answered()
         reading = self._quick(kind, group, exchange, order)
         if reading is not None:
             return reading
         answers = self._by_joint(group, exchange, order)
         missing = [j for j in order if answers[j].status is not Status.OK]
+        if missing and began_ns - exchange.sent_ns > _AGE_NS:
+            self.ask(full=kind is not _CYCLE)
+            return self.read()
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
             answers |= self._again(kind, order, missing, answers, deadline_ns)
-        self._keep_book(order, answers)
-        return self._poll_dead(kind, exchange, answers)
-
-    def _answered(self) -> Reading | None:
-        """The reading that was asked ahead, when everybody has answered."""
-        asked, self._asked = self._asked, None
-        found = self._bus.answered()
-        if asked is None or found is None:
-            return None
-        (kind, order), (group, exchange) = asked, found
-        reading = self._quick(kind, group, exchange, order)
-        if reading is not None:
-            return reading
-        answers = self._by_joint(group, exchange, order)
-        if any(a.status is not Status.OK for a in answers.values()):
-            return None
         self._keep_book(order, answers)
         return self._poll_dead(kind, exchange, answers)
 

@@ -19,6 +19,7 @@ from hil.errors import DeviceError
 
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4
+_TIMEOUT_STEP_S = 5e-4
 
 
 class PortLost(Exception):
@@ -48,6 +49,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.return_delay_s = 508e-6
         self._clock = clock
         self.patience_s = 0.0
+        self._latency_s = latency_s
         self._wait_s = latency_s + slack_s
         self._sent_ns = 0
         self._deadline_ns = 0
@@ -108,6 +110,10 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         wait_s = self._wait_s + self.patience_s
         return self.wire_s(sent + expected) + delays * self.return_delay_s + wait_s
 
+    def answer_ns(self, count: int) -> int:
+        """Time from the end of a request until `count` bytes of answer are here, by wire and adapter."""
+        return nanoseconds(self.wire_s(count) + self.return_delay_s + self._latency_s)
+
     def backlog_ns(self) -> int:
         """Time until the last byte written has left: what is written now is sent only then."""
         return max(0, self._sent_ns - self._clock.now_ns())
@@ -134,11 +140,14 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         return self.receive(length, left_s)
 
     def receive(self, length: int, timeout_s: float) -> bytes:
-        """Wait for `length` bytes at most `timeout_s`; raises `PortLost`."""
+        """Wait for `length` bytes `timeout_s` or half a millisecond more; raises `PortLost`.
+
+        Setting a time-out sets up the whole terminal again: one that is about right is left alone.
+        """
         try:
-            if timeout_s != self._timeout_s:
-                self._timeout_s = timeout_s
-                self.ser.timeout = max(timeout_s, _SMALLEST_TIMEOUT_S)
+            if not timeout_s <= self._timeout_s <= timeout_s + _TIMEOUT_STEP_S:
+                self._timeout_s = max(timeout_s, _SMALLEST_TIMEOUT_S) + 0.5 * _TIMEOUT_STEP_S
+                self.ser.timeout = self._timeout_s
             data: bytes = self.ser.read(length)
         except PORT_ERRORS as error:
             raise PortLost(str(error)) from None

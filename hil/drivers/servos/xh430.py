@@ -113,7 +113,7 @@ class XH430Servos(Actuators):
         self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._registers[4:]))
         self._alert = [0] * 8
         self._good_ns = [self._clock.now_ns()] * 8
-        self._doubtful = self._commanded = False
+        self._doubtful = self._commanded = self._paused = False
         self._identity = {
             "model": f"XH430 ({config.model_number})",
             "firmware": ", ".join(str(f) for f in firmware),
@@ -155,6 +155,17 @@ class XH430Servos(Actuators):
             )
         return self._bus
 
+    def ask(self) -> None:
+        """Send the request of the next `read`, unless that has been done right after a command."""
+        bus = self._opened()
+        if self._cycle.asked():
+            return
+        silence_ns = self._clock.now_ns() - bus.traffic_ns
+        if silence_ns > _PAUSE_NS:  # nobody asked, so nobody failed to answer
+            self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
+        self._paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
+        self._cycle.ask(full=self._paused or self._look_closely())
+
     def read(self) -> tuple[ServoSample, ...]:
         """One group read as one sample.
 
@@ -162,17 +173,14 @@ class XH430Servos(Actuators):
             DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.
             DeviceError: a servo has reported a hardware error for `fail_after_s`.
         """
-        bus = self._opened()
-        silence_ns = self._clock.now_ns() - bus.traffic_ns
-        if silence_ns > _PAUSE_NS:  # nobody asked, so nobody failed to answer
-            self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
-        paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
-        reading = self._cycle.read(full=paused or self._look_closely())
+        self.ask()
+        reading = self._cycle.read()
         restarted: tuple[int, ...] = ()
         if reading.full:
             self._doubtful = False
             self._health.note(reading)
-            restarted = self._audit(reading, paused=paused)
+            restarted = self._audit(reading)
+        self._paused = False
         self._doubtful |= bool(reading.revived)
         sample = self._sample(reading, restarted)
         if self._config.prefetch and not self._commanded:
@@ -252,7 +260,7 @@ class XH430Servos(Actuators):
             remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
         )
 
-    def _audit(self, reading: Reading, *, paused: bool) -> tuple[int, ...]:
+    def _audit(self, reading: Reading) -> tuple[int, ...]:
         """Judge by a full look whether torque and watchdogs are as they should be; repair, holding still."""
         state = self._upkeep.judge(reading)
         held = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
@@ -261,7 +269,7 @@ class XH430Servos(Actuators):
             for j in lost:
                 self._upkeep.restore(j)
                 self._turns.restarted(j)
-        repaired = self._upkeep.repair(state, held.tolist(), paused=paused)
+        repaired = self._upkeep.repair(state, held.tolist(), paused=self._paused)
         for j in repaired:
             if state[j][0] == 0:
                 self._turns.restarted(j)
