@@ -6,11 +6,14 @@ advances the emulated world. Nothing else in the project reads the time or sleep
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
 import time
 from abc import abstractmethod
 from typing import Protocol
 
 NS_PER_S = 1_000_000_000
+_PR_SET_TIMERSLACK = 29
 
 
 class Clock(Protocol):
@@ -36,6 +39,15 @@ class MonotonicClock(Clock):
         """Sleep to an absolute deadline."""
         while (left_ns := t_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns / NS_PER_S)
+
+
+def sleep_punctually(on: bool = True) -> None:
+    """Have the kernel end this thread's sleeps when they are due, not up to 50 us later to save power.
+
+    Linux, `PR_SET_TIMERSLACK`; nothing elsewhere. Threads and processes started later inherit it.
+    """
+    with contextlib.suppress(AttributeError, OSError, TypeError):
+        ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, int(on), 0, 0, 0)
 
 
 def seconds(t_ns: int) -> float:

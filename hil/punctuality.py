@@ -61,7 +61,10 @@ class LoopStatistics:
     def add(self, timing_ns: Mapping[str, int]) -> None:
         """Note one cycle."""
         for name, value in timing_ns.items():
-            self.sections.setdefault(name, Distribution()).add(value)
+            found = self.sections.get(name)
+            if found is None:
+                found = self.sections[name] = Distribution()
+            found.add(value)
 
     def summary(self) -> dict[str, float]:
         """Counts, and mean, 99th percentile and worst per section (ms)."""

@@ -17,7 +17,7 @@ from types import TracebackType
 
 import numpy as np
 
-from hil.clock import Clock, nanoseconds
+from hil.clock import Clock, nanoseconds, sleep_punctually
 from hil.errors import SafetyStop
 from hil.loop import Brain
 from hil.signals import (
@@ -70,6 +70,8 @@ class RealTime:
 
     def __enter__(self) -> RealTime:
         self._pin()
+        sleep_punctually()
+        self._undo.append(lambda: sleep_punctually(False))
         self._go_first()
         self._prioritise()
         before_s = sys.getswitchinterval()

@@ -12,6 +12,7 @@ from types import FrameType
 
 import click
 
+from hil.clock import sleep_punctually
 from hil.errors import EXIT_PASS
 
 _NICE = -5
@@ -58,6 +59,7 @@ def command(
 
 def _as_prompt_as_hardware(fifo_priority: int | None) -> None:
     """Hardware does not wait for a busy host: go first where that is allowed, and keep collections short."""
+    sleep_punctually()
     with contextlib.suppress(OSError):
         os.nice(_NICE)
         if fifo_priority is not None:

@@ -16,6 +16,7 @@ from hil.clock import NS_PER_S, Clock
 from hil.fakes.world import Scheduled, World
 
 _LONGEST_WAIT_S = 0.05
+_TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 
 
@@ -98,6 +99,8 @@ class EmulationServer:
         wait_s = _LONGEST_WAIT_S
         if not self._waiting:
             wait_s = (self.world.next_due_ns() - self._now_ns()) / NS_PER_S
+            if wait_s < _TOO_SHORT_TO_SLEEP_S:
+                wait_s = 0.0
         watched = [*owners, *self._lifeline]
         readable, _, _ = select.select(watched, [], [], min(max(wait_s, 0.0), _LONGEST_WAIT_S))
         for fd in readable:
