@@ -62,7 +62,7 @@ def servos(bench):
     found.close()
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def collect(bench):
     """Read a device at the loop rate for a while."""
 

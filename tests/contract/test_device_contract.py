@@ -1,8 +1,11 @@
 """What every sensor promises, whoever answers on the wire."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
+from hil.config.bench import DEVICES
 from hil.errors import DeviceError
 from hil.signals import Status
 
@@ -46,24 +49,44 @@ def test_reading_a_closed_device_is_a_named_error(device):
         device.read()
 
 
-def test_samples_arrive_in_order_with_stamps_that_make_sense(device, collect, bench):
-    began_ns = bench.clock.now_ns()
-    samples = collect(device, WATCH_S)
-    ended_ns = bench.clock.now_ns()
-    good = [s for s in samples if all(x is Status.OK for x in statuses(s))]
-    assert len(good) >= 0.9 * LEAST_HZ[device.name] * WATCH_S
+@pytest.fixture(scope="module")
+def already(bench):
+    """What has been watched on this bench, by device."""
+    return {}
+
+
+@pytest.fixture(params=DEVICES)
+def watched(request, bench, collect, already):
+    """A device that was opened, read for a while and closed: its samples, and when it was read."""
+    name = request.param
+    found = getattr(bench.rig, name)
+    if found is None:
+        pytest.skip(f"bench {bench.config.name} has no {name}")
+    if name not in already:
+        found.open()
+        began_ns = bench.clock.now_ns()
+        samples = collect(found, WATCH_S)
+        ended_ns = bench.clock.now_ns()
+        found.close()
+        already[name] = SimpleNamespace(name=name, samples=samples, began_ns=began_ns, ended_ns=ended_ns)
+    return already[name]
+
+
+def test_samples_arrive_in_order_with_stamps_that_make_sense(watched):
+    good = [s for s in watched.samples if all(x is Status.OK for x in statuses(s))]
+    assert len(good) >= 0.9 * LEAST_HZ[watched.name] * WATCH_S
     measured = [s.stamp.t_ns for s in good]
     assert np.all(np.diff(measured) > 0)
-    sequence = [s.stamp.seq for s in samples]
+    sequence = [s.stamp.seq for s in watched.samples]
     assert np.all(np.diff(sequence) >= 0)
     for sample in good:
-        assert began_ns - 300_000_000 <= sample.stamp.t_ns <= sample.stamp.host_ns + 1_000_000
-        assert began_ns - 1_000_000 <= sample.stamp.host_ns <= ended_ns
+        assert watched.began_ns - 300_000_000 <= sample.stamp.t_ns <= sample.stamp.host_ns + 1_000_000
+        assert watched.began_ns - 1_000_000 <= sample.stamp.host_ns <= watched.ended_ns
 
 
-def test_arrays_have_their_shape_and_no_data_is_never_a_number(device, collect):
-    for sample in collect(device, WATCH_S):
-        for name, width in ARRAYS[device.name].items():
+def test_arrays_have_their_shape_and_no_data_is_never_a_number(watched):
+    for sample in watched.samples:
+        for name, width in ARRAYS[watched.name].items():
             values = getattr(sample, name)
             assert values.shape == (width,)
             assert values.dtype == np.float64
@@ -76,9 +99,8 @@ def test_arrays_have_their_shape_and_no_data_is_never_a_number(device, collect):
                     assert np.isnan(values[i])
 
 
-def test_a_sample_is_delivered_once(device, collect):
-    samples = collect(device, WATCH_S)
-    keys = [(s.stamp.t_ns, s.stamp.seq) for s in samples]
+def test_a_sample_is_delivered_once(watched):
+    keys = [(s.stamp.t_ns, s.stamp.seq) for s in watched.samples]
     assert len(set(keys)) == len(keys)
 
 
