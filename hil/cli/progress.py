@@ -1,4 +1,4 @@
-"""Progress on stderr: a rich bar on a terminal, a plain line per step elsewhere."""
+"""Progress on stderr: a rich bar on a terminal, elsewhere a plain line per tenth of the work."""
 
 from __future__ import annotations
 
@@ -28,11 +28,12 @@ def reporting(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
 
             yield show
     else:
-        started: set[str] = set()
+        tenths: dict[str, int] = {}
 
         def say(what: str, done: int, total: int) -> None:
-            if what not in started or done == total:
-                started.add(what)
+            tenth = 10 * done // max(total, 1)
+            if tenths.get(what) != tenth or done == total:
+                tenths[what] = tenth
                 click.echo(f"{what}: {done}/{total}", err=True)
 
         yield say
