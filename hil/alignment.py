@@ -14,10 +14,11 @@ import numpy as np
 
 from hil.errors import ConfigError
 from hil.geometry import (
-    Array,
-    quat_conjugate,
-    quat_multiply,
-    quat_rotate,
+    Four,
+    Three,
+    conjugated,
+    multiplied,
+    rotated,
     wrap,
     yaw_of_quat,
 )
@@ -37,6 +38,7 @@ from hil.signals import (
 )
 
 _MIN_IN_PLANE_GRAVITY_M_S2 = 1.0
+_USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
 
 
 @dataclass(frozen=True)
@@ -83,7 +85,7 @@ class Alignment:
     def reset(self) -> None:
         """Forget unwrapping state and the tracker's start frame."""
         self._yaw: dict[str, float] = {}
-        self._tracker_start: tuple[Array, Array] | None = None
+        self._tracker_start: tuple[Three, Four] | None = None
 
     def measure(self, inputs: Inputs) -> Measurements:
         """Body measurements of one cycle's inputs; unusable samples are left out or marked."""
@@ -116,42 +118,42 @@ class Alignment:
 
     def _gyro(self, sample: ImuSample) -> GyroMeasurement:
         mount = self.parameters.imu.rotation_wxyz
-        rate = quat_rotate(mount, sample.gyro_rad_s)
-        up = quat_rotate(mount, sample.gravity_m_s2)
-        acceleration = quat_rotate(mount, sample.linear_acceleration_m_s2)
+        rate = rotated(mount, sample.gyro_rad_s.tolist())
+        up = rotated(mount, sample.gravity_m_s2.tolist())
+        acceleration = rotated(mount, sample.linear_acceleration_m_s2.tolist())
         heading = math.nan
         if self.parameters.on_wall and math.hypot(up[0], up[1]) > _MIN_IN_PLANE_GRAVITY_M_S2:
             heading = self._unwrap("gravity", math.atan2(-up[1], up[0]))
         return GyroMeasurement(
             stamp=sample.stamp,
-            yaw_rate_rad_s=float(rate[2]),
+            yaw_rate_rad_s=rate[2],
             gravity_heading_rad=heading,
-            acceleration_m_s2=acceleration[:2],
+            acceleration_m_s2=np.array(acceleration[:2]),
         )
 
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
-        usable = sample.status in (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
-        if not usable or not np.all(np.isfinite(sample.position_m)):
+        if sample.status not in _USABLE:
             return None
+        px, py, pz = sample.position_m.tolist()
+        if not (math.isfinite(px) and math.isfinite(py) and math.isfinite(pz)):
+            return None
+        turned = sample.quaternion_wxyz.tolist()
         if self._tracker_start is None:
             if sample.status is not Status.OK:
                 return None
-            self._tracker_start = (sample.position_m, sample.quaternion_wxyz)
-        start_m, start_wxyz = self._tracker_start
-        back = quat_conjugate(start_wxyz)
-        mount_m = np.array(self.parameters.tracker.position_m)
-        mount_wxyz = self.parameters.tracker.rotation_wxyz
-        turn = quat_multiply(
-            mount_wxyz,
-            quat_multiply(quat_multiply(back, sample.quaternion_wxyz), quat_conjugate(mount_wxyz)),
-        )
-        moved = quat_rotate(mount_wxyz, quat_rotate(back, sample.position_m - start_m))
-        position = mount_m + moved - quat_rotate(turn, mount_m)
+            self._tracker_start = ((px, py, pz), tuple(turned))
+        (sx, sy, sz), start_wxyz = self._tracker_start
+        back = conjugated(start_wxyz)
+        mount = self.parameters.tracker
+        mount_m, mount_wxyz = mount.position_m, mount.rotation_wxyz
+        turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), conjugated(mount_wxyz)))
+        moved = rotated(mount_wxyz, rotated(back, (px - sx, py - sy, pz - sz)))
+        lever = rotated(turn, mount_m)
         yaw = self._unwrap("tracker", yaw_of_quat(turn))
         return PoseMeasurement(
             stamp=sample.stamp,
             source="tracker",
-            pose=np.array([position[0], position[1], yaw]),
+            pose=np.array([mount_m[0] + moved[0] - lever[0], mount_m[1] + moved[1] - lever[1], yaw]),
             quality=sample.confidence,
             valid=sample.status is Status.OK,
         )

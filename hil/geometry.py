@@ -7,6 +7,7 @@ of the body in some frame, a twist is `(v_x_m_s, v_y_m_s, omega_rad_s)` in the b
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import TypeAlias
 
 import numpy as np
@@ -14,6 +15,8 @@ import numpy.typing as npt
 
 Array: TypeAlias = npt.NDArray[np.float64]
 ArrayLike: TypeAlias = npt.ArrayLike
+Three: TypeAlias = tuple[float, float, float]
+Four: TypeAlias = tuple[float, float, float, float]
 
 _SMALL_ANGLE_RAD = 1e-4
 
@@ -50,7 +53,7 @@ def se2_exp(delta: ArrayLike) -> Array:
         Shape (3,): the pose of the end frame in the start frame. Source: closed form of the
         left Jacobian of SO(2), series below 1e-4 rad (relative error below 1e-16).
     """
-    dx, dy, dth = np.asarray(delta, dtype=np.float64)
+    dx, dy, dth = _floats(delta)
     if abs(dth) < _SMALL_ANGLE_RAD:
         a, b = 1.0 - dth * dth / 6.0, dth / 2.0 * (1.0 - dth * dth / 12.0)
     else:
@@ -68,8 +71,8 @@ def se2_log(pose: ArrayLike) -> Array:
 
 def compose(pose: ArrayLike, step: ArrayLike) -> Array:
     """Pose of frame C in A, from B in A (`pose`) and C in B (`step`). Heading is not wrapped."""
-    x, y, th = np.asarray(pose, dtype=np.float64)
-    dx, dy, dth = np.asarray(step, dtype=np.float64)
+    x, y, th = _floats(pose)
+    dx, dy, dth = _floats(step)
     c, s = math.cos(th), math.sin(th)
     return np.array([x + c * dx - s * dy, y + s * dx + c * dy, th + dth])
 
@@ -86,38 +89,49 @@ def between(a: ArrayLike, b: ArrayLike) -> Array:
     return compose(inverse(a), b)
 
 
+def multiplied(a_wxyz: Sequence[float], b_wxyz: Sequence[float]) -> Four:
+    """Hamilton product in plain floats, for where many follow each other."""
+    aw, ax, ay, az = a_wxyz
+    bw, bx, by, bz = b_wxyz
+    return (
+        aw * bw - ax * bx - ay * by - az * bz,
+        aw * bx + ax * bw + ay * bz - az * by,
+        aw * by - ax * bz + ay * bw + az * bx,
+        aw * bz + ax * by - ay * bx + az * bw,
+    )
+
+
+def conjugated(q_wxyz: Sequence[float]) -> Four:
+    """Conjugate in plain floats."""
+    w, x, y, z = q_wxyz
+    return w, -x, -y, -z
+
+
+def rotated(q_wxyz: Sequence[float], vector: Sequence[float]) -> Three:
+    """Vector rotated by a unit quaternion, in plain floats."""
+    w, x, y, z = q_wxyz
+    vx, vy, vz = vector
+    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
+    return (
+        vx + w * tx + y * tz - z * ty,
+        vy + w * ty + z * tx - x * tz,
+        vz + w * tz + x * ty - y * tx,
+    )
+
+
 def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
     """Hamilton product of two quaternions, shape (4,)."""
-    aw, ax, ay, az = _floats(a_wxyz)
-    bw, bx, by, bz = _floats(b_wxyz)
-    return np.array(
-        [
-            aw * bw - ax * bx - ay * by - az * bz,
-            aw * bx + ax * bw + ay * bz - az * by,
-            aw * by - ax * bz + ay * bw + az * bx,
-            aw * bz + ax * by - ay * bx + az * bw,
-        ]
-    )
+    return np.array(multiplied(_floats(a_wxyz), _floats(b_wxyz)))
 
 
 def quat_conjugate(q_wxyz: ArrayLike) -> Array:
     """Conjugate (inverse of a unit quaternion)."""
-    w, x, y, z = _floats(q_wxyz)
-    return np.array([w, -x, -y, -z])
+    return np.array(conjugated(_floats(q_wxyz)))
 
 
 def quat_rotate(q_wxyz: ArrayLike, vector: ArrayLike) -> Array:
     """Vector (3,) rotated by a unit quaternion: child coordinates to parent coordinates."""
-    w, x, y, z = _floats(q_wxyz)
-    vx, vy, vz = _floats(vector)
-    tx, ty, tz = 2.0 * (y * vz - z * vy), 2.0 * (z * vx - x * vz), 2.0 * (x * vy - y * vx)
-    return np.array(
-        [
-            vx + w * tx + y * tz - z * ty,
-            vy + w * ty + z * tx - x * tz,
-            vz + w * tz + x * ty - y * tx,
-        ]
-    )
+    return np.array(rotated(_floats(q_wxyz), _floats(vector)))
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.clock import nanoseconds
 from hil.errors import SafetyStop
-from hil.geometry import wrap
+from hil.geometry import Array, wrap
 from hil.signals import (
     WHEELS,
     Event,
@@ -46,6 +46,11 @@ class SafetyLimits:
     on_wall: bool = True
 
 
+def _finite(values: Array) -> bool:
+    """Whether every value is a number; for a handful, plain floats are quicker than an array's tests."""
+    return all(map(math.isfinite, values.tolist()))
+
+
 class Supervisor:
     """Watches one run."""
 
@@ -64,9 +69,9 @@ class Supervisor:
         self._last_ok_ns: dict[str, int] = {}
         self._alarmed: set[str] = set()
         self._weightless = self._sliding = 0
-        self._asked = np.zeros(4)
+        self._asked = [0.0] * 4
         self._asked_since_ns: list[int | None] = [None] * 4
-        self._asked_at_rad = np.zeros(4)
+        self._asked_at_rad = [0.0] * 4
 
     def check(self, inputs: Inputs) -> tuple[Event, ...]:
         """Judge one cycle's inputs.
@@ -97,8 +102,9 @@ class Supervisor:
 
     def _check_moving(self, sample: ServoSample, t_ns: int) -> None:
         """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
+        angles = sample.position_rad.tolist()
         for i in range(4):
-            since_ns, angle = self._asked_since_ns[i], float(sample.position_rad[i])
+            since_ns, angle = self._asked_since_ns[i], angles[i]
             if abs(self._asked[i]) < _BLOCKED_RATE_RAD_S or not math.isfinite(angle):
                 self._asked_since_ns[i] = None
             elif since_ns is None or abs(angle - self._asked_at_rad[i]) > _BLOCKED_RAD:
@@ -147,7 +153,7 @@ class Supervisor:
     def guard(self, state: RobotState, reference: Reference | None) -> None:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
         pose = state.pose_body_in_wall
-        if not (np.all(np.isfinite(pose)) and np.all(np.isfinite(state.twist_body))):
+        if not (_finite(pose) and _finite(state.twist_body)):
             raise SafetyStop("not_finite", "the estimated state is not finite")
         if self.limits.on_wall and abs(wrap(float(pose[2]))) > self.limits.heading_limit_rad:
             raise SafetyStop(
@@ -157,7 +163,7 @@ class Supervisor:
             )
         if reference is None:
             return
-        if not np.all(np.isfinite(reference.pose_in_wall)):
+        if not _finite(reference.pose_in_wall):
             raise SafetyStop("not_finite", "the reference is not finite")
         error_m = math.hypot(*(reference.pose_in_wall[:2] - pose[:2]))
         if error_m > self.limits.tracking_error_limit_m:
@@ -170,14 +176,15 @@ class Supervisor:
             SafetyStop: `not_finite` or `steering_limit`.
         """
         rate, steering = setpoint.wheel_rate_rad_s, setpoint.steering_rad
-        if not (np.all(np.isfinite(rate)) and np.all(np.isfinite(steering))):
+        if not (_finite(rate) and _finite(steering)):
             raise SafetyStop("not_finite", "a setpoint is not finite")
-        if np.any(np.abs(steering) > self.limits.steering_limit_rad + 1e-9):
+        widest = self.limits.steering_limit_rad + 1e-9
+        if any(abs(angle) > widest for angle in steering.tolist()):
             raise SafetyStop(
                 "steering_limit", f"steering setpoint {np.degrees(steering).round(1).tolist()} deg"
             )
-        peak = float(np.max(np.abs(rate)))
+        peak = max(map(abs, rate.tolist()))
         if peak > self.limits.wheel_rate_limit_rad_s:
             setpoint = WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
-        self._asked = setpoint.wheel_rate_rad_s
+        self._asked = setpoint.wheel_rate_rad_s.tolist()
         return setpoint

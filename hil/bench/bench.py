@@ -186,15 +186,19 @@ class Bench:
             self.make_estimator(feedback),
             law,
             trajectory.sample if trajectory is not None else None,
-            {name: self.make_estimator(name) for name in observers},
+            {name: self.make_estimator(name, diagnostics=False) for name in observers},
         )
 
-    def make_estimator(self, kind: str) -> Estimator:
-        """A fresh estimator of this bench; raises `UsageError` for an unknown kind."""
+    def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:
+        """A fresh estimator of this bench, with or without figures about itself.
+
+        Raises:
+            UsageError: unknown kind.
+        """
         if kind not in FEEDBACK:
             raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
         config = self.config.estimator.model_copy(update={"kind": kind})
-        return make_estimator(config, self.geometry, surface=self.config.surface)
+        return make_estimator(config, self.geometry, surface=self.config.surface, diagnostics=diagnostics)
 
     def check(self, trajectory: Trajectory) -> None:
         """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""

@@ -9,6 +9,7 @@ all wheels alike, which keeps the centre of rotation; 7. steering rate limit
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,16 +41,21 @@ def optimize(
     """
     near = measured_rad + wrap(angle_rad - measured_rad)
     if abs(near - measured_rad) > _QUARTER_RAD + limits.flip_hysteresis_rad:
-        near, speed = near - np.copysign(np.pi, near - measured_rad), -speed
+        near, speed = near - math.copysign(math.pi, near - measured_rad), -speed
     if abs(near) > limits.steering_rad:
-        near, speed = near - np.copysign(np.pi, near), -speed
-    return speed, float(near)
+        near, speed = near - math.copysign(math.pi, near), -speed
+    return speed, near
 
 
 def desaturate(speed: Array, limit: float) -> Array:
     """All speeds scaled by one factor so that none exceeds the limit."""
-    peak = float(np.max(np.abs(speed)))
+    peak = max(map(abs, speed.tolist()))
     return speed if peak <= limit else speed * (limit / peak)
+
+
+def _clipped(values: Array, limit: float) -> Array:
+    """Values within -limit and limit, without what `np.clip` spends on its arguments."""
+    return np.asarray(np.minimum(np.maximum(values, -limit), limit), dtype=np.float64)
 
 
 class ModuleLayer:
@@ -72,21 +78,20 @@ class ModuleLayer:
 
     def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
         """Setpoint for a twist (3,) given the measured steering angles (4,)."""
-        held = measured_rad.copy() if self._held is None else self._held
-        speed, angle = inverse(self.geometry, twist_body)
-        target = held.copy()
+        held = measured_rad if self._held is None else self._held
+        goals, measured, limits = held.tolist(), measured_rad.tolist(), self.limits
+        speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
         for i in range(4):
-            if speed[i] < self.limits.still_speed_m_s:
-                speed[i] = 0.0
+            if speeds[i] < limits.still_speed_m_s:
+                speeds[i] = 0.0
                 continue
-            speed[i], target[i] = optimize(
-                float(speed[i]), float(angle[i]), float(measured_rad[i]), self.limits
-            )
+            speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], limits)
+        speed, target = np.array(speeds), np.array(goals)
         self._held = target
         error = wrap_array(target - measured_rad)
-        speed = desaturate(speed * np.maximum(0.0, np.cos(error)), self.limits.speed_m_s)
-        reach = self.limits.steering_rate_rad_s * self.dt_s
+        speed = desaturate(speed * np.maximum(0.0, np.cos(error)), limits.speed_m_s)
+        reach = limits.steering_rate_rad_s * self.dt_s
         sent = measured_rad if self._sent is None else self._sent
-        self._sent = sent + np.clip(target - sent, -reach, reach)
-        bounded = np.clip(self._sent, -self.limits.steering_rad, self.limits.steering_rad)
+        self._sent = sent + _clipped(target - sent, reach)
+        bounded = _clipped(self._sent, limits.steering_rad)
         return WheelSetpoint(speed / self.geometry.radius_m, bounded)

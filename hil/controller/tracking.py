@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hil.config.control import ControlConfig
@@ -36,7 +38,8 @@ class TrackingController(Controller):
         """
         error = pose_error(state, reference)
         twist = self._law.twist(error, reference)
-        if not np.all(np.isfinite(np.concatenate([error, twist, reference.pose_in_wall]))):
+        figures = (*error.tolist(), *twist.tolist(), *reference.pose_in_wall.tolist())
+        if not all(map(math.isfinite, figures)):
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
         at_goal = (
             reference.done

@@ -10,13 +10,16 @@ from hil.kinematics import WheelGeometry
 SURFACES = ("wall", "floor")
 
 
-def make_estimator(config: EstimatorConfig, geometry: WheelGeometry, *, surface: str) -> Estimator:
+def make_estimator(
+    config: EstimatorConfig, geometry: WheelGeometry, *, surface: str, diagnostics: bool = True
+) -> Estimator:
     """Estimator of a configuration.
 
     Args:
         config: `[estimator]` of the bench file.
         geometry: calibrated wheel parameters.
         surface: `wall` (gravity lies in the motion plane) or `floor`.
+        diagnostics: whether a filter's states carry them; an observer's are looked at by nobody.
 
     Raises:
         ConfigError: an unknown surface, or two free scales.
@@ -39,4 +42,4 @@ def make_estimator(config: EstimatorConfig, geometry: WheelGeometry, *, surface:
         engine = FilterpyEngine(*tables)
     else:
         engine = CompiledEngine(*tables)
-    return FusionEstimator(config, geometry, surface, engine)
+    return FusionEstimator(config, geometry, surface, engine, diagnostics=diagnostics)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from operator import itemgetter
 from typing import Protocol
 
 import numpy as np
@@ -26,6 +27,29 @@ from hil.signals import Measurements, RobotState
 
 _TWIST_SIGMA = 0.02
 _CHECKED = 6
+_AFTER = L.MEMORY + L.STATES
+_FIGURES = {
+    "nis_wheels": L.NIS + L.WHEELS, "nis_gyro": L.NIS + L.GYRO, "nis_tracker": L.NIS + L.TRACKER,
+    "nis_gravity": L.NIS + L.GRAVITY,
+    "nis_mean_wheels": L.NIS_MEAN + L.WHEELS, "nis_mean_gyro": L.NIS_MEAN + L.GYRO,
+    "nis_mean_tracker": L.NIS_MEAN + L.TRACKER, "nis_mean_gravity": L.NIS_MEAN + L.GRAVITY,
+    "gate_wheels": _AFTER, "gate_tracker": _AFTER + 1,
+    "innovation_wheels_m": L.INNOVATION, "innovation_gyro_rad_s": L.INNOVATION + 1,
+    "innovation_tracker_m": L.INNOVATION + 2,
+    "rejected_wheels": L.REJECTED + L.WHEELS, "rejected_gyro": L.REJECTED + L.GYRO,
+    "rejected_tracker": L.REJECTED + L.TRACKER, "rejected_gravity": L.REJECTED + L.GRAVITY,
+    "rejected_mocap": L.REJECTED + L.MOCAP, "rejected_same_stamp": L.DUPLICATES,
+    "reanchored_tracker": L.REANCHORED + L.TRACKER, "reanchored_wheels": L.REANCHORED + L.WHEELS,
+    "guarded": L.GUARDED,
+    "gyro_bias_rad_s": L.MEMORY + L.BIAS, "yaw_slip_rad_m": L.MEMORY + L.YAW_SLIP,
+    "slip_up_m_s": L.MEMORY + L.SLIP_X, "slip_left_m_s": L.MEMORY + L.SLIP_Y, "sag_m_s": _AFTER + 2,
+    "creep_up": L.MEMORY + L.CREEP_X, "creep_left": L.MEMORY + L.CREEP_Y,
+    "scale": L.MEMORY + L.SCALE, "scale_sigma": _AFTER + 3, "sag_sigma_m_s": _AFTER + 4,
+    "gravity_offset_rad": L.MEMORY + L.OFFSET,
+    "rejected_wheel_fl": L.WHEEL_REJECTED, "rejected_wheel_bl": L.WHEEL_REJECTED + 1,
+    "rejected_wheel_br": L.WHEEL_REJECTED + 2, "rejected_wheel_fr": L.WHEEL_REJECTED + 3,
+}  # fmt: skip
+_PICKED = itemgetter(*_FIGURES.values())
 
 
 class Engine(Protocol):
@@ -60,13 +84,20 @@ class CompiledEngine(Engine):
 
 
 class FusionEstimator(Estimator):
-    """EKF or UKF over all sensors."""
+    """EKF or UKF over all sensors.
+
+    Args:
+        config, geometry, surface: see `hil.estimator.make_estimator`.
+        engine: runs the events.
+        diagnostics: whether states carry them.
+    """
 
     def __init__(
-        self, config: EstimatorConfig, geometry: WheelGeometry, surface: str, engine: Engine
-    ) -> None:
+        self, config: EstimatorConfig, geometry: WheelGeometry, surface: str, engine: Engine,
+        *, diagnostics: bool = True,
+    ) -> None:  # fmt: skip
         self.config, self.geometry, self.surface = config, geometry, surface
-        self.engine = engine
+        self.engine, self._diagnosed = engine, diagnostics
         self._gates = config.gates
         self._intake = Intake(config)
         self.history = History(nanoseconds(config.time.history_s))
@@ -120,35 +151,15 @@ class FusionEstimator(Estimator):
             pose_body_in_wall=x[:3].copy(),
             twist_body=x[3:6].copy(),
             covariance=p[:6, :6].copy(),
-            diagnostics=self._diagnostics(t_ns, x, p, h.m[last]),
+            diagnostics=self._diagnostics(t_ns, x, p, h.m[last]) if self._diagnosed else {},
         )
 
     def _diagnostics(self, t_ns: int, x: Array, p: Array, m: Array) -> dict[str, float]:
-        v, s = m.tolist(), x.tolist()
-        rejected, row = L.REJECTED, L.NIS
-        out = {
-            "nis_wheels": v[row + L.WHEELS], "nis_gyro": v[row + L.GYRO], "nis_tracker": v[row + L.TRACKER],
-            "nis_gravity": v[row + L.GRAVITY],
-            "nis_mean_wheels": v[L.NIS_MEAN + L.WHEELS], "nis_mean_gyro": v[L.NIS_MEAN + L.GYRO],
-            "nis_mean_tracker": v[L.NIS_MEAN + L.TRACKER], "nis_mean_gravity": v[L.NIS_MEAN + L.GRAVITY],
-            "gate_wheels": self._gates.one_dof, "gate_tracker": self._gates.three_dof,
-            "innovation_wheels_m": v[L.INNOVATION], "innovation_gyro_rad_s": v[L.INNOVATION + 1],
-            "innovation_tracker_m": v[L.INNOVATION + 2],
-            "rejected_wheels": v[rejected + L.WHEELS], "rejected_gyro": v[rejected + L.GYRO],
-            "rejected_tracker": v[rejected + L.TRACKER], "rejected_gravity": v[rejected + L.GRAVITY],
-            "rejected_mocap": v[rejected + L.MOCAP], "rejected_same_stamp": v[L.DUPLICATES],
-            "reanchored_tracker": v[L.REANCHORED + L.TRACKER],
-            "reanchored_wheels": v[L.REANCHORED + L.WHEELS],
-            "guarded": v[L.GUARDED],
-            "gyro_bias_rad_s": s[L.BIAS], "yaw_slip_rad_m": s[L.YAW_SLIP],
-            "slip_up_m_s": s[L.SLIP_X], "slip_left_m_s": s[L.SLIP_Y],
-            "sag_m_s": -s[L.SLIP_X], "creep_up": s[L.CREEP_X], "creep_left": s[L.CREEP_Y],
-            "scale": s[L.SCALE], "scale_sigma": math.sqrt(max(p[L.SCALE, L.SCALE], 0.0)),
-            "sag_sigma_m_s": math.sqrt(max(p[L.SLIP_X, L.SLIP_X], 0.0)),
-            "gravity_offset_rad": s[L.OFFSET],
-        }  # fmt: skip
-        for i, name in enumerate(("fl", "bl", "br", "fr")):
-            out[f"rejected_wheel_{name}"] = v[L.WHEEL_REJECTED + i]
+        """Figures by name, in this order: what the sensors said, what was refused, ages."""
+        gates, slip_m_s = self._gates, float(x[L.SLIP_X])
+        sigmas = (math.sqrt(max(p.item(k, k), 0.0)) for k in (L.SCALE, L.SLIP_X))
+        values = (*m.tolist(), *x.tolist(), gates.one_dof, gates.three_dof, -slip_m_s, *sigmas)
+        out: dict[str, float] = dict(zip(_FIGURES, _PICKED(values), strict=True))
         for name, count in self._intake.refused.items():
             out[f"rejected_{name}"] = float(count)
         if self.config.time.clock == "estimated":

@@ -41,22 +41,22 @@ class Intake:
     def events(self, measurements: Measurements, oldest_ns: int) -> list[Event]:
         """Usable samples of a cycle as (stamp, sensor id, sequence, row)."""
         out = []
+        newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
         for kind, stamp, row in self._rows(measurements):
             if row is None:
                 continue
-            t_ns = self._stamp(L.SENSORS[kind], stamp)
+            name = L.SENSORS[kind]
+            t_ns = self._stamp(name, stamp) if self._estimated else stamp.t_ns
             if t_ns <= oldest_ns:
                 self.refused["late"] += 1
-            elif t_ns > measurements.t_ns + self._future_ns:
+            elif t_ns > newest_ns:
                 self.refused["future"] += 1
             else:
-                self.last_ns[L.SENSORS[kind]] = max(t_ns, self.last_ns.get(L.SENSORS[kind], t_ns))
+                last_ns[name] = max(t_ns, last_ns.get(name, t_ns))
                 out.append((t_ns, kind, stamp.seq, row))
         return out
 
     def _stamp(self, name: str, stamp: Stamp) -> int:
-        if not self._estimated:
-            return stamp.t_ns
         clock = self.clocks[name]
         clock.add(stamp.t_ns, stamp.host_ns)
         return stamp.t_ns + clock.correction_ns(stamp.t_ns)
@@ -77,14 +77,15 @@ class Intake:
         if any(np.shape(a) != _FOUR for a in arrays) or len(sample.valid) != 4:
             self.refused["shape"] += 1
             return None
-        row = np.empty(L.ROW_DATA)
-        row[0:4], row[4:8], row[8:12], row[12:16] = *arrays, sample.valid
-        finite = np.isfinite(row[0:4]) & np.isfinite(row[4:8])
-        row[12:16] *= finite
-        if not row[12:16].any():
+        turned, steered, rates = (np.asarray(a).tolist() for a in arrays)
+        usable = [
+            float(ok) if math.isfinite(t) and math.isfinite(s) else 0.0
+            for ok, t, s in zip(sample.valid, turned, steered, strict=True)
+        ]
+        if not any(usable):
             self.refused["not_finite"] += 1
             return None
-        return row
+        return np.array([*turned, *steered, *rates, *usable], dtype=np.float64)
 
     def _gyro(self, sample: GyroMeasurement) -> Array | None:
         pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)

@@ -6,8 +6,9 @@ position; a wheel that is missing for one read is left out of the least-squares 
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
-import numpy.typing as npt
 
 from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
@@ -32,6 +33,7 @@ class OdometryEstimator(Estimator):
             [geometry.radius_m, geometry.steering_zero_rad, geometry.x_m, geometry.y_m], dtype=np.float64
         )
         linear = "paper" if self._model == "paper" else "exact"
+        self._arm_m2 = 0.25 * float(np.sum(geometry.x_m**2 + geometry.y_m**2))
         self._forward = forward_matrix(geometry.x_m, geometry.y_m, linear)
         self.reset(RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6))))
 
@@ -60,12 +62,11 @@ class OdometryEstimator(Estimator):
         )
 
     def _take(self, sample: WheelMeasurement) -> None:
-        usable = np.asarray(sample.valid, dtype=bool)
         if np.shape(sample.wheel_angle_rad) != (4,) or np.shape(sample.steering_rad) != (4,):
             self._rejected += 1
             return
-        usable = usable & np.isfinite(sample.wheel_angle_rad) & np.isfinite(sample.steering_rad)
-        if np.count_nonzero(usable) < _LEAST_WHEELS:
+        usable = _usable(sample)
+        if sum(usable) < _LEAST_WHEELS:
             self._rejected += 1
             return
         last = self._last
@@ -73,8 +74,9 @@ class OdometryEstimator(Estimator):
             self._last = sample
             return
         dt = (sample.stamp.t_ns - last.stamp.t_ns) / NS_PER_S
-        usable &= np.asarray(last.valid, dtype=bool) & np.isfinite(last.wheel_angle_rad)
-        if dt <= 0.0 or np.count_nonzero(usable) < _LEAST_WHEELS:
+        known = map(math.isfinite, last.wheel_angle_rad.tolist())
+        usable = [u and v and k for u, v, k in zip(usable, last.valid, known, strict=True)]
+        if dt <= 0.0 or sum(usable) < _LEAST_WHEELS:
             self._rejected += 1
             self._last = last if dt <= 0.0 else sample
             return
@@ -82,14 +84,14 @@ class OdometryEstimator(Estimator):
         self._last = sample
 
     def _displacement(
-        self, last: WheelMeasurement, now: WheelMeasurement, usable: npt.NDArray[np.bool_], dt: float
+        self, last: WheelMeasurement, now: WheelMeasurement, usable: list[bool], dt: float
     ) -> Array:
         turned = now.wheel_angle_rad - last.wheel_angle_rad
         if self._noise.source == "velocity":
             turned = np.where(np.isfinite(now.wheel_rate_rad_s), now.wheel_rate_rad_s, 0.0) * dt
         heading = 0.5 * (now.steering_rad + last.steering_rad) - self._geometry.steering_zero_rad
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
-        if np.all(usable):
+        if all(usable):
             if self._model == "dry-friction":
                 self._window *= np.exp(-dt / self._noise.friction_window_s)
                 self._window += u
@@ -101,7 +103,14 @@ class OdometryEstimator(Estimator):
     def _integrate(self, motion: Array, dt: float) -> None:
         self._pose = compose(self._pose, se2_exp(motion))
         self._twist = motion / dt
-        spread = self._noise.step_m**2 + self._noise.per_sqrt_m**2 * float(np.hypot(motion[0], motion[1]))
-        arm = 0.25 * float(np.sum(self._geometry.x_m**2 + self._geometry.y_m**2))
-        self._covariance[[0, 1], [0, 1]] += 0.25 * spread
-        self._covariance[2, 2] += 0.25 * spread / arm
+        noise, covariance = self._noise, self._covariance
+        spread = noise.step_m**2 + noise.per_sqrt_m**2 * float(np.hypot(motion[0], motion[1]))
+        covariance[0, 0] += 0.25 * spread
+        covariance[1, 1] += 0.25 * spread
+        covariance[2, 2] += 0.25 * spread / self._arm_m2
+
+
+def _usable(sample: WheelMeasurement) -> list[bool]:
+    """Which wheels have both angles and are not marked."""
+    values = zip(sample.valid, sample.wheel_angle_rad.tolist(), sample.steering_rad.tolist(), strict=True)
+    return [bool(ok) and math.isfinite(turned) and math.isfinite(steered) for ok, turned, steered in values]
