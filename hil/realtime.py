@@ -34,11 +34,11 @@ from hil.signals import (
 LOG = logging.getLogger(__name__)
 
 _NICE = -5
-_SWITCH_INTERVAL_S = 0.0005
+_SWITCH_INTERVAL_S = 0.0002
 _YOUNG_EVERY_NS = nanoseconds(1.0)
 _ALL_EVERY_NS = nanoseconds(20.0)
 _YOUNG_SLACK_NS = nanoseconds(0.002)
-_ALL_SLACK_NS = nanoseconds(0.004)
+_ALL_SLACK_NS = nanoseconds(0.001)
 _PERIOD_NS = nanoseconds(0.01)
 _WARM_UP_CYCLES = 5
 
@@ -48,7 +48,7 @@ class RealTime:
 
     Memory that exists at the start is taken out of the collector's sight; from then on it collects
     only in time that a cycle has left. The interpreter hands its lock over more often, so that a
-    sink's thread delays a cycle by half a millisecond at most.
+    sink's thread delays a cycle by a fifth of a millisecond at a time.
 
     Args:
         clock: the loop's clock.

@@ -14,7 +14,7 @@ from dynamixel_sdk import (
     PacketHandler,
 )
 
-from hil.clock import NS_PER_S, Clock
+from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
 from hil.drivers.servos.port import PortLost, ServoPort
@@ -138,10 +138,16 @@ class Bus:
         self._settle()
         return self._fetch(self._ask(group, timeout_s))
 
-    def ask(self, group: GroupRead, timeout_s: float) -> None:
-        """Send the request of a group read whose answer `answered` will fetch."""
+    def ask(self, group: GroupRead, timeout_s: float, after: bytes = b"") -> None:
+        """Send the request of a group read whose answer `answered` will fetch.
+
+        Args:
+            group: what to ask.
+            timeout_s: how long the answer may take.
+            after: a packet that nobody answers, to go out before it in the same transfer.
+        """
         self._settle()
-        self._ahead, self._asked = None, self._ask(group, timeout_s)
+        self._ahead, self._asked = None, self._ask(group, timeout_s, after)
 
     def asked(self) -> bool:
         """Whether an answer can be fetched; one that was asked for too long ago is forgotten."""
@@ -166,11 +172,12 @@ class Bus:
             asked, self._asked = self._asked, None
             self._ahead = self._fetch(asked)
 
-    def _ask(self, group: GroupRead, timeout_s: float) -> _Asked:
-        sent_ns = self.traffic_ns = self._clock.now_ns() + self.port.backlog_ns()
+    def _ask(self, group: GroupRead, timeout_s: float, after: bytes = b"") -> _Asked:
+        sent_ns = self._clock.now_ns() + self.port.backlog_ns() + nanoseconds(self.port.wire_s(len(after)))
+        self.traffic_ns = sent_ns
         with contextlib.suppress(PortLost):
             self.port.clearPort()
-            self.port.writePort(group.request)
+            self.port.writePort(after + group.request)
         return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
 
     def _fetch(self, asked: _Asked) -> Exchange:

@@ -102,11 +102,13 @@ class CycleReader:
         """Whether a request is out whose answer `read` will fetch."""
         return self._bus.asked()
 
-    def ask(self, *, full: bool) -> None:
-        """Send the request of the next `read`."""
+    def ask(self, *, full: bool, after: bytes = b"") -> None:
+        """Send the request of the next `read`, behind a packet that nobody answers."""
         self._kind, self._asked = self._full if full else _CYCLE, tuple(self._order)
         if self._asked:
-            self._bus.ask(*self._group(self._kind, self._asked))
+            self._bus.ask(*self._group(self._kind, self._asked), after)
+        elif after:
+            self._bus.send(after)
 
     def read(self) -> Reading:
         """The answer to what was asked; a second exchange for what is missing where the budget allows it.

@@ -343,10 +343,12 @@ class XH430Servos(Actuators):
             raise UsageError(f"{self.name}: a goal is not finite: {setpoint}")
         goals = np.minimum(np.maximum(np.rint(goals), self._goal_low), self._goal_high)
         self._goals = goals.astype(np.int64)
-        bus.send(self._goal_write.packet(self._goals))
         self._commanded = True
+        packet = self._goal_write.packet(self._goals)
         if self._config.prefetch:
-            self._cycle.ask(full=self._look_closely())
+            self._cycle.ask(full=self._look_closely(), after=packet)
+        else:
+            bus.send(packet)
 
     def stop(self) -> None:
         """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
