@@ -58,6 +58,7 @@ class RerunMonitor(Sink):
         lossless: send in the caller's thread and drop nothing (virtual time).
         geometry: wheel geometry of the outline; nominal when None.
         capacity: cycles that may wait before the oldest is dropped.
+        patience_s: how long the viewer may take for the rest when all is over.
 
     Attributes:
         dropped: cycles that were not shown.
@@ -74,6 +75,7 @@ class RerunMonitor(Sink):
         lossless: bool,
         geometry: WheelGeometry | None = None,
         capacity: int = _CAPACITY,
+        patience_s: float = _CLOSE_S,
     ) -> None:
         targets = split_targets(target)
         if importlib.util.find_spec("rerun") is None:
@@ -84,7 +86,7 @@ class RerunMonitor(Sink):
         self.dropped = 0
         self.failure = ""
         self._closed = False
-        self._capacity = capacity
+        self._capacity, self._patience_s = capacity, patience_s
         self._geometry = geometry if geometry is not None else WheelGeometry.nominal()
         self._waiting: deque[CycleRecord | Array | None] = deque()
         self._something = threading.Event()
@@ -196,17 +198,17 @@ class RerunMonitor(Sink):
         assert self._thread is not None
         self._waiting.append(None)
         self._something.set()
-        self._thread.join(_CLOSE_S)
+        self._thread.join(self._patience_s)
         try:
             if self._thread.is_alive():
                 self._process.kill()
-                self.failure = f"the viewer did not take the rest within {_CLOSE_S:.0f} s"
-            self._process.wait(_CLOSE_S)
+                self.failure = f"the viewer did not take the rest within {self._patience_s:g} s"
+            self._process.wait(self._patience_s)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
             self.failure = "the viewer did not let go"
-        self._thread.join(_CLOSE_S)
+        self._thread.join(self._patience_s)
         self.dropped += sum(1 for record in self._waiting if isinstance(record, CycleRecord))
         try:
             if self._process.stdin is not None:

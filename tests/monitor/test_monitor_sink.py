@@ -168,7 +168,9 @@ def test_real_time_shows_the_same_through_its_own_process(tmp_path):
 def test_a_viewer_that_does_not_answer_costs_drops_and_nothing_else(viewer):
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1] if viewer == "stalled" else 1
-        monitor = RerunMonitor(f"rerun+http://127.0.0.1:{port}/proxy", lossless=False, capacity=20)
+        monitor = RerunMonitor(
+            f"rerun+http://127.0.0.1:{port}/proxy", lossless=False, capacity=20, patience_s=1.0
+        )
         for k in range(2000):
             monitor.write(shown(k))
         assert monitor.dropped > 0
