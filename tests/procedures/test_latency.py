@@ -60,7 +60,7 @@ def recover(seed, folder):
     ], done
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_delays_come_back(tmp_path, seed):
     ratios, done = recover(seed, tmp_path / "run")
     assert_covered(ratios, few=True)

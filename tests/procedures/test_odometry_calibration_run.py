@@ -17,7 +17,7 @@ from procedures._rounds import improvement_bound
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
-    "line_m": 0.7, "radius_m": 0.3, "turns": 0.3, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
+    "line_m": 0.5, "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
 }  # fmt: skip
 
 

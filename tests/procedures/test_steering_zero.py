@@ -32,7 +32,7 @@ def recover(seed, folder, **source):
     return ((found - np.degrees(truth)) / half).tolist(), done
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_hidden_steering_zeros_come_back_and_are_driven(tmp_path, seed):
     ratios, done = recover(seed, tmp_path / "run")
     assert_covered(ratios, few=True)

@@ -55,7 +55,7 @@ def recover(seed, folder, **source):
     return ((found - truth) / half).tolist(), done
 
 
-@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path, seed):
     ratios, done = recover(seed, tmp_path / "run")
     assert_covered(ratios, few=True)
