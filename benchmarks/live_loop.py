@@ -5,11 +5,15 @@
     python benchmarks/live_loop.py --seconds 60 --rate 200 --baud 4000000
     python benchmarks/live_loop.py --viewer stopped                 # also killed, absent, running
 
+Beyond 100 Hz the servos are asked ahead (`servos.prefetch`), also with --prefetch.
+
 An idle loop, which sleeps until each deadline and does nothing, runs first. Then the emulated bench in
 a process of its own, with the EKF in the loop, the robot driving, recording and the Rerun view on (a
 file, and with --viewer a Rerun server that is stopped or killed after a quarter of the time, or was
 never there). Late is a cycle that starts more than 1 ms after its deadline. The devices' own losses
-are switched off, so that every sample that is missing or bad has been lost on the way.
+are switched off, so that every sample that is missing or bad has been lost on the way. `checks` holds
+the figures against what is asked of the loop. A figure says something only of a machine that does
+nothing else (`load_before`).
 """
 
 from __future__ import annotations
@@ -48,6 +52,9 @@ PERFECT = {
     "emulation.mocap.stalls_per_s": 0.0,
 }
 _SIDE_M = 0.2
+_WITHOUT_PREFETCH_HZ = 100.0
+_MORE_LATE_PERCENT, _FAST_MORE_LATE_PERCENT = 0.05, 1.0
+_WORK_P99_MS, _GROWTH_MB, _RECORDING_US, _MB_PER_10_MIN = 4.0, 5.0, 500.0, 150.0
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 
 
@@ -179,6 +186,8 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     overrides: dict[str, object] = {**PERFECT, "loop.rate_hz": options.rate}
     if options.fifo:
         overrides["loop.fifo_priority"] = options.fifo
+    if options.prefetch:
+        overrides["servos.prefetch"] = True
     if options.baud:
         overrides |= {"servos.baud": options.baud, "servos.usb_latency_s": 0.001}
     with ExitStack() as stack:
@@ -226,6 +235,23 @@ def _lost(samples: Any) -> int:
     return sum(int(s["missing"]) + sum(s["bad"].values()) for s in samples.values())
 
 
+def checks(out: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What was found against what is asked of the loop; sizes and small shares are asked of 100 Hz."""
+    live, fast = out["live"], out["rate_hz"] > _WITHOUT_PREFETCH_HZ
+    wanted = {
+        "more_late_percent": (
+            out["more_late_percent"], _FAST_MORE_LATE_PERCENT if fast else _MORE_LATE_PERCENT
+        ),
+        "lost_samples": (live["lost_samples"], 0),
+        "work_p99_ms": (live["work_p99_ms"], _WORK_P99_MS),
+        "memory_growth_mb": (live["memory_growth_mb"], _GROWTH_MB),
+        "recording_mean_us": (live["recording_us"]["mean"], _RECORDING_US),
+    }  # fmt: skip
+    if not fast:
+        wanted["mb_per_10_min"] = (live["mb_per_10_min"], _MB_PER_10_MIN)
+    return {k: {"found": v, "limit": limit, "met": v <= limit} for k, (v, limit) in wanted.items()}
+
+
 def main() -> None:
     """Measure and print one JSON object."""
     parser = argparse.ArgumentParser(
@@ -238,15 +264,22 @@ def main() -> None:
     parser.add_argument("--fifo", type=int, help="SCHED_FIFO priority of both loops and of the emulator")
     parser.add_argument("--ukf", action="store_true", help="the UKF beside the EKF")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--prefetch", action=argparse.BooleanOptionalAction,
+        help="servos.prefetch; by default beyond 100 Hz",
+    )  # fmt: skip
     options = parser.parse_args()
+    if options.prefetch is None:
+        options.prefetch = options.rate > _WITHOUT_PREFETCH_HZ
     out: dict[str, Any] = {
         "seconds": options.seconds, "rate_hz": options.rate, "viewer": options.viewer,
-        "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
+        "prefetch": options.prefetch, "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         out["idle"] = idle(options.seconds, options.rate, options.fifo)
         out["live"] = live(options, Path(folder))
     out["more_late_percent"] = out["live"]["late_percent"] - out["idle"]["late_percent"]
+    out["checks"] = checks(out)
     out["load_after"] = os.getloadavg()[0]
     print(json.dumps(out, indent=2))
 
