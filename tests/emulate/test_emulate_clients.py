@@ -60,11 +60,18 @@ def test_the_public_natnet_client_finds_the_robot(endpoints_file):
     assert re.search(r"^robot: .* tracked$", said, re.M)
 
 
+LOGGER = (
+    "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler); "
+    "runpy.run_module('can.logger', run_name='__main__')"
+)
+"""`python -m can.logger` that heeds Ctrl-C also where a shell started the tests in its background."""
+
+
 def test_python_cans_logger_records_the_bus(served, tmp_path):
     where = served["can"]
     file = tmp_path / "bus.asc"
     with subprocess.Popen(
-        [sys.executable, "-m", "can.logger", "-i", where["interface"], "-c", where["channel"], "-f", file,
+        [sys.executable, "-c", LOGGER, "-i", where["interface"], "-c", where["channel"], "-f", file,
          "--bus-kwargs", f"port={where['port']}"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     ) as logger:  # fmt: skip
