@@ -14,12 +14,13 @@ from hil.bench.settings import alignment_parameters, motion_limits, real_time, s
 from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
+from hil.controller.joint_script import JointScript, ScriptedController
 from hil.errors import UsageError
 from hil.estimator import make_estimator
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.geometry import Array, ArrayLike
-from hil.interfaces import Estimator, Sink
+from hil.interfaces import Controller, Estimator, Sink
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
@@ -160,20 +161,22 @@ class Bench:
 
     def make_brain(
         self,
-        trajectory: Trajectory | None,
+        trajectory: Trajectory | JointScript | None,
         *,
         controller: str | None = None,
         feedback: str = "ekf",
         observers: tuple[str, ...] = (),
     ) -> Brain:
-        """The deterministic part of the loop for one motion (also what replay runs).
+        """The deterministic part of the loop for one motion or script (also what replay runs).
 
         Raises:
             UsageError: unknown feedback or controller.
         """
         config = self.config
-        law = None
-        if trajectory is not None:
+        law: Controller | None = None
+        if isinstance(trajectory, JointScript):
+            law = ScriptedController(trajectory)
+        elif trajectory is not None:
             control = config.control
             if controller not in (None, "nonlinear", "optimal"):
                 raise UsageError(f"controller {controller!r} is unknown", expected="nonlinear or optimal")
@@ -287,17 +290,25 @@ class Bench:
         self.run(brain, start, until)
         return Motion(tuple(records))
 
-    def run(self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool]) -> None:
+    def run(
+        self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool], *, drop_old: bool = True
+    ) -> None:
         """Run a brain from a known state until `until(record)` says so; the robot is held at the end.
 
-        Everything is compiled and loaded before the first cycle, what the devices have piled up
-        meanwhile is let go, and recorders are told how it began.
+        Everything is compiled and loaded before the first cycle, and recorders are told how it began.
+
+        Args:
+            brain: what decides.
+            start: what `brain` was made of, and where the robot stands.
+            until: whether this record was the last.
+            drop_old: let go of what the devices have piled up meanwhile.
         """
         warm_up(brain, start.state)
         with ExitStack() as stack:
             if self.real_time is not None:
                 stack.enter_context(self.real_time)
-            self.rig.read(0)
+            if drop_old:
+                self.rig.read(0)
             begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
             brain.reset(begun.state)
             for sink in self._sinks:

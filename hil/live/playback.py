@@ -17,6 +17,7 @@ from hil.bench import Bench
 from hil.calibration.artefact import read_calibration
 from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench, validate
+from hil.controller.joint_script import SCRIPT, JointScript
 from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain
@@ -133,7 +134,11 @@ def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord]) -> Br
     Raises:
         UsageError: the note on how the run began describes no brain of this version.
     """
-    trajectory = None if start.trajectory is None else Trajectory.from_mapping(start.trajectory)
+    trajectory: Trajectory | JointScript | None = None
+    if start.controller == SCRIPT and start.trajectory is not None:
+        trajectory = JointScript.from_mapping(start.trajectory)
+    elif start.trajectory is not None:
+        trajectory = Trajectory.from_mapping(start.trajectory)
     brain = bench.make_brain(
         trajectory, controller=start.controller, feedback=start.feedback, observers=start.observers
     )

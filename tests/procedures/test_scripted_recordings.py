@@ -1,0 +1,55 @@
+"""A whole procedure's recording repeats bit for bit: every stretch of it says how it began."""
+
+import pytest
+from procedure_runs import run
+
+import hil
+from hil.controller.joint_script import JointScript, Stretch
+from hil.errors import UsageError
+from hil.live.playback import open_recording, verify_run
+from hil.recording.mcap_writer import McapRecorder
+from procedures._scripted import play
+
+pytestmark = pytest.mark.timeout(600)  # the first process to start may compile the estimators
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters"), [("latency", {"reversals": 8}), ("bring_up", {"watch_s": 2.0})]
+)
+def test_a_procedures_recording_verifies_from_end_to_end(name, parameters, tmp_path):
+    run(name, tmp_path / name, parameters)
+    opened = open_recording(tmp_path / name / "recording.mcap")
+    told = [verify_run(opened.bench, each) for each in opened.runs]
+    assert [r["difference"] for r in told] == [None] * len(told)
+    assert "script" in {each.start.controller for each in opened.runs}
+    assert opened.problems == []
+
+
+def test_another_script_is_noticed(tmp_path):
+    path = tmp_path / "jog.mcap"
+    bench = hil.open_bench("emulated", seed=2)
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    script = [Stretch(0.1, (0.1, 0.0, 0.0, 0.0)), Stretch(0.1, steering_rad=(0.1, 0.0, 0.0, 0.0))]
+    with bench:
+        pose = bench.settle(0.1)
+        motion = play(bench, script, pose, [0.0] * 4)
+    assert motion.records[-1].setpoint.steering_rad[0] == pytest.approx(0.1, abs=0.02)
+    opened = open_recording(path)
+    assert verify_run(opened.bench, opened.runs[1])["difference"] is None
+    opened.runs[1].start.trajectory["stretches"][0]["rate_rad_s"][0] = 0.2
+    assert "setpoint.wheel_rate_rad_s[0]" in verify_run(opened.bench, opened.runs[1])["difference"]
+
+
+def test_a_script_survives_its_note_and_nonsense_is_refused():
+    script = JointScript(
+        [Stretch(0.3, steering_rad=[0.1, 0.2, 0.3, 1.0 / 3.0]), Stretch(0.2)], [0.0] * 3, [0.0] * 4
+    )
+    again = JointScript.from_mapping(script.to_mapping())
+    for t_s in (0.0, 0.1, 0.3, 0.45, 9.0):
+        first, second = script.setpoint(t_s), again.setpoint(t_s)
+        assert first.steering_rad.tobytes() == second.steering_rad.tobytes()
+        assert first.wheel_rate_rad_s.tobytes() == second.wheel_rate_rad_s.tobytes()
+    with pytest.raises(UsageError, match="no script"):
+        JointScript.from_mapping({"stretches": [{"size": 3}]})
+    with pytest.raises(UsageError, match="script of"):
+        JointScript([], [0.0] * 3, [0.0] * 4)
