@@ -76,7 +76,8 @@ class Interrupts:
 def time_limit(limit_s: float, what: str) -> Iterator[None]:
     """Raise `StepTimeoutError` in a block that takes longer than the operating system's timer allows.
 
-    The last resort for work that hangs without running the loop; only in the main thread.
+    The last resort for work that hangs without running the loop; only in the main thread. A timer that
+    was running (of pytest-timeout, say) runs on afterwards.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -86,9 +87,12 @@ def time_limit(limit_s: float, what: str) -> Iterator[None]:
         raise StepTimeoutError(what, limit_s)
 
     before = signal.signal(signal.SIGALRM, expired)
-    signal.setitimer(signal.ITIMER_REAL, limit_s)
+    others_s, interval_s = signal.setitimer(signal.ITIMER_REAL, limit_s)
     try:
         yield
     finally:
+        used_s = limit_s - signal.getitimer(signal.ITIMER_REAL)[0]
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
+        if others_s:
+            signal.setitimer(signal.ITIMER_REAL, max(others_s - used_s, 1e-3), interval_s)

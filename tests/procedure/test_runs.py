@@ -148,10 +148,18 @@ def test_a_teardown_that_hangs_is_cut_off(run_small):
     assert [(e.kind, e.step) for e in result.teardown_errors] == [("StepTimeoutError", "for ever")]
 
 
-def test_the_time_limit_is_lifted_after_its_block():
-    with time_limit(30.0, "block"):
-        pass
-    assert signal.getitimer(signal.ITIMER_REAL)[0] == 0.0
+@pytest.mark.parametrize("others_s", [0.0, 100.0])
+def test_a_time_limit_gives_the_timer_back_after_its_block(others_s):
+    running = signal.setitimer(signal.ITIMER_REAL, others_s)
+    try:
+        with time_limit(30.0, "block"):
+            assert 20.0 < signal.getitimer(signal.ITIMER_REAL)[0] <= 30.0
+        left_s = signal.getitimer(signal.ITIMER_REAL)[0]
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, *running)
+    assert left_s <= others_s
+    assert left_s > others_s - 20.0
+    assert (left_s > 0.0) == (others_s > 0.0)
 
 
 def kill_self(number):
