@@ -36,7 +36,7 @@ def served():
     child.communicate(timeout=20)
 
 
-def bench_file(tmp_path, servos, imu, encoders):
+def bench_file(tmp_path, servos, imu, encoders, *, prefetch="false"):
     path = tmp_path / "remote.toml"
     path.write_text(
         f"""schema = 1
@@ -49,9 +49,11 @@ servo_stale_s = 0.5
 [servos]
 port = "{servos}"
 baud = {BAUD}
+prefetch = {prefetch}
 reply_slack_s = 0.05
 [imu]
 port = "{imu}"
+prefetch = {prefetch}
 reply_timeout_s = 0.2
 retry_budget_s = 0.4
 [encoders]
@@ -73,15 +75,17 @@ def drive_and_check(path):
     assert sum(len(r.inputs.encoders) for r in motion.records) >= 0.8 * 200.0 * STRAIGHT.duration_s
 
 
-@pytest.mark.parametrize("protocol", ["socket", "rfc2217"])
-def test_a_drive_on_a_remote_bench(served, tmp_path, protocol):
-    """3 ms of latency each way: slower cycles, the same motion, hardly a sample lost."""
+@pytest.mark.parametrize(
+    ("protocol", "prefetch"), [("socket", "false"), ("rfc2217", "false"), ("rfc2217", "true")]
+)
+def test_a_drive_on_a_remote_bench(served, tmp_path, protocol, prefetch):
+    """3 ms of latency each way: slower cycles or older samples, the same motion, hardly a sample lost."""
     can_options = f'interface = "udp_multicast"\nchannel = "{served["can"]["channel"]}"\n'
     options = f"options = {{ port = {served['can']['port']}, hop_limit = 0 }}"
     servos = Bridge(served["servos"]["port"], baud=BAUD, latency_s=LATENCY_S, protocol=protocol)
     imu = Bridge(served["imu"]["port"], baud=115_200, latency_s=LATENCY_S, protocol=protocol)
     try:
-        drive_and_check(bench_file(tmp_path, servos.url, imu.url, can_options + options))
+        drive_and_check(bench_file(tmp_path, servos.url, imu.url, can_options + options, prefetch=prefetch))
         assert servos.clients == imu.clients == 1
     finally:
         servos.close()
