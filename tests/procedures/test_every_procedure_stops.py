@@ -18,7 +18,7 @@ SHORT = {
     "bring_up": {"watch_s": 2.0, "devices": "servos,mocap"},
     "grid_scan": {"lanes": 2, "lane_length_m": 0.1, "hold_s": 0.5},
     "imu_calibration": {"rest_s": 5.0, "headings": 4, "dwell_s": 0.5, "learn_s": 4.0},
-    "latency": {"reversals": 8, "devices": "imu"},
+    "latency": {"reversals": 10, "devices": "imu"},
     "odometry_calibration": {
         "motions": "line_x,rotation_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.3,
         "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
