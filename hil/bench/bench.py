@@ -52,6 +52,7 @@ class Bench:
         world: the emulated world where it lives in this process, else None.
         geometry: wheel geometry in use (nominal or calibrated).
         calibration: name and version of the calibration in use; empty without one.
+        fitted_with: forward model that it was fitted with; empty without one.
         seed: seed of the emulated world.
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
@@ -66,11 +67,13 @@ class Bench:
         geometry: WheelGeometry,
         world: World | None = None,
         calibration: str = "",
+        fitted_with: str = "",
         seed: int = 0,
         sinks: tuple[Sink, ...] = (),
     ) -> None:
         self.config, self.clock, self.rig, self.world = config, clock, rig, world
         self.geometry, self.calibration, self.seed = geometry, calibration, seed
+        self.fitted_with = fitted_with
         self.alignment_parameters = alignment_parameters(config)
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)

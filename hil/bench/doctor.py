@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.bench.bench import Bench
+from hil.bench.settings import wheel_model
 from hil.clock import nanoseconds
 from hil.errors import HilError
 from hil.interfaces import Device
@@ -50,7 +51,7 @@ class Finding:
 
 
 def examine(bench: Bench, *, watch_s: float = _WATCH_S) -> Iterator[Finding]:
-    """Findings about every device of a bench that has not been entered.
+    """Findings about the calibration and every device of a bench that has not been entered.
 
     Args:
         bench: as `open_bench` returned it; its devices are opened and closed here.
@@ -58,10 +59,22 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S) -> Iterator[Finding]:
     """
     try:
         bench.begin()
+        yield from _calibration(bench)
         for device in bench.rig.devices():
             yield from _examine_one(bench, device, watch_s)
     finally:
         bench.close()
+
+
+def _calibration(bench: Bench) -> Iterator[Finding]:
+    """Calibrated wheels belong to the wheel model that they were fitted with."""
+    if not bench.calibration:
+        return
+    used, wanted = bench.config.estimator.wheels.model, wheel_model(bench.fitted_with)
+    level: Level = "ok" if used == wanted else "warning"
+    found = f"{bench.calibration}, fitted with the {bench.fitted_with} model; estimated with {used}"
+    remedy = f'set estimator.wheels.model to "{wanted}", or leave it out of the bench file'
+    yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
 
 
 def _examine_one(bench: Bench, device: Device, watch_s: float) -> Iterator[Finding]:

@@ -14,7 +14,7 @@ from hil.bench.bench import Bench
 from hil.bench.drivers import Connections, make_rig
 from hil.bench.emulation import build_world, connect_in_process
 from hil.bench.process import EmulatorProcess
-from hil.bench.settings import geometry_of
+from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.shelf import check_made_for
 from hil.clock import MonotonicClock
@@ -25,7 +25,6 @@ from hil.fakes.faults import Fault, describe
 from hil.fakes.timeline import read_faults
 from hil.fakes.world import VirtualClock
 from hil.interfaces import Sink
-from hil.kinematics import WheelGeometry
 
 
 def open_bench(
@@ -58,10 +57,10 @@ def open_bench(
         DeviceError: the emulated devices cannot be served.
     """
     checked = load_bench(config, emulate=emulate, overrides=overrides)
-    geometry, name = _calibrated(checked, calibration)
+    checked, fitted = _calibrated(checked, calibration)
     plan = read_faults((*checked.emulation.faults, *faults))
     emulated = checked.emulated()
-    common: dict[str, Any] = {"geometry": geometry, "calibration": name, "seed": seed, "sinks": sinks}
+    common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
     if plan and not emulated:
         raise FaultNotSupportedError(
             f"fault {describe(plan[0])}: every device of {checked.name} is real",
@@ -109,11 +108,13 @@ def _reach(endpoints: Mapping[str, Mapping[str, Any]]) -> Connections:
     return Connections(values)
 
 
-def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[WheelGeometry, str]:
-    nominal = geometry_of(config)
+def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[BenchConfig, dict[str, Any]]:
+    """The configuration with the calibration's wheel model, and what the bench is told of its wheels."""
     path = given if given is not None else config.calibration
     if path is None:
-        return nominal, ""
+        return config, {"geometry": geometry_of(config)}
     found = read_calibration(Path(path))
     check_made_for(found, config, str(path))
-    return found.geometry, f"{Path(path).name} version {found.version}"
+    name = f"{Path(path).name} version {found.version}"
+    told = {"geometry": found.geometry, "calibration": name, "fitted_with": found.model}
+    return with_wheel_model(config, found.model), told

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,10 @@ from hil.kinematics import WheelGeometry
 from hil.motion_limits import MotionLimits
 from hil.realtime import RealTime
 from hil.supervisor import SafetyLimits
+
+LOG = logging.getLogger(__name__)
+
+_WHEEL_MODELS = {"exact": "equations"}
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
@@ -55,3 +60,34 @@ def geometry_of(config: BenchConfig) -> WheelGeometry:
     """Nominal wheel geometry of the configured robot."""
     robot = config.robot
     return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
+
+
+def wheel_model(fitted_with: str) -> str:
+    """`estimator.wheels.model` that belongs to calibrations of a forward model."""
+    return _WHEEL_MODELS.get(fitted_with, fitted_with)
+
+
+def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | None = None) -> BenchConfig:
+    """A configuration whose estimators read the wheels by the model that the calibration was fitted with.
+
+    A model that the bench file names itself stays, and a difference is a warning: calibrated wheels are
+    effective ones, good for their own model only (`facts/calibration.md`).
+
+    Args:
+        config: of the bench.
+        fitted_with: forward model of the calibration: `exact`, `paper` or `dry-friction`.
+        given: whether the file names a model; None to see whether it was set.
+    """
+    estimator = config.estimator
+    wheels, wanted = estimator.wheels, wheel_model(fitted_with)
+    if wheels.model == wanted:
+        return config
+    if "model" in wheels.model_fields_set if given is None else given:
+        LOG.warning(
+            "the calibration was fitted with the %s model and belongs to estimator.wheels.model = %r; "
+            "the bench file says %r", fitted_with, wanted, wheels.model,
+        )  # fmt: skip
+        return config
+    LOG.info("estimator.wheels.model = %r, as the calibration was fitted", wanted)
+    changed = estimator.model_copy(update={"wheels": wheels.model_copy(update={"model": wanted})})
+    return config.model_copy(update={"estimator": changed})

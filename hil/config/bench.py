@@ -236,7 +236,7 @@ def load_bench(
         ConfigError: listing every problem with its dotted path.
     """
     if isinstance(source, BenchConfig):
-        tree, origin = source.model_dump(by_alias=True, exclude_none=True), source.name
+        tree, origin = source.model_dump(by_alias=True, exclude_unset=True), source.name
     else:
         text, origin = find_bench(source)
         try:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import Bench
+from hil.bench.settings import with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench, validate
@@ -103,7 +104,7 @@ def open_recording(
     given = header.get("geometry")
     geometry = None if given is None else WheelGeometry.from_vector(np.array(given, dtype=np.float64))
     return OpenedRecording(
-        path, _bench(config, geometry, calibration, header), header, False, problems,
+        path, _bench(config, geometry, calibration, header, recorded=bench is None), header, False, problems,
         lambda: read_runs(path, problems),
     )  # fmt: skip
 
@@ -114,11 +115,15 @@ def _foreign(path: Path, bench: str | None, calibration: Path | None, read: Any)
 
 
 def _bench(
-    config: BenchConfig, geometry: WheelGeometry | None, calibration: Path | None, header: Mapping[str, Any]
-) -> Bench:
+    config: BenchConfig, geometry: WheelGeometry | None, calibration: Path | None, header: Mapping[str, Any],
+    *, recorded: bool = False,
+) -> Bench:  # fmt: skip
+    """A bench without devices; a recorded configuration names every value, chosen by somebody or not."""
     clock = MonotonicClock()
     if calibration is not None:
-        geometry = read_calibration(calibration).geometry
+        found = read_calibration(calibration)
+        geometry = found.geometry
+        config = with_wheel_model(config, found.model, given=False if recorded else None)
     if geometry is None:
         robot = config.robot
         geometry = WheelGeometry(*map(np.array, (robot.wheel_x_m, robot.wheel_y_m, robot.wheel_radius_m)))

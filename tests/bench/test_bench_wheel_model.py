@@ -1,0 +1,93 @@
+"""A calibration brings its wheel model along, unless the bench file names one; a difference is said."""
+
+import logging
+
+import numpy as np
+import pytest
+import tomli_w
+
+import hil
+from hil.bench.doctor import examine
+from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.config.bench import load_bench
+from hil.kinematics import WheelGeometry
+from hil.live.playback import open_recording
+from hil.recording.mcap_writer import McapRecorder
+
+MODEL = "estimator.wheels.model"
+
+
+@pytest.fixture
+def calibration(tmp_path):
+    def write(model, name="calibration.toml"):
+        nominal = WheelGeometry.nominal()
+        wheels = {
+            "x_w_m": nominal.x_m.tolist(), "y_w_m": nominal.y_m.tolist(), "r_m": nominal.radius_m.tolist()
+        }  # fmt: skip
+        tree = {
+            "schema": 1, "version": 4, "created": "2026-01-01", "method": "gauss-newton",
+            "setting": "all", "model": model, "signal": "position", "parameters": wheels, "nominal": wheels,
+            "std": {}, "twist_correction": np.eye(3).tolist(), "cost_before": 2.0, "cost_after": 1.0,
+            "recordings": {},
+        }  # fmt: skip
+        save_calibration(tmp_path / name, CalibrationFile.model_validate(tree))
+        return tmp_path / name
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("fitted", "expected"),
+    [("exact", "equations"), ("paper", "paper"), ("dry-friction", "dry-friction")],
+)
+def test_the_estimators_read_the_wheels_as_the_calibration_was_fitted(calibration, fitted, expected):
+    bench = hil.open_bench("emulated_floor", calibration=calibration(fitted))
+    with bench:
+        assert bench.config.estimator.wheels.model == expected
+        assert bench.header()["config"]["estimator"]["wheels"]["model"] == expected
+        assert bench.make_estimator("ekf").config.wheels.model == expected
+
+
+def test_the_calibration_of_the_bench_file_counts_too(calibration, tmp_path):
+    overrides = {"calibration": str(calibration("dry-friction"))}
+    with hil.open_bench("emulated_floor", overrides=overrides) as bench:
+        assert bench.config.estimator.wheels.model == "dry-friction"
+    with hil.open_bench(load_bench("emulated_floor", overrides=overrides)) as bench:
+        assert bench.config.estimator.wheels.model == "dry-friction"
+
+
+def test_a_model_that_the_bench_file_names_stays_and_is_said(calibration, caplog):
+    caplog.set_level(logging.WARNING)
+    path = calibration("dry-friction")
+    bench = hil.open_bench("emulated_floor", overrides={MODEL: "equations"}, calibration=path)
+    assert bench.config.estimator.wheels.model == "equations"
+    assert "fitted with the dry-friction model" in caplog.text
+    first = next(examine(bench, watch_s=0.1))
+    assert (first.device, first.level) == ("bench", "warning")
+    assert "version 4" in first.found
+    assert "dry-friction" in first.remedy
+
+
+def test_doctor_says_that_calibration_and_model_agree(calibration, caplog):
+    caplog.set_level(logging.WARNING)
+    first = next(examine(hil.open_bench("emulated_floor", calibration=calibration("exact")), watch_s=0.1))
+    assert (first.device, first.level) == ("bench", "ok")
+    assert caplog.text == ""
+
+
+def test_replay_with_another_calibration_takes_its_model(calibration, tmp_path):
+    path = tmp_path / "rest.mcap"
+    bench = hil.open_bench("emulated_floor")
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
+        bench.observe(0.1, feedback="odometry")
+    assert open_recording(path).bench.config.estimator.wheels.model == "equations"
+    again = open_recording(path, calibration=calibration("dry-friction")).bench
+    assert again.config.estimator.wheels.model == "dry-friction"
+    file = tmp_path / "bench.toml"
+    tree = load_bench("emulated_floor", overrides={MODEL: "paper"}).model_dump(
+        mode="json", by_alias=True, exclude_unset=True
+    )
+    file.write_text(tomli_w.dumps(tree))
+    chosen = open_recording(path, bench=str(file), calibration=calibration("dry-friction")).bench
+    assert chosen.config.estimator.wheels.model == "paper"
