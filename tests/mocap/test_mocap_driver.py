@@ -344,3 +344,26 @@ def test_a_closed_port_in_process_refuses_to_send(mocap_bench):
 def test_a_configuration_that_cannot_be_meant_is_refused(values, message):
     with pytest.raises(ValueError, match=message):
         MocapConfig(**values)
+
+
+def test_a_frame_that_comes_again_after_a_pause_is_no_restart(mocap_bench):
+    """By the other port, from a thread that the host has kept waiting: seen before, however late."""
+    bench, post, driver = posted(mocap_bench, talk())
+    driver.open()
+
+    def frame(number, begun_s):
+        up_s = begun_s + 0.01 * number
+        ticks = (round(up_s * 1e7), round(up_s * 1e7) + 400, round(up_s * 1e7) + 1000)
+        return build.frame((4, 1), number, [build.body(1)], suffix=(0, 0, up_s, *ticks))
+
+    for number in range(1000, 1010):
+        post.put(frame(number, 3.0))
+    assert len(driver.read()) == 10
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 400_000_000)
+    post.put(frame(1004, 3.0))
+    post.put(frame(1009, 3.0))
+    assert driver.read() == ()
+    assert driver.counts["repeated"] == 2
+    post.put(frame(1005, 0.0))
+    (begun_anew,) = driver.read()
+    assert begun_anew.stamp.seq > 1009

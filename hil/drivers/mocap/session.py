@@ -60,6 +60,7 @@ class Session:
         self._asked: tuple[int, int] | None = None
         self._agreed = False
         self._number: int | None = None
+        self._seen: dict[int, tuple[float, int, int]] = {}
         self._source: Address | None = None
         self._source_ns = 0
         self._alive_ns = clock.now_ns()
@@ -168,6 +169,9 @@ class Session:
             self.strangers += 1
             return None
         frame = parse_frame(payload, self.version, self.body_id)
+        if self._seen_before(frame):
+            self.repeated += 1
+            return None
         silence_ns = datagram.arrived_ns - self._source_ns
         self._source, self._source_ns = datagram.sender, datagram.arrived_ns
         back = 0 if last is None else last - number
@@ -178,6 +182,20 @@ class Session:
         if frame.models_changed:
             self.ask_models()
         return frame, back > 0
+
+    def _seen_before(self, frame: Frame) -> bool:
+        """Whether a frame has come already, by the other port perhaps and much later.
+
+        A server that has begun anew repeats numbers, not times.
+        """
+        seen, number = self._seen, frame.number
+        times = (frame.timestamp_s, frame.exposure_ticks, frame.sent_ticks)
+        if any(times) and seen.get(number) == times:
+            return True
+        seen[number] = times
+        if len(seen) > _OLD_FRAMES:
+            del seen[next(iter(seen))]
+        return False
 
     def _stranger(self, datagram: Datagram) -> bool:
         """Frames come from one source; another one counts only when that has been silent."""
