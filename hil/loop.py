@@ -53,13 +53,26 @@ def _untimed(section: str) -> None:
     """Nobody measures how long the sections take."""
 
 
+def observed(name: str, state: RobotState) -> dict[str, float]:
+    """A further estimator's pose and the covariance of its position, as diagnostics of the state in the loop.
+
+    `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`; `NAME_xx_m2`, `NAME_xy_m2`, `NAME_yy_m2`.
+    """
+    (x_m, y_m, theta_rad), covariance = state.pose_body_in_wall.tolist(), state.covariance
+    return {
+        f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad,
+        f"{name}_xx_m2": covariance.item(0, 0), f"{name}_xy_m2": covariance.item(0, 1),
+        f"{name}_yy_m2": covariance.item(1, 1),
+    }  # fmt: skip
+
+
 class Brain:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
-        observers: further estimators that run on the same measurements; their poses appear in the
-            state's diagnostics as `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`.
+        observers: further estimators that run on the same measurements; what they say appears in the
+            state's diagnostics, see `observed`.
 
     Attributes:
         reference: of the latest cycle, also when that ended in a `SafetyStop`.
@@ -124,9 +137,8 @@ class Brain:
             return state
         extra = dict(state.diagnostics)
         for name, observer in self.observers.items():
-            x_m, y_m, theta_rad = observer.update(measurements).pose_body_in_wall
-            extra |= {f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad}
-        return replace(state, diagnostics={k: float(v) for k, v in extra.items()})
+            extra |= observed(name, observer.update(measurements))
+        return replace(state, diagnostics=extra)
 
     def _control(
         self, state: RobotState, reference: Reference | None, measurements: Measurements

@@ -21,7 +21,7 @@ from hil.config.bench import BenchConfig, load_bench, validate
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
-from hil.loop import Brain
+from hil.loop import Brain, observed
 from hil.motion import Motion
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import read_header
@@ -205,6 +205,5 @@ def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:
     for k, record in enumerate(first[1].records):
         extra = dict(record.state.diagnostics)
         for name, motion in others:
-            x_m, y_m, theta_rad = motion.records[k].state.pose_body_in_wall
-            extra |= {f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad}
+            extra |= observed(name, motion.records[k].state)
         yield replace(record, state=replace(record.state, diagnostics=extra))

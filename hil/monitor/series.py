@@ -13,7 +13,7 @@ from hil.geometry import Array, wrap
 from hil.signals import SERVOS, CycleRecord, Status
 
 _SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
-_POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad")
+_POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad", "_xx_m2", "_xy_m2", "_yy_m2")
 _GROUPS = {
     "nis_mean": "estimator/mean_nis",
     "nis": "innovations/normalised",
@@ -24,6 +24,8 @@ _GROUPS = {
     "age": "estimator/age_s",
 }
 _OTHER = "estimator/states"
+_SLOW = ("estimator/mean_nis", "estimator/rejected", "estimator/age_s", _OTHER)
+_SLOW_S = 0.1
 
 Figures = Mapping[str, float]
 
@@ -53,6 +55,7 @@ class SeriesCollector:
         self._names: dict[str, list[str]] = {}
         self._rows: dict[str, list[tuple[float, int, Figures]]] = {}
         self._seen_ns: dict[str, int] = {}
+        self._slow_s = -math.inf
 
     def seconds(self, record: CycleRecord) -> float:
         """Time of a cycle since the first one, s."""
@@ -61,9 +64,14 @@ class SeriesCollector:
         return (record.inputs.t_ns - self._start_ns) / NS_PER_S
 
     def add(self, record: CycleRecord) -> None:
-        """Take one cycle's figures."""
+        """Take one cycle's figures; counters and slow states ten times a second only."""
         t_s = self.seconds(record)
+        slow = not 0.0 <= t_s - self._slow_s < _SLOW_S - 1e-6
+        if slow:
+            self._slow_s = t_s
         for entity, figures in self._figures(record):
+            if entity in _SLOW and not slow:
+                continue
             names = self._names.setdefault(entity, [])
             if len(figures) != len(names) or any(n not in names for n in figures):
                 names += [n for n in figures if n not in names]
@@ -134,6 +142,17 @@ def observer_poses(record: CycleRecord) -> dict[str, tuple[float, float]]:
     found = record.state.diagnostics
     names = (key[: -len("_x_m")] for key in found if key.endswith("_x_m"))
     return {n: (found[f"{n}_x_m"], found[f"{n}_y_m"]) for n in names if f"{n}_y_m" in found}
+
+
+def observer_covariances(record: CycleRecord) -> dict[str, Array]:
+    """Covariances (2, 2) of those positions in wall axes, m^2; of estimators that say theirs."""
+    found = record.state.diagnostics
+    entries = {n: [found.get(f"{n}_{k}_m2") for k in ("xx", "xy", "yy")] for n in observer_poses(record)}
+    return {
+        n: np.array([[xx, xy], [xy, yy]])
+        for n, (xx, xy, yy) in entries.items()
+        if xx is not None and xy is not None and yy is not None
+    }
 
 
 def conditions(record: CycleRecord) -> dict[str, str]:

@@ -66,7 +66,7 @@ def covariance_ellipse(pose: Array, covariance: Array) -> Array:
     """Outline that holds the position with 95 %, (33, 2), wall frame, m.
 
     Args:
-        pose: (3,) estimated pose.
+        pose: (2,) or (3,) estimated position or pose.
         covariance: (n, n), its first two rows and columns are position in wall axes, m^2.
     """
     values, vectors = np.linalg.eigh(covariance[:2, :2])

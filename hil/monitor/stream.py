@@ -16,16 +16,24 @@ from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.monitor import shapes
 from hil.monitor.blueprint import PATH_COLOURS, Colour, blueprint, line_colours
-from hil.monitor.series import Series, SeriesCollector, conditions, finite, observer_poses
+from hil.monitor.series import (
+    Series,
+    SeriesCollector,
+    conditions,
+    finite,
+    observer_covariances,
+    observer_poses,
+)
 from hil.signals import WHEELS, CycleRecord
 
 DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 
 _BATCH_NS = NS_PER_S // 10
+_PLOTS_NS = NS_PER_S // 2
 _TRAIL_NS = NS_PER_S
 _FLUSH_S = 3.0
-_VIEW_MARGIN_M = 0.35
-_VIEW_SLACK_M = 0.1
+_VIEW_MARGIN_M = 0.45
+_VIEW_SLACK_M = 0.25
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR", "fatal": "CRITICAL"}
 _OTHER_COLOUR = (120, 120, 60)
 
@@ -57,7 +65,7 @@ class RerunStream:
         self._latest: CycleRecord | None = None
         self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
         self._truth: Array | None = None
-        self._sent_ns = self._trails_ns = -(1 << 62)
+        self._sent_ns = self._plotted_ns = self._trails_ns = -(1 << 62)
         self._dropped = 0
 
     def _sink(self, target: str) -> Any:
@@ -77,7 +85,7 @@ class RerunStream:
         return rr.FileSink(target)
 
     def add(self, record: CycleRecord) -> None:
-        """Take one cycle; sends about ten times a second of the records' own time."""
+        """Take one cycle; the wall moves ten times a second of the records' own time, the plots twice."""
         self._collector.add(record)
         self._latest = record
         if record.measurements.wheels:
@@ -115,13 +123,14 @@ class RerunStream:
         self._dropped = total
 
     def flush(self) -> None:
-        """Send what has been collected."""
+        """Send what has been collected: the wall every time; plots less often, for each piece has a head."""
         record = self._latest
         if record is None:
             return
         self._sent_ns = record.inputs.t_ns
-        for entity, series in self._collector.take():
-            self._send_series(entity, series)
+        if not 0 <= record.inputs.t_ns - self._plotted_ns < _PLOTS_NS:
+            self._send_plots()
+            self._plotted_ns = record.inputs.t_ns
         self._at(record)
         if finite(record.state.pose_body_in_wall):
             self._show_all(record.state.pose_body_in_wall[None, :2])
@@ -133,6 +142,7 @@ class RerunStream:
     def close(self) -> None:
         """Send the rest and let go of the outputs."""
         self.flush()
+        self._send_plots()
         if self._latest is not None:
             self._send_trails()
         try:
@@ -164,6 +174,10 @@ class RerunStream:
 
     def _trail(self, name: str, pose: Array) -> None:
         self._trails.setdefault(name, shapes.Trail()).add(float(pose[0]), float(pose[1]))
+
+    def _send_plots(self) -> None:
+        for entity, series in self._collector.take():
+            self._send_series(entity, series)
 
     def _send_series(self, entity: str, series: Series) -> None:
         rr = self._rr
@@ -197,6 +211,7 @@ class RerunStream:
         if finite(record.state.covariance[:2, :2]):
             ellipse = shapes.covariance_ellipse(pose, record.state.covariance)
             self._strip("robot/covariance_95", [ellipse], colour, 0.75)
+        self._send_observer_ellipses(record)
         if not (finite(steering_rad) and finite(rate_rad_s)):
             return
         wheels = shapes.wheel_segments(pose, steering_rad, geometry)
@@ -211,6 +226,15 @@ class RerunStream:
             colors=[(230, 60, 60)],
         )
         self._stream.log("wall/robot/speeds", arrows)
+
+    def _send_observer_ellipses(self, record: CycleRecord) -> None:
+        """How sure the filters beside the loop are; odometry knows of no slip, its figure would mislead."""
+        positions = observer_poses(record)
+        for name, covariance in observer_covariances(record).items():
+            position = np.array(positions[name])
+            if name != "odometry" and finite(covariance) and finite(position):
+                ellipse = shapes.covariance_ellipse(position, covariance)
+                self._strip(f"{name}/covariance_95", [ellipse], PATH_COLOURS.get(name, _OTHER_COLOUR), 0.75)
 
     def _send_trails(self) -> None:
         for name, trail in self._trails.items():

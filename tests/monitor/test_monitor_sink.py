@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import math
 import socket
 from dataclasses import replace
 
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 
 from hil.errors import UsageError
+from hil.loop import observed
 from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
-from hil.monitor.series import Series, SeriesCollector, conditions, observer_poses
+from hil.monitor.series import Series, SeriesCollector, conditions, observer_covariances, observer_poses
 from hil.monitor.sink import split_targets
 from hil.signals import (
     SERVOS,
@@ -93,11 +95,11 @@ def test_a_figure_that_comes_later_gets_a_column_and_nothing_before():
     """Nothing that waits to be shown is lost when a cycle brings figures that others lack."""
     collector = SeriesCollector()
     for k in range(3):
-        state = replace(shown(k).state, diagnostics={"age_gyro_s": 0.5} if k == 2 else {"age_wheels_s": 0.1})
+        state = replace(shown(k).state, diagnostics={"nis_gyro": 0.5} if k == 2 else {"nis_wheels": 0.1})
         collector.add(replace(shown(k), state=state))
-    ages = dict(collector.take())["estimator/age_s"]
-    assert ages.names == ("age_wheels_s", "age_gyro_s")
-    np.testing.assert_array_equal(ages.values, [[0.1, np.nan], [0.1, np.nan], [np.nan, 0.5]])
+    found = dict(collector.take())["innovations/normalised"]
+    assert found.names == ("nis_wheels", "nis_gyro")
+    np.testing.assert_array_equal(found.values, [[0.1, np.nan], [0.1, np.nan], [np.nan, 0.5]])
 
 
 def test_a_sensor_and_its_gate_share_a_colour_and_neighbours_do_not():
@@ -122,6 +124,51 @@ def test_conditions_name_the_servo_and_what_is_wrong():
 
 def test_observers_become_paths():
     assert observer_poses(shown(0)) == {"odometry": (0.1, 0.2)}
+    assert observer_covariances(shown(0)) == {}
+
+
+def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
+    """With an unscented filter beside the loop."""
+    record = shown(k)
+    ukf = RobotState(
+        record.state.t_ns, np.array([0.3, 0.4, 0.0]), np.zeros(3), np.diag([sigma_m**2, 4e-4, 0, 0, 0, 0])
+    )
+    odometry = replace(ukf, pose_body_in_wall=np.array([0.1, 0.2, 0.0]))
+    told = observed("ukf", ukf) | observed("odometry", odometry) | {"nis_wheels": 2.0}
+    return replace(record, state=replace(record.state, diagnostics=told))
+
+
+def test_observers_say_how_sure_they_are():
+    record = beside(3)
+    assert observer_poses(record) == {"ukf": (0.3, 0.4), "odometry": (0.1, 0.2)}
+    np.testing.assert_array_equal(observer_covariances(record)["ukf"], np.diag([0.01**2, 4e-4]))
+    collector = SeriesCollector()
+    collector.add(record)
+    assert not any("m2" in name for _, series in collector.take() for name in series.names)
+
+
+@needs_rerun
+def test_every_filter_beside_the_loop_has_its_ellipse(tmp_path):
+    path = tmp_path / "run.rrd"
+    monitor = RerunMonitor(str(path), lossless=True)
+    for k in range(30):
+        monitor.write(beside(k, math.nan if k < 5 else 0.01))
+    monitor.close()
+    data = path.read_bytes()
+    assert b"ukf/covariance_95" in data
+    assert b"odometry/covariance_95" not in data
+
+
+def test_counters_and_slow_states_are_thinned_out():
+    collector = SeriesCollector()
+    for k in range(100):
+        record = shown(k)
+        told = {"nis_wheels": 2.0, "rejected_gyro": float(k), "sag_m_s": 0.001}
+        collector.add(replace(record, state=replace(record.state, diagnostics=told)))
+    taken = dict(collector.take())
+    assert len(taken["innovations/normalised"].t_s) == 100
+    assert len(taken["estimator/states"].t_s) == 10
+    np.testing.assert_array_equal(taken["estimator/rejected"].values[:, 0], np.arange(0.0, 100.0, 10.0))
 
 
 @pytest.mark.parametrize("target", ["", " , "])
