@@ -24,7 +24,7 @@ SHORT = {
         "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
     },
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
-    "surface_identification": {"length_m": 0.15, "repetitions": 2, "hold_step_deg": 2.0},
+    "surface_identification": {"length_m": 0.2, "repetitions": 3, "hold_step_deg": 2.0},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},
     "wall_tracking": {
         "cases": "y_line", "feedbacks": "odometry", "optimal": False, "length_m": 0.1, "duration_s": 3.0,
@@ -33,7 +33,7 @@ SHORT = {
 }  # fmt: skip
 OWN_NOISE = {
     "slip_per_metre": 2.0, "slip_uncertainty": 2.0, "sag_per_metre": 2.0, "sag_uncertainty": 2.0,
-    "turning_per_metre_along": 0.5, "turning_per_metre_across": 0.5, "direction_difference": 2.0,
+    "turning_per_metre_along": 1.0, "turning_per_metre_across": 1.0, "direction_difference": 2.0,
 }  # fmt: skip
 """Repetitions of surface_identification go on in one world; after a kill there is another."""
 NAMES = shipped_names()
