@@ -1,10 +1,13 @@
-"""Where the public recordings are."""
+"""For all tests: where the public recordings are, and property tests without limits of wall-clock time."""
 
 import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
+settings.register_profile("hil", deadline=None)
+settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
 
 

@@ -54,7 +54,7 @@ def drive(law, trajectory, *, slip=(0.0, 0.0, 0.0), integral=True, feedback=lamb
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_the_per_wheel_law_is_the_projected_twist(seed):
     """a_i, b_i of the authors' law equal P (t_d + K e)."""
     rng = np.random.default_rng(seed)
@@ -68,7 +68,7 @@ def test_the_per_wheel_law_is_the_projected_twist(seed):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_lyapunov_function_falls_at_the_stated_rate(seed):
     rng = np.random.default_rng(seed)
     k = np.array([4.0, 4.0, 3.0])
@@ -124,7 +124,7 @@ def test_a_flip_keeps_the_motion_and_never_turns_far(angle, measured):
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 def test_desaturation_keeps_the_centre_of_rotation(seed):
     twist = np.random.default_rng(seed).normal(0, 1.0, 3)
     layer = ModuleLayer(CAD, ModuleLimits(steering_rad=10.0, steering_rate_rad_s=1e6), DT)

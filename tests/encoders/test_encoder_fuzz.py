@@ -57,7 +57,7 @@ FRAMES = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(frames=st.lists(st.tuples(FRAMES, st.integers(0, 60_000_000)), max_size=30), with_node=st.booleans())
 def test_any_frames_give_samples_or_a_device_error(frames, with_node):
     world = World(Parked(), seed=1)

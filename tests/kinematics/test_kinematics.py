@@ -103,7 +103,7 @@ def test_least_dissipation_is_a_minimum_and_ignores_one_contradicting_wheel():
 
 
 @given(st.floats(0.1, 10.0), st.integers(0, 100))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_dry_friction_is_homogeneous(factor, seed):
     """Twice the wheel motion moves the body twice as far: Coulomb friction knows no speed."""
     u = 0.01 * np.random.default_rng(seed).standard_normal((4, 8))

@@ -102,7 +102,7 @@ OTHERS = st.one_of(
 )
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=80)
 @given(
     packets=st.lists(st.tuples(FRAMES | OTHERS, SENDERS, st.integers(0, 400_000_000)), max_size=12),
     clock_hz=TICKS,
@@ -117,7 +117,7 @@ def test_frames_of_any_content_give_samples_or_a_device_error(packets, clock_hz)
     driver.close()
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(answers=st.lists(OTHERS | FRAMES, max_size=6))
 def test_a_server_that_talks_nonsense_cannot_be_opened(answers):
     clock = VirtualClock(World(Standing()))

@@ -171,7 +171,7 @@ def test_a_packet_cut_anywhere_is_malformed(version):
         split(build.server_info()[:-1])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.binary(max_size=400), version=st.sampled_from(build.VERSIONS))
 def test_random_bytes_are_malformed_or_parsed_never_anything_else(data, version):
     for parse in (
@@ -185,7 +185,7 @@ def test_random_bytes_are_malformed_or_parsed_never_anything_else(data, version)
             parse()
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(data=st.data(), version=st.sampled_from(build.VERSIONS))
 def test_a_damaged_packet_is_malformed_or_parsed_never_anything_else(data, version):
     packet = bytearray(payload(build.frame(version, 9, [build.body(5)])))

@@ -19,7 +19,7 @@ from hil.recording.cycle_layout import FORMAT, describe
 from hil.signals import Status
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=150)
 @given(record=CYCLE_RECORDS)
 def test_every_bit_comes_back(record):
     data = CycleEncoder().encode(record)
@@ -46,7 +46,7 @@ def test_decoded_arrays_are_their_own_memory():
     assert back.state.twist_body[0] == 0.05
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cut=st.integers(0, 10**6), flip=st.integers(0, 10**6), value=st.integers(0, 255))
 def test_malformed_bytes_are_value_errors_or_records(cut, flip, value):
     data = bytearray(CycleEncoder().encode(driving_record(3)))

@@ -58,7 +58,7 @@ def babbling(answers, *, with_bus=False, **config):
         line.close()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(answers=PIECES)
 def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
     with babbling(answers) as (_, driver, clock):
@@ -75,7 +75,7 @@ def test_answers_of_another_length_are_no_answers():
         driver.open()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(answers=PIECES, fast=st.sampled_from(["auto", False]))
 def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, fast):
     with babbling(answers, with_bus=True, fast_sync_read=fast) as (chip, driver, clock):
@@ -99,7 +99,7 @@ def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, f
             driver.enable()
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(answers=PIECES, registers=st.just({}) | st.just({"return_delay_time": 0}))
 def test_scan_and_set_up_survive_nonsense(answers, registers):
     with babbling(answers) as (_, _driver, clock):
@@ -110,7 +110,7 @@ def test_scan_and_set_up_survive_nonsense(answers, registers):
         assert clock.now_ns() < 20 * SECOND
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(data=st.binary(max_size=300), fast=st.booleans())
 def test_the_parsers_take_any_bytes(data, fast):
     group = GroupRead(range(1, 9), 126, 10, fast=fast)
@@ -120,7 +120,7 @@ def test_the_parsers_take_any_bytes(data, fast):
     assert all(0 <= servo_id <= 255 for servo_id, _ in find_statuses(data))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(
     values=st.lists(st.integers(-(2**31), 2**31 - 1), min_size=8, max_size=8),
     damage=st.lists(st.tuples(st.integers(0, 150), st.integers(1, 255)), max_size=3),

@@ -292,7 +292,7 @@ PACKETS = st.builds(
 )
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(pieces=st.lists(NOISE | PACKETS, max_size=6), at_once=st.booleans())
 def test_no_bytes_upset_the_bus(pieces, at_once):
     bench = make_wire()

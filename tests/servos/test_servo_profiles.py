@@ -117,7 +117,7 @@ GOALS = st.tuples(
 )
 
 
-@settings(max_examples=100, deadline=None, phases=(Phase.explicit, Phase.generate))
+@settings(max_examples=100, phases=(Phase.explicit, Phase.generate))
 @given(moves=st.lists(GOALS, min_size=1, max_size=4))
 def test_every_chain_of_goals_ends_at_the_last_one(moves):
     trajectory = resting()

@@ -57,7 +57,7 @@ def good_pose(number):
     return POSE_RECORD.pack(FEED_MAGIC, 4, number, 5.0 * number, *values, 3)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(poses=st.lists(st.tuples(POSES, st.integers(0, 300_000_000)), max_size=12))
 def test_poses_of_any_content_give_samples_or_a_device_error(poses):
     clock, pipeline = VirtualClock(World(Standing())), Scripted()
