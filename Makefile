@@ -3,6 +3,8 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 EXTRAS := fast,rerun,parquet,campaign,test,lint
+# Tests in virtual time: two processes may share them. All others talk in real time, one after the other.
+VIRTUAL := calibration campaign controller docs estimator kinematics plant plugin procedure procedures report trajectories
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
 .PHONY: help demo demo-calibration docs test test-long lint bench clean
@@ -41,7 +43,10 @@ demo-calibration: $(BIN)/.installed
 	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
 test: $(BIN)/.installed
-	$(BIN)/python -m pytest
+	@failed=0; \
+	$(BIN)/python -m pytest -n 2 --dist loadfile $(VIRTUAL:%=tests/%) || failed=1; \
+	$(BIN)/python -m pytest $(VIRTUAL:%=--ignore=tests/%) || failed=1; \
+	exit $$failed
 
 test-long: $(BIN)/.installed
 	$(BIN)/python -m pytest -m "long or not long" --timeout 3600
