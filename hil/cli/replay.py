@@ -13,6 +13,7 @@ from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, Usag
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.live.playback import OpenedRecording
     from hil.motion import Motion
     from hil.recording.runs import RecordedRun
 
@@ -63,18 +64,20 @@ def command(
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2.
     """
-    from hil.live.playback import open_recording
+    from hil.live.playback import open_recording, without_collector
 
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
-    runs = list(opened.runs) if number is None else [opened.run(number)]
-    result: dict[str, Any] = {"recording": str(recording), "cycles": sum(len(r.records) for r in runs)}
+    result: dict[str, Any] = {"recording": str(recording)}
     if verify:
         if page is not None or view is not None or estimators or calibration is not None:
             raise UsageError("--verify goes without --estimator, --calibration, --page and --rerun")
-        result |= _verified(opened.bench, runs, opened.header)
+        result |= _verified(opened, number)
     else:
+        runs = list(opened.runs) if number is None else [opened.run(number)]
+        result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
-        motions = _compared(recording, opened.bench, run, estimators or _KINDS, foreign=opened.foreign)
+        with without_collector():
+            motions = _compared(recording, opened.bench, run, estimators or _KINDS, foreign=opened.foreign)
         result["estimators"] = _table(motions)
         _show(opened.bench, motions, view)
         if page is not None:
@@ -90,13 +93,14 @@ def command(
     return EXIT_USAGE if opened.problems else EXIT_PASS
 
 
-def _verified(bench: Bench, runs: list[RecordedRun], header: dict[str, Any]) -> dict[str, Any]:
-    from hil.live.playback import verify_run
+def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
+    from hil.live.playback import verify_recording
 
-    told = [verify_run(bench, run) for run in runs]
-    now, then = bench.versions(), header.get("versions", {})
+    told = verify_recording(opened, number)
+    now, then = opened.bench.versions(), opened.header.get("versions", {})
     changed = {k: [v, now.get(k, "absent")] for k, v in then.items() if now.get(k, "absent") != v}
     return {
+        "cycles": sum(r["cycles"] for r in told),
         "runs": told,
         "identical": all(r["difference"] is None for r in told),
         "changed_versions": changed,

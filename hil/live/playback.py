@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,9 +25,9 @@ from hil.motion import Motion
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import read_header
 from hil.recording.rosbag import read_bag, read_topic_map
-from hil.recording.runs import RecordedRun, RunStart, read_runs
+from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs, read_runs
 from hil.recording.sources import read_recordings
-from hil.report.replay import FIELDS, RecordedReferences, verify
+from hil.report.replay import FIELDS, RecordedReferences, verify_cycle
 from hil.rig import Rig
 from hil.signals import CycleRecord
 from hil.trajectories import Trajectory
@@ -55,17 +54,22 @@ class OpenedRecording:
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
         """All runs; raises `DataError` when there is none."""
-        with _without_collector():
+        with without_collector():
             found = tuple(self.read())
-        if not found:
-            raise DataError(str(self.path), "holds no cycles", expected="at least one control cycle")
+        self.must_hold(len(found), None)
         return found
 
     def run(self, number: int) -> RecordedRun:
         """One run by its number from 0; raises `UsageError` when there are fewer."""
-        if number >= len(self.runs):
-            raise UsageError(f"{self.path} has no run {number}", expected=f"0 to {len(self.runs) - 1}")
+        self.must_hold(len(self.runs), number)
         return self.runs[number]
+
+    def must_hold(self, runs: int, number: int | None) -> None:
+        """Refuse a recording without a run, and a number of which there is none."""
+        if not runs:
+            raise DataError(str(self.path), "holds no cycles", expected="at least one control cycle")
+        if number is not None and number >= runs:
+            raise UsageError(f"{self.path} has no run {number}", expected=f"0 to {runs - 1}")
 
 
 def open_recording(
@@ -130,7 +134,7 @@ def _bench(
     return Bench(config, clock, Rig(clock), geometry=geometry, seed=int(header.get("seed", 0)))
 
 
-def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord]) -> Brain:
+def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord] = ()) -> Brain:
     """The brain of a recorded run.
 
     References that came from outside (velocity commands) are taken from the records; all others are
@@ -152,35 +156,89 @@ def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord]) -> Br
     return brain
 
 
-def verify_run(bench: Bench, run: RecordedRun) -> dict[str, Any]:
-    """Whether a run repeats bit for bit.
+class RunCheck:
+    """Whether a run repeats bit for bit, told cycle by cycle, so that none has to be kept.
 
-    Returns:
-        `cycles`, `verified` (field names), `references` (`computed`, `recorded` or `none`) and
-        `difference`: the first one in words, None without.
+    Args:
+        bench: of its making, without devices.
+        start: how it began, None where the recording does not say.
+
+    Attributes:
+        told: `cycles`, `verified` (field names), `references` (`computed`, `recorded` or `none`) and
+            `difference`: the first one in words, None without.
     """
-    told: dict[str, Any] = {
-        "cycles": len(run.records), "verified": [], "references": "none", "difference": None
-    }  # fmt: skip
-    if run.start is None:
-        return told | {"difference": "the recording does not say how this run began"}
-    whole = _up_to_a_gap(run.records)
-    records = run.records[:whole]
-    brain = rebuild(bench, run.start, records)
-    if brain.reference_at is not None:
-        told["references"] = "recorded" if isinstance(brain.reference_at, RecordedReferences) else "computed"
-    with _without_collector():
-        found = verify(records, brain, run.start.state)
-    told["verified"] = list(FIELDS)
-    if found is not None:
-        told["difference"] = f"cycle {found.cycle}: {found.field}"
-    elif whole < len(run.records):
-        told["difference"] = f"cycle {run.records[whole].cycle}: the cycles before it were not recorded"
+
+    def __init__(self, bench: Bench, start: RunStart | None) -> None:
+        self.told: dict[str, Any] = {
+            "cycles": 0, "verified": [], "references": "none", "difference": None
+        }  # fmt: skip
+        self._latest: int | None = None
+        if start is None:
+            self.told["difference"] = "the recording does not say how this run began"
+            return
+        self._brain = rebuild(bench, start)
+        self._given = self._brain.reference_at if _are_recorded(self._brain) else None
+        if self._brain.reference_at is not None:
+            self.told["references"] = "computed" if self._given is None else "recorded"
+        self.told["verified"] = list(FIELDS)
+        self._brain.reset(start.state)
+
+    def take(self, record: CycleRecord) -> None:
+        """Hold the next cycle against what the brain makes of it; after a difference only count."""
+        self.told["cycles"] += 1
+        if self.told["difference"] is not None:
+            return
+        if self._latest is not None and record.cycle != self._latest + 1:
+            self.told["difference"] = f"cycle {record.cycle}: the cycles before it were not recorded"
+            return
+        self._latest = record.cycle
+        if isinstance(self._given, RecordedReferences):
+            self._given.add(record)
+        found = verify_cycle(record, self._brain)
+        if found is not None:
+            self.told["difference"] = f"cycle {found.cycle}: {found.field}"
+
+
+def _are_recorded(brain: Brain) -> bool:
+    return isinstance(brain.reference_at, RecordedReferences)
+
+
+def verify_run(bench: Bench, run: RecordedRun) -> dict[str, Any]:
+    """Whether a run repeats bit for bit; see `RunCheck.told`."""
+    check = RunCheck(bench, run.start)
+    with without_collector():
+        for record in run.records:
+            check.take(record)
+    return check.told
+
+
+def verify_recording(opened: OpenedRecording, number: int | None = None) -> list[dict[str, Any]]:
+    """Whether every run of a recording repeats, or one by its number; see `RunCheck.told`.
+
+    A recording of ours is read, decided upon and let go of in one pass, whatever its length.
+
+    Raises:
+        DataError: there are no cycles; `UsageError`: no run of that number.
+    """
+    if opened.foreign:
+        runs = opened.runs if number is None else [opened.run(number)]
+        return [verify_run(opened.bench, run) for run in runs]
+    told, check, latest, count = [], None, -1, 0
+    with without_collector():
+        for k, start, record in read_cycles_of_runs(opened.path, opened.problems):
+            count = k + 1
+            if number is not None and k != number:
+                continue
+            if check is None or k != latest:
+                check, latest = RunCheck(opened.bench, start), k
+                told.append(check.told)
+            check.take(record)
+    opened.must_hold(count, number)
     return told
 
 
 @contextmanager
-def _without_collector() -> Iterator[None]:
+def without_collector() -> Iterator[None]:
     """Records hold no cycles of references: looking for garbage among them takes a fifth of the time."""
     was_enabled = gc.isenabled()
     gc.disable()
@@ -189,14 +247,6 @@ def _without_collector() -> Iterator[None]:
     finally:
         if was_enabled:
             gc.enable()
-
-
-def _up_to_a_gap(records: Sequence[CycleRecord]) -> int:
-    """How many cycles follow each other without a gap."""
-    for k, (a, b) in enumerate(pairwise(records), start=1):
-        if b.cycle != a.cycle + 1:
-            return k
-    return len(records)
 
 
 def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
@@ -94,25 +96,30 @@ def read_runs(path: str | Path, problems: list[str] | None = None) -> Iterator[R
     Raises:
         DataError: see `RecordingReader`.
     """
+    for _, cycles in groupby(read_cycles_of_runs(path, problems), key=itemgetter(0)):
+        found = list(cycles)
+        yield RecordedRun(found[0][1], tuple(record for _, _, record in found))
+
+
+def read_cycles_of_runs(
+    path: str | Path, problems: list[str] | None = None
+) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
+    """Every cycle of a recording with the number of its run and how that began; see `read_runs`."""
     reader = RecordingReader(path)
     start: RunStart | None = None
-    records: list[CycleRecord] = []
+    number, latest = 0, -1
     for item in reader.items():
-        begins = (
-            item.kind == RUN if isinstance(item, Note) else bool(records) and item.cycle <= records[-1].cycle
-        )
-        if begins and records:
-            yield RecordedRun(start, tuple(records))
-            start, records = None, []
+        begins = item.kind == RUN if isinstance(item, Note) else item.cycle <= latest
+        if begins and latest >= 0:
+            start, number, latest = None, number + 1, -1
         if isinstance(item, CycleRecord):
-            records.append(item)
+            latest = item.cycle
+            yield number, start, item
         elif item.kind == RUN:
             try:
                 start = RunStart.from_note(item.data)
             except (KeyError, TypeError, ValueError) as error:
                 reader.problems.append(f"a note on how a run began cannot be read ({error!r})")
-    if records:
-        yield RecordedRun(start, tuple(records))
     if problems is not None:
         problems += reader.problems
     elif reader.problems:

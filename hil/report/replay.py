@@ -7,7 +7,8 @@ them against motion capture and against what they say of themselves.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -38,19 +39,23 @@ class Mismatch:
 class RecordedReferences:
     """The recorded references in their order: stands in for a trajectory that cannot be built again."""
 
-    def __init__(self, records: Sequence[CycleRecord]) -> None:
-        self._references: Iterator[Reference | None] = iter([r.reference for r in records])
+    def __init__(self, records: Iterable[CycleRecord] = ()) -> None:
+        self._references = deque(r.reference for r in records)
+
+    def add(self, record: CycleRecord) -> None:
+        """Take the reference of a further cycle."""
+        self._references.append(record.reference)
 
     def __call__(self, t_s: float) -> Reference:
         """Reference of the next cycle."""
-        reference = next(self._references)
+        reference = self._references.popleft()
         if reference is None:
             raise ValueError(f"the recording has no reference at {t_s:.3f} s")
         return reference
 
 
 def verify(
-    records: Sequence[CycleRecord], brain: Brain, start: RobotState, fields: tuple[str, ...] = FIELDS
+    records: Iterable[CycleRecord], brain: Brain, start: RobotState, fields: tuple[str, ...] = FIELDS
 ) -> Mismatch | None:
     """Whether a brain decides on the recorded inputs exactly what was recorded.
 
@@ -64,18 +69,20 @@ def verify(
         The first difference, or None if every bit agrees.
     """
     brain.reset(start)
-    for record in records:
-        recorded = {name: getattr(record, name) for name in fields}
-        try:
-            decision = brain.decide(record.inputs)
-        except SafetyStop as stop:
-            if [e.message for e in record.events] == [str(stop)]:
-                continue
-            return Mismatch(record.cycle, f"events: replay stopped the robot: {stop}")
-        found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
-        if found is not None:
-            return Mismatch(record.cycle, found)
-    return None
+    return next(filter(None, (verify_cycle(record, brain, fields) for record in records)), None)
+
+
+def verify_cycle(record: CycleRecord, brain: Brain, fields: tuple[str, ...] = FIELDS) -> Mismatch | None:
+    """Let a brain decide on one recorded cycle, the next of its run; its first difference."""
+    recorded = {name: getattr(record, name) for name in fields}
+    try:
+        decision = brain.decide(record.inputs)
+    except SafetyStop as stop:
+        if [e.message for e in record.events] == [str(stop)]:
+            return None
+        return Mismatch(record.cycle, f"events: replay stopped the robot: {stop}")
+    found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
+    return None if found is None else Mismatch(record.cycle, found)
 
 
 def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
