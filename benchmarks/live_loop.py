@@ -258,6 +258,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--idle-seconds", type=float, help="of the idle loop; by default as the other")
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--baud", type=int, help="baud rate of the servo bus, with a USB latency of 1 ms")
     parser.add_argument("--viewer", choices=VIEWERS, default="none")
@@ -276,7 +277,7 @@ def main() -> None:
         "prefetch": options.prefetch, "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        out["idle"] = idle(options.seconds, options.rate, options.fifo)
+        out["idle"] = idle(options.idle_seconds or options.seconds, options.rate, options.fifo)
         out["live"] = live(options, Path(folder))
     out["more_late_percent"] = out["live"]["late_percent"] - out["idle"]["late_percent"]
     out["checks"] = checks(out)

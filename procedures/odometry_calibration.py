@@ -1,7 +1,7 @@
 """The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
 
 A round is every motion several times, driven with the parameters found so far; the fit that follows
-improves these. Rounds go on while one is driven better than the best before it. A last round that
+takes all rounds together. Rounds go on while one is driven better than the best before it. A last round that
 nothing is fitted to, driven with the best parameters, decides whether the result may be used.
 `docs/procedures.md` tells how to run and read it.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
@@ -46,12 +46,18 @@ class Parameters(BaseModel):
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0)
-    min_rounds: int = Field(2, ge=1)
-    max_rounds: int = Field(4, ge=1)
+    min_rounds: int = Field(3, ge=1)
+    max_rounds: int = Field(5, ge=1)
     method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
     compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = ("interior-point", "ga", "pso")
     processes: int = Field(2, ge=1, le=8)
     install: str = ""
+
+    @model_validator(mode="after")
+    def _rounds(self) -> Parameters:
+        if self.min_rounds > self.max_rounds:
+            raise ValueError(f"min_rounds = {self.min_rounds} exceeds max_rounds = {self.max_rounds}")
+        return self
 
     @property
     def sizes(self) -> Sizes:
@@ -98,7 +104,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = replace(make_setting("recommended", model="exact"), by_motion=True)
+    setting = replace(make_setting("recommended", model="dry-friction"), by_motion=True)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
@@ -112,7 +118,7 @@ def run(ctx: Context) -> None:
         if number == p.max_rounds or (number >= p.min_rounds and not going_on):
             break
         with ctx.step(f"fit {number}"):
-            results.append(improve(ctx, rounds[-1], setting, p.method))
+            results.append(improve(ctx, rounds, setting, p.method))
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):
@@ -124,7 +130,7 @@ def run(ctx: Context) -> None:
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
-        show(ctx, rounds, fresh, result, setting, p)
+        show(ctx, rounds, best, fresh, result, setting, p)
         _install(
             ctx, replace(result, validation={"fresh_run": score(fresh.recordings, fresh.geometry, setting)})
         )

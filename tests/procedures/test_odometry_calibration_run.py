@@ -17,7 +17,8 @@ from procedures._rounds import improvement_bound
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
-    "line_m": 0.5, "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
+    "line_m": 0.5, "radius_m": 0.3, "turns": 0.2, "min_rounds": 2, "max_rounds": 2,
+    "compared_methods": "ga", "processes": 1,
 }  # fmt: skip
 
 
@@ -78,7 +79,8 @@ def test_a_round_is_driven_with_what_the_round_before_found(small):
 
 
 TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.5,
-        "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "", "processes": 1}  # fmt: skip
+        "radius_m": 0.3, "turns": 0.2, "min_rounds": 2, "max_rounds": 2,
+        "compared_methods": "", "processes": 1}  # fmt: skip
 
 
 def test_a_bad_result_is_not_installed(tmp_path):
