@@ -29,11 +29,9 @@ from procedures._calibration_report import show
 from procedures._collecting import MOTIONS, MotionName, Repetition, Sizes, collect, read_round, reference
 from procedures._rounds import Driven, geometry_in, improve, tracks, worth_going_on
 
-_SIMILAR_MM = 0.5
-
 
 class Parameters(BaseModel):
-    """How much to drive, how to fit, and when to stop.
+    """How much to drive, how to fit, and when to stop: after `patience` rounds without a better one.
 
     `install` names a calibration.toml that takes the result, as its next version, if validation passes.
     """
@@ -47,7 +45,8 @@ class Parameters(BaseModel):
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0)
     min_rounds: int = Field(3, ge=1)
-    max_rounds: int = Field(5, ge=1)
+    max_rounds: int = Field(6, ge=1)
+    patience: int = Field(2, ge=1)
     method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
     compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = ("interior-point", "ga", "pso")
     processes: int = Field(2, ge=1, le=8)
@@ -76,8 +75,8 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement("heading_rmse_after", "deg", high=0.5, marginal=0.1, rationale="as above")
     yield Measurement("improvement", "1", rationale="position RMSE before over after")
     yield Measurement(
-        "worst_later_round", "mm", high=_SIMILAR_MM,
-        rationale="largest rise of the position RMSE from a round to a later one: none may undo the work",
+        "worst_later_round", "mm",
+        rationale="largest rise of the position RMSE from a round to a later one; the best is kept",
     )  # fmt: skip
     yield Measurement(
         "rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds), rationale="own stop rule"
@@ -108,14 +107,15 @@ def run(ctx: Context) -> None:
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
-    best = 0
+    best = in_vain = 0
     while True:
         number = len(rounds) + 1
         rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, files[-1]))
-        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
+        better = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
+        in_vain = 0 if better else in_vain + 1
         if rounds[-1].rmse_m(setting).mean() < rounds[best].rmse_m(setting).mean():
             best = number - 1
-        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
+        if number == p.max_rounds or (number >= p.min_rounds and in_vain >= p.patience):
             break
         with ctx.step(f"fit {number}"):
             results.append(improve(ctx, rounds, setting, p.method))

@@ -161,6 +161,8 @@ def test_over_ten_seeds_of_hidden_truth_the_error_falls_eightfold(tmp_path):
         found.append({m["name"]: m["value"] for m in result.measurements})
         assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)
     before, after = (np.array([f[f"position_rmse_{k}"] for f in found]) for k in ("before", "after"))
-    assert before.mean() >= 30.0
     assert after.max() <= 4.0, after
     assert before.mean() / after.mean() >= 8.0
+    wrong = before >= 30.0
+    assert wrong.any()
+    assert (before[wrong] / after[wrong]).min() >= 8.0
