@@ -20,13 +20,14 @@ if TYPE_CHECKING:
 
 
 def show(
-    ctx: Context, rounds: Sequence[Driven], fitted: int, fresh: Driven, result: Calibration, setting: Setting,
+    ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, setting: Setting,
     p: Parameters,
 ) -> None:  # fmt: skip
-    """Everything that a person needs to judge the result, which the first `fitted` rounds gave."""
+    """Everything that a person needs to judge the result."""
+    fitted = next(d for d in rounds if d.recordings[0] is result.recordings[0])
     columns = {"nominal": nominal_geometry(ctx.source.config), p.method: result.geometry}
     for method in p.compared_methods:
-        columns[method] = improve(ctx, rounds[:fitted], setting, method).geometry
+        columns[method] = improve(ctx, fitted, setting, method).geometry
     parameter_table(ctx, columns, result)
     before = tracks(rounds[0].recordings, rounds[0].geometry, setting)
     after = tracks(fresh.recordings, fresh.geometry, setting)

@@ -8,7 +8,6 @@ import signal
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -33,23 +32,13 @@ MotionName = Literal["line_x", "line_y", "circle_ccw", "circle_cw", "rotation_cc
 MOTIONS: tuple[MotionName, ...] = (
     "line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw",
 )  # fmt: skip
-SETTINGS = {
-    "encoders": None, "imu": None, "tracker": None,
-    "control.law": "nonlinear", "control.gains": (0.0, 0.0, 0.0),
-}  # fmt: skip
-"""Bench overrides: what calibration does not look at is left out, and wheels follow the reference alone.
-
-Odometry corrects a path by what it believes, which a calibration does not need; at the ends of a motion,
-where all speeds are small, its corrections shake the wheels from one side of their play to the other.
-"""
+UNUSED = {"encoders": None, "imu": None, "tracker": None}
+"""Bench overrides that leave out what calibration does not look at."""
 _STAGGER_S = 0.13
 _SETTLE_S = 0.2
 _APPROACH_RAD = 0.1
 _FOLD_RAD = math.radians(5.0)
 _ACCELERATION_M_S2 = 0.19
-_DITHER_RAD = math.radians(0.4)
-_DITHER_RADIUS = 0.01
-_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
 @dataclass(frozen=True)
@@ -79,38 +68,17 @@ class Repetition:
     hold_s: float = 1.0
 
 
-def dither(number: int) -> float:
-    """In [-1, 1): how far a repetition departs from the plain motion; evenly spread over any few numbers.
-
-    Servos count steering in steps of 0.088 deg. On one and the same line every wheel rests in the same
-    step each time, and the fit takes its rounding for an offset: centimetres on the next round, whose
-    goals round otherwise. Lines a little turned and circles a little wider sweep over several steps.
-    """
-    return 2.0 * (number * _GOLDEN % 1.0) - 1.0
-
-
-def reference(
-    name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False, aside: float = 0.0
-) -> Trajectory:
-    """One of the six motions from where the robot stands.
-
-    Args:
-        name: of the motion.
-        start: pose, (3,).
-        sizes: of the motion.
-        backwards: for lines.
-        aside: `dither` of a line's direction or a circle's radius.
-    """
+def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
+    """One of the six motions from where the robot stands; lines may be driven backwards."""
     pose = np.asarray(start, dtype=np.float64)
     sense = 1.0 if name.endswith("_ccw") else -1.0
     limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
     if name.startswith("line"):
         way = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
-        way = rotation2(float(pose[2]) + _DITHER_RAD * aside) @ way * (-1.0 if backwards else 1.0)
+        way = rotation2(float(pose[2])) @ way * (-1.0 if backwards else 1.0)
         return line(pose, pose + np.append(way, 0.0), name=name, **limits)
     if name.startswith("circle"):
-        radius_m = sizes.radius_m * (1.0 + _DITHER_RADIUS * aside)
-        return circle(pose, radius_m, turns=sense * sizes.turns, name=name, **limits)
+        return circle(pose, sizes.radius_m, turns=sense * sizes.turns, name=name, **limits)
     turn = np.array([0.0, 0.0, sense * 2.0 * math.pi * sizes.turns])
     return line(pose, pose + turn, name=name, **limits)
 
@@ -122,19 +90,15 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
     repeat each other's noise.
     """
     pose = stand(bench, 0.5 + _STAGGER_S * repetition.number)
-    plan = partial(
-        reference,
-        sizes=repetition.sizes,
-        backwards=repetition.number % 2 == 0,
-        aside=dither(repetition.number),
-    )
+    backwards = repetition.number % 2 == 0
     written = []
     for name in repetition.motions:
-        take_up_play(bench, plan(name, pose), pose)
+        take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
         pose = stand(bench)
         motion = bench.drive(
-            plan(name, pose), feedback=repetition.feedback, hold_s=repetition.hold_s, start_pose=pose
-        )
+            reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
+            hold_s=repetition.hold_s, start_pose=pose,
+        )  # fmt: skip
         path = repetition.folder / f"{name}_{repetition.number}.csv"
         path.parent.mkdir(parents=True, exist_ok=True)
         write_plain(path, recording_of(motion, path.stem, name))
@@ -214,7 +178,7 @@ def _driven(
     if not repetitions:
         return
     if processes > 1 and ctx.source.virtual:
-        source = ctx.source.changed(calibration=calibration, overrides=SETTINGS)
+        source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
         jobs = [(source, r) for r in repetitions]
         with multiprocessing.get_context("spawn").Pool(min(processes, len(jobs)), ignore_interrupts) as pool:
             for names, driven_s in pool.imap(_elsewhere, jobs):
@@ -222,7 +186,7 @@ def _driven(
                 yield names
         return
     for repetition in repetitions:
-        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=SETTINGS)
+        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=UNUSED)
         yield drive_repetition(bench, repetition)
 
 

@@ -61,17 +61,17 @@ def tracks(recordings: Sequence[Recording], geometry: WheelGeometry, setting: Se
     return [track(r, geometry, setting.model, setting.signal) for r in recordings]
 
 
-def improve(ctx: Context, driven: Sequence[Driven], setting: Setting, method: str) -> Calibration:
-    """Fit all rounds so far; the prior stands at the configured robot.
+def improve(ctx: Context, latest: Driven, setting: Setting, method: str) -> Calibration:
+    """Fit the latest round, starting from the parameters that drove it.
 
-    Rounds differ in the steering zeros that they were driven with, and so in how the wheels strain
-    against each other. Together they show single zeros, of which one round shows the mean only.
+    The prior stands at those parameters: of all sets that explain what they did wrong the nearest is
+    taken. What the data cannot show stays as it was, and what the model does not know (unequal wheel
+    loads, friction) shrinks from round to round instead of being hidden in those directions.
     """
-    recordings = [r for d in driven for r in d.recordings]
-    nominal = nominal_geometry(ctx.source.config)
+    config = ctx.source.config
     return calibrate(
-        recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal, validate=False,
-        report=ctx.progress,
+        latest.recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal_geometry(config),
+        prior=latest.geometry, validate=False, report=ctx.progress,
     )  # fmt: skip
 
 

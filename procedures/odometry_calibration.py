@@ -1,7 +1,7 @@
 """The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
 
 A round is every motion several times, driven with the parameters found so far; the fit that follows
-takes all rounds together. Rounds go on while one is driven better than the best before it. A last round that
+improves these. Rounds go on while one is driven better than the best before it. A last round that
 nothing is fitted to, driven with the best parameters, decides whether the result may be used.
 `docs/procedures.md` tells how to run and read it.
 """
@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field
 
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
@@ -29,9 +29,11 @@ from procedures._calibration_report import show
 from procedures._collecting import MOTIONS, MotionName, Repetition, Sizes, collect, read_round, reference
 from procedures._rounds import Driven, geometry_in, improve, tracks, worth_going_on
 
+_SIMILAR_MM = 0.5
+
 
 class Parameters(BaseModel):
-    """How much to drive, how to fit, and when to stop: after `patience` rounds without a better one.
+    """How much to drive, how to fit, and when to stop.
 
     `install` names a calibration.toml that takes the result, as its next version, if validation passes.
     """
@@ -44,19 +46,12 @@ class Parameters(BaseModel):
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0)
-    min_rounds: int = Field(3, ge=1)
-    max_rounds: int = Field(6, ge=1)
-    patience: int = Field(2, ge=1)
+    min_rounds: int = Field(2, ge=1)
+    max_rounds: int = Field(4, ge=1)
     method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
     compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = ("interior-point", "ga", "pso")
     processes: int = Field(2, ge=1, le=8)
     install: str = ""
-
-    @model_validator(mode="after")
-    def _rounds(self) -> Parameters:
-        if self.min_rounds > self.max_rounds:
-            raise ValueError(f"min_rounds = {self.min_rounds} exceeds max_rounds = {self.max_rounds}")
-        return self
 
     @property
     def sizes(self) -> Sizes:
@@ -75,8 +70,8 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement("heading_rmse_after", "deg", high=0.5, marginal=0.1, rationale="as above")
     yield Measurement("improvement", "1", rationale="position RMSE before over after")
     yield Measurement(
-        "worst_later_round", "mm",
-        rationale="largest rise of the position RMSE from a round to a later one; the best is kept",
+        "worst_later_round", "mm", high=_SIMILAR_MM,
+        rationale="largest rise of the position RMSE from a round to a later one: none may undo the work",
     )  # fmt: skip
     yield Measurement(
         "rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds), rationale="own stop rule"
@@ -103,22 +98,21 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = replace(make_setting("recommended", model="dry-friction"), by_motion=True)
+    setting = replace(make_setting("recommended", model="exact"), by_motion=True)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
-    best = in_vain = 0
+    best = 0
     while True:
         number = len(rounds) + 1
         rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, files[-1]))
-        better = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
-        in_vain = 0 if better else in_vain + 1
+        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
         if rounds[-1].rmse_m(setting).mean() < rounds[best].rmse_m(setting).mean():
             best = number - 1
-        if number == p.max_rounds or (number >= p.min_rounds and in_vain >= p.patience):
+        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
             break
         with ctx.step(f"fit {number}"):
-            results.append(improve(ctx, rounds, setting, p.method))
+            results.append(improve(ctx, rounds[-1], setting, p.method))
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):
@@ -130,7 +124,7 @@ def run(ctx: Context) -> None:
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
-        show(ctx, rounds, best, fresh, result, setting, p)
+        show(ctx, rounds, fresh, result, setting, p)
         _install(
             ctx, replace(result, validation={"fresh_run": score(fresh.recordings, fresh.geometry, setting)})
         )

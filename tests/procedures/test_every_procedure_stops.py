@@ -21,7 +21,7 @@ SHORT = {
     "latency": {"reversals": 10, "devices": "imu"},
     "odometry_calibration": {
         "motions": "line_x,rotation_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.3,
-        "turns": 0.1, "min_rounds": 2, "max_rounds": 2, "compared_methods": "", "processes": 1,
+        "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
     },
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
     "surface_identification": {"length_m": 0.2, "repetitions": 3, "hold_step_deg": 2.0},

@@ -14,7 +14,7 @@ from hil.recording.plain_csv import read_plain
 
 SETTINGS = {
     "motions": "rotation_ccw", "repetitions": 2, "validation_repetitions": 1, "turns": 0.1,
-    "min_rounds": 2, "max_rounds": 2, "compared_methods": "",
+    "max_rounds": 2, "compared_methods": "",
 }  # fmt: skip
 DEADLINE_S = 120.0
 

@@ -17,8 +17,7 @@ from procedures._rounds import improvement_bound
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
-    "line_m": 0.5, "radius_m": 0.3, "turns": 0.2, "min_rounds": 2, "max_rounds": 2,
-    "compared_methods": "ga", "processes": 1,
+    "line_m": 0.5, "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
 }  # fmt: skip
 
 
@@ -79,8 +78,7 @@ def test_a_round_is_driven_with_what_the_round_before_found(small):
 
 
 TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_repetitions": 1, "line_m": 0.5,
-        "radius_m": 0.3, "turns": 0.2, "min_rounds": 2, "max_rounds": 2,
-        "compared_methods": "", "processes": 1}  # fmt: skip
+        "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "", "processes": 1}  # fmt: skip
 
 
 def test_a_bad_result_is_not_installed(tmp_path):
@@ -149,8 +147,8 @@ def test_the_stop_rule_wants_more_than_chance():
 @pytest.mark.long
 @pytest.mark.timeout(7200)
 def test_over_ten_seeds_of_hidden_truth_the_error_falls_eightfold(tmp_path):
-    """Full motions, fewer repetitions; figures of issue 6."""
-    parameters = {"repetitions": 2, "validation_repetitions": 1, "compared_methods": "", "processes": 2}
+    """Full motions and repetitions. A robot that hardly errs before cannot improve eightfold."""
+    parameters = {"compared_methods": "", "processes": 2}
     found = []
     for seed in range(10):
         options = RunOptions(
