@@ -14,7 +14,8 @@ from hil.fakes.imu.registers import (
     UNIT_RAD_S,
     Mode,
 )
-from hil.fakes.imu.sensors import GRAVITY_M_S2, Quaternion, Sensed
+from hil.fakes.imu.sensors import GRAVITY_M_S2, Sensed
+from hil.geometry import Four as Quaternion
 
 _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size

@@ -16,6 +16,8 @@ import numpy as np
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import PlantState
+from hil.geometry import Four as Quaternion
+from hil.geometry import multiplied
 
 GRAVITY_M_S2 = 9.80665
 _FIELD_UT = (22.0, 0.0, -42.0)
@@ -23,7 +25,6 @@ _BLOCK = 1024
 _STILL_RATE_RAD_S = 0.003
 _STILL_SPEED_M_S = 0.001
 
-Quaternion = tuple[float, float, float, float]
 Matrix = tuple[Vector, Vector, Vector]
 
 
@@ -68,18 +69,6 @@ class Sensed:
     quaternion: Quaternion
     linear: Vector
     gravity: Vector
-
-
-def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Hamilton product on plain floats."""
-    aw, ax, ay, az = a
-    bw, bx, by, bz = b
-    return (
-        aw * bw - ax * bx - ay * by - az * bz,
-        aw * bx + ax * bw + ay * bz - az * by,
-        aw * by - ax * bz + ay * bw + az * bx,
-        aw * bz + ax * by - ay * bx + az * bw,
-    )
 
 
 def matrix(q: Quaternion) -> Matrix:
@@ -227,9 +216,9 @@ class InertialSensors:
 
     def _attitude(self, theta: float, tilt: float) -> Quaternion:
         yaw, half = 0.5 * self.yaw_error_rad, -0.5 * tilt
-        q = multiply((math.cos(yaw), 0.0, 0.0, math.sin(yaw)), (math.cos(half), 0.0, math.sin(half), 0.0))
-        q = multiply(q, (math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)))
-        return multiply(q, self._out_in_body)
+        q = multiplied((math.cos(yaw), 0.0, 0.0, math.sin(yaw)), (math.cos(half), 0.0, math.sin(half), 0.0))
+        q = multiplied(q, (math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)))
+        return multiplied(q, self._out_in_body)
 
     def _fuse(
         self, q: Quaternion, up: Vector, kinematic: Vector, offset: Vector, dt_s: float
@@ -247,7 +236,7 @@ class InertialSensors:
         half_x = 0.5 * (y * up[2] - z * up[1])
         half_y = 0.5 * (z * up[0] - x * up[2])
         half_z = 0.5 * (x * up[1] - y * up[0])
-        w, qx, qy, qz = multiply(q, (1.0, half_x, half_y, half_z))
+        w, qx, qy, qz = multiplied(q, (1.0, half_x, half_y, half_z))
         n = 1.0 / math.sqrt(w * w + qx * qx + qy * qy + qz * qz)
         return (x * g, y * g, z * g), (w * n, qx * n, qy * n, qz * n)
 
