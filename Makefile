@@ -58,7 +58,9 @@ lint: $(BIN)/.installed
 	$(BIN)/lint-imports
 
 bench: $(BIN)/.installed
-	@for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || exit 1; done
+	@failed=0; \
+	for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || failed=1; done; \
+	exit $$failed
 
 docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
