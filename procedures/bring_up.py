@@ -21,13 +21,20 @@ from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.signals import WHEELS
 from hil.trajectories import Trajectory, line
-from procedures._bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
-from procedures._devices import DEVICES, Device, only
-from procedures._fragment import write_fragment
-from procedures._jogs import DriveJogs, SteerJogs, find_signs, jog_drives, jog_steering, reversed_names
-from procedures._samples import inertial, poses
-from procedures._streams import Stream, judge_stream
-from procedures._tracking import stand
+from procedures.parts.bring_up_jogs import (
+    DriveJogs,
+    SteerJogs,
+    find_signs,
+    jog_drives,
+    jog_steering,
+    reversed_names,
+)
+from procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from procedures.parts.bring_up_streams import Stream, judge_stream
+from procedures.parts.devices import DEVICES, Device, only
+from procedures.parts.fragment import write_fragment
+from procedures.parts.samples import inertial, poses
+from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))
 _GAP_MS = {"servos": 50.0, "encoders": 50.0, "imu": 100.0, "tracker": 100.0, "mocap": 500.0}

@@ -16,7 +16,7 @@ from hil.config.bench import BenchConfig
 from hil.geometry import Array, ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, scan
-from procedures._tracking import (
+from procedures.parts.tracking import (
     coverage_figure,
     error_figure,
     refuse_what_cannot_be_followed,

@@ -24,11 +24,11 @@ from hil.errors import ConfigError, DeviceError
 from hil.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, line
-from procedures._fragment import write_fragment
-from procedures._imu_report import draw_allan, draw_headings
-from procedures._noise import BIAS_FACTOR, FEWEST, allan, evenly
-from procedures._samples import inertial, poses
-from procedures._tracking import stand
+from procedures.parts.fragment import write_fragment
+from procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
+from procedures.parts.imu_report import draw_allan, draw_headings
+from procedures.parts.samples import inertial, poses
+from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))
 _GRAVITY_LSB_M_S2, _STANDARD_GRAVITY = 0.01, 9.80665

@@ -21,12 +21,12 @@ from hil.geometry import Array
 from hil.kinematics import forward, inverse
 from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from procedures._delay_fit import Command, Delay, fit_delay, integrated, sent_s
-from procedures._devices import only
-from procedures._latency_report import draw_chain, draw_signals, table
-from procedures._samples import Series, encoders, inertial, poses, wheels
-from procedures._scripted import Stretch, play
-from procedures._tracking import stand
+from procedures.parts.devices import only
+from procedures.parts.latency_fit import Command, Delay, fit_delay, integrated, sent_s
+from procedures.parts.latency_report import draw_chain, draw_signals, table
+from procedures.parts.samples import Series, encoders, inertial, poses, wheels
+from procedures.parts.scripted import Stretch, play
+from procedures.parts.tracking import stand
 
 Compared = Literal["encoders", "imu", "tracker"]
 _GOLDEN = 0.6180339887498949

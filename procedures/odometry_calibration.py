@@ -25,9 +25,17 @@ from hil.calibration.validation import score
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.versions import versions
-from procedures._calibration_report import show
-from procedures._collecting import MOTIONS, MotionName, Repetition, Sizes, collect, read_round, reference
-from procedures._rounds import Driven, geometry_in, improve, tracks, worth_going_on
+from procedures.parts.odometry_collecting import (
+    MOTIONS,
+    MotionName,
+    Repetition,
+    Sizes,
+    collect,
+    read_round,
+    reference,
+)
+from procedures.parts.odometry_report import show
+from procedures.parts.odometry_rounds import Driven, geometry_in, improve, tracks, worth_going_on
 
 _SIMILAR_MM = 0.5
 
@@ -124,7 +132,7 @@ def run(ctx: Context) -> None:
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
-        show(ctx, rounds, fresh, result, setting, p)
+        show(ctx, rounds, fresh, result, setting, p.method, p.compared_methods)
         _install(
             ctx, replace(result, validation={"fresh_run": score(fresh.recordings, fresh.geometry, setting)})
         )

@@ -21,11 +21,11 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.signals import WHEELS
 from hil.trajectories import Trajectory, line
-from procedures._fragment import write_fragment
-from procedures._samples import encoders, wheels
-from procedures._scripted import Stretch, play
-from procedures._steering_fit import AxisFit, Leg, fit_axis, judge_leg, load_shares, toe_turn_rad_m
-from procedures._tracking import stand
+from procedures.parts.fragment import write_fragment
+from procedures.parts.samples import encoders, wheels
+from procedures.parts.scripted import Stretch, play
+from procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, load_shares, toe_turn_rad_m
+from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))
 _WAYS = (("forwards", 0.0), ("back", np.pi), ("left", np.pi / 2.0), ("right", -np.pi / 2.0))

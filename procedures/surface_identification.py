@@ -19,8 +19,8 @@ from hil.config.bench import BenchConfig
 from hil.errors import ConfigError, SafetyStop
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, line
-from procedures._surface import downhill, draw, held, rate, slip_of
-from procedures._tracking import stand
+from procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
+from procedures.parts.tracking import stand
 
 DIRECTIONS = ("up", "down", "left", "right")
 _WITHOUT = {"encoders": None, "tracker": None}

@@ -22,8 +22,9 @@ from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.trajectories import Trajectory, line
-from procedures._fragment import write_fragment
-from procedures._hand_eye import (
+from procedures.parts.fragment import write_fragment
+from procedures.parts.samples import Series, camera, poses
+from procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
     Truth,
@@ -35,8 +36,7 @@ from procedures._hand_eye import (
     shifted,
     solve,
 )
-from procedures._samples import Series, camera, poses
-from procedures._tracking import stand
+from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8

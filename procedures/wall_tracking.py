@@ -7,7 +7,6 @@ means hold for several seeds: in a single world the camera's scale, drawn once, 
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -21,8 +20,7 @@ from hil.config.bench import BenchConfig
 from hil.geometry import ArrayLike
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
 from hil.trajectories import Trajectory, line, scan
-from procedures._collecting import ignore_interrupts
-from procedures._tracking import (
+from procedures.parts.tracking import (
     error_figure,
     path_figure,
     refuse_what_cannot_be_followed,
@@ -31,6 +29,7 @@ from procedures._tracking import (
     time_figure,
     tracking_errors,
 )
+from procedures.parts.workers import worker_pool
 
 Case = Literal["x_line", "y_line", "scan"]
 Feedback = Literal["odometry", "ekf", "ukf"]
@@ -201,7 +200,7 @@ def one_world(ctx: Context, seed: int) -> dict[str, Any]:
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
         sources = [(ctx.source.changed(seed=seed), one, p) for one in jobs]
-        with multiprocessing.get_context("spawn").Pool(p.processes, ignore_interrupts) as pool:
+        with worker_pool(p.processes) as pool:
             results = []
             for number, result in enumerate(pool.imap(_elsewhere, sources), start=1):
                 results.append(result)

@@ -19,9 +19,9 @@ SHIPPED_FOLDER = Path(hil.__file__).resolve().parent.parent / SHIPPED
 
 
 def shipped_names() -> tuple[str, ...]:
-    """Names of the procedures that come with the package."""
+    """Names of the procedures that come with the package: the modules of the folder, not what they share."""
     found = pkgutil.iter_modules([str(SHIPPED_FOLDER)])
-    return tuple(sorted(m.name for m in found if not m.name.startswith("_")))
+    return tuple(sorted(m.name for m in found if not m.ispkg))
 
 
 def _shipped(name: str) -> ModuleType:

@@ -3,6 +3,9 @@
 import subprocess
 import sys
 
+from hil.procedure import Procedure
+from hil.procedure.scripts import load_procedure, shipped_names
+
 FIND = """
 from hil.procedure.scripts import load_procedure, shipped_names
 assert "mine" not in shipped_names()
@@ -15,6 +18,12 @@ from hil.procedure import Context, procedure
 def run(ctx: Context) -> None:
     pass
 """
+
+
+def test_every_shipped_name_is_a_procedure_and_what_they_share_is_none():
+    assert len(shipped_names()) == 9
+    assert "parts" not in shipped_names()
+    assert all(isinstance(load_procedure(name), Procedure) for name in shipped_names())
 
 
 def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path):

@@ -7,8 +7,8 @@ from procedure_runs import assert_covered, run
 from hil.bench import open_bench
 from hil.clock import NS_PER_S
 from hil.fakes.plant.robot import STEP_NS
-from procedures._delay_fit import Command, fit_delay, integrated
 from procedures.latency import Parameters, body_signals, turn
+from procedures.parts.latency_fit import Command, fit_delay, integrated
 
 SHORT = {"reversals": 10}
 GRID_MS = 1e-6 * STEP_NS

@@ -13,7 +13,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
-from procedures._rounds import improvement_bound
+from procedures.parts.odometry_rounds import improvement_bound
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,

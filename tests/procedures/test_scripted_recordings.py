@@ -8,7 +8,7 @@ from hil.controller.joint_script import JointScript, Stretch
 from hil.errors import UsageError
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
-from procedures._scripted import play
+from procedures.parts.scripted import play
 
 pytestmark = pytest.mark.timeout(600)  # the first process to start may compile the estimators
 

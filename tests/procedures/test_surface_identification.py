@@ -15,7 +15,7 @@ from hil.procedure.dry_run import dry_run
 from hil.procedure.operator import Terminal
 from hil.procedure.runner import RunOptions, run_procedure
 from procedures import surface_identification
-from procedures._surface import rate
+from procedures.parts.surface_slip import rate
 
 QUICK = {"length_m": "0.4", "hold_step_deg": "1"}
 DAMPING_N_S_M = 30.0

@@ -8,8 +8,8 @@ import pytest
 from procedure_runs import assert_covered, run
 
 from hil.geometry import quat_from_rotvec, quat_multiply
-from procedures._hand_eye import Truth, intervals, solve
-from procedures._samples import Series
+from procedures.parts.samples import Series
+from procedures.parts.tracker_hand_eye import Truth, intervals, solve
 
 if sys.version_info >= (3, 11):
     import tomllib

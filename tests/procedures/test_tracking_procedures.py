@@ -14,7 +14,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.trajectories import line
 from procedures import grid_scan, wall_tracking
-from procedures._tracking import tracking_errors
+from procedures.parts.tracking import tracking_errors
 
 SHORT_LINES = {"length_m": 0.3, "duration_s": 8.0, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
 SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}

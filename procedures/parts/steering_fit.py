@@ -20,7 +20,7 @@ import numpy as np
 from hil.config.bench import BenchConfig
 from hil.geometry import Array, rotation2, wrap_array
 from hil.motion import Motion
-from procedures._samples import poses, wheels
+from procedures.parts.samples import poses, wheels
 
 _MAGNET_SIGMA_RAD = math.radians(0.5)
 _TURNING_RAD_S = 0.05

@@ -11,8 +11,8 @@ from hil.geometry import Array
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 from hil.signals import WHEELS
-from procedures._jogs import DriveJogs
-from procedures._streams import Stream
+from procedures.parts.bring_up_jogs import DriveJogs
+from procedures.parts.bring_up_streams import Stream
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

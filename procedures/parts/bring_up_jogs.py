@@ -15,8 +15,8 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.geometry import Array
 from hil.signals import WHEELS
-from procedures._samples import Series, encoders, poses, wheels
-from procedures._scripted import Stretch, play
+from procedures.parts.samples import Series, encoders, poses, wheels
+from procedures.parts.scripted import Stretch, play
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.35, 0.2
 _SETTLE_S = 1.5

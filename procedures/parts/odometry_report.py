@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -13,21 +13,18 @@ from hil.calibration.problem import Setting
 from hil.kinematics import WheelGeometry
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
-from procedures._rounds import Driven, improve, nominal_geometry, tracks
-
-if TYPE_CHECKING:
-    from procedures.odometry_calibration import Parameters
+from procedures.parts.odometry_rounds import Driven, improve, nominal_geometry, tracks
 
 
 def show(
     ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, setting: Setting,
-    p: Parameters,
+    method: str, compared_methods: Sequence[str],
 ) -> None:  # fmt: skip
     """Everything that a person needs to judge the result."""
     fitted = next(d for d in rounds if d.recordings[0] is result.recordings[0])
-    columns = {"nominal": nominal_geometry(ctx.source.config), p.method: result.geometry}
-    for method in p.compared_methods:
-        columns[method] = improve(ctx, fitted, setting, method).geometry
+    columns = {"nominal": nominal_geometry(ctx.source.config), method: result.geometry}
+    for other in compared_methods:
+        columns[other] = improve(ctx, fitted, setting, other).geometry
     parameter_table(ctx, columns, result)
     before = tracks(rounds[0].recordings, rounds[0].geometry, setting)
     after = tracks(fresh.recordings, fresh.geometry, setting)

@@ -9,7 +9,7 @@ import numpy as np
 from hil.geometry import Array
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
-from procedures._delay_fit import Delay
+from procedures.parts.latency_fit import Delay
 
 _SHOWN_S = 3.0
 

@@ -9,7 +9,7 @@ import numpy as np
 from hil.geometry import Array
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
-from procedures._noise import Allan
+from procedures.parts.imu_noise import Allan
 
 _DEG = float(np.degrees(1.0))
 

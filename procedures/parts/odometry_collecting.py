@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import multiprocessing
-import signal
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -22,8 +20,9 @@ from hil.motion import Motion
 from hil.procedure import BenchSource, Context
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.trajectories import Trajectory, circle, line
-from procedures._scripted import Stretch, play
-from procedures._tracking import stand
+from procedures.parts.scripted import Stretch, play
+from procedures.parts.tracking import stand
+from procedures.parts.workers import worker_pool
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -180,7 +179,7 @@ def _driven(
     if processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
         jobs = [(source, r) for r in repetitions]
-        with multiprocessing.get_context("spawn").Pool(min(processes, len(jobs)), ignore_interrupts) as pool:
+        with worker_pool(min(processes, len(jobs))) as pool:
             for names, driven_s in pool.imap(_elsewhere, jobs):
                 ctx.count_bench_time(driven_s)
                 yield names
@@ -196,8 +195,3 @@ def _elsewhere(job: tuple[BenchSource, Repetition]) -> tuple[list[str], float]:
         begin_ns = bench.clock.now_ns()
         names = drive_repetition(bench, repetition)
         return names, (bench.clock.now_ns() - begin_ns) / NS_PER_S
-
-
-def ignore_interrupts() -> None:
-    """In a worker: leave Ctrl-C to the process that started it."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -10,7 +10,7 @@ from scipy.stats import theilslopes
 from hil.config.bench import BenchConfig
 from hil.geometry import Array
 from hil.motion import Motion
-from procedures._samples import Series, camera, encoders, inertial, poses, wheels
+from procedures.parts.samples import Series, camera, encoders, inertial, poses, wheels
 
 TRACKER_HZ = 200.0
 _BLOCKS = 24

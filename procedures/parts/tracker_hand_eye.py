@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from hil.errors import DataError
 from hil.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
-from procedures._samples import Series
+from procedures.parts.samples import Series
 
 INTERVAL_S = 0.5
 _LOWEST_TURN_RAD, _LOWEST_WAY_M = 0.01, 0.005
