@@ -146,6 +146,17 @@ def _setup_problems(config: ServosConfig, joint: int, block: bytes) -> list[str]
     return problems
 
 
+def described(config: ServosConfig, blocks: list[bytes]) -> dict[str, str]:
+    """Models, firmware, IDs and port, as a recording names them."""
+    return {
+        "model": f"XH430 ({config.model_number})",
+        "firmware": ", ".join(str(reg.from_block(b, "firmware_version")) for b in blocks),
+        "ids": ", ".join(str(i) for i in config.ids),
+        "port": config.port,
+        "baud": str(config.baud),
+    }
+
+
 def findings(config: ServosConfig, blocks: list[bytes], *, fast: bool, mapped: bool) -> tuple[Finding, ...]:
     """What a check of the bus tells, beyond that it opened."""
     firmware = [reg.from_block(b, "firmware_version") for b in blocks]

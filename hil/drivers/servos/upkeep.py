@@ -87,12 +87,15 @@ class Upkeep:
             self._bus.demand(servo_id, reg.INDIRECT_ADDRESS, wanted, "indirect addresses")
         return True
 
-    def switch_on(self, hold: bytes, ids: Sequence[int]) -> list[str]:
-        """Hold, arm the watchdog, torque on; names of servos that have not taken it.
+    def switch_on(self, hold: bytes, ids: Sequence[int]) -> None:
+        """Hold, arm the watchdog, torque on; checked.
 
         Args:
             hold: packet of goals at which nothing moves.
             ids: servos that answer.
+
+        Raises:
+            DeviceError: a servo has not taken its torque.
         """
         count = bytes((self._config.watchdog_count,))
         self.torque = True
@@ -103,11 +106,21 @@ class Upkeep:
             state = self.audit(ids, patience_s=PATIENCE_S)
             missing = [SERVOS[j] for j in range(len(SERVOS)) if not state.get(j, (0, 0))[0]]
             if not missing:
-                break
-        return missing
+                return
+        raise DeviceError(
+            self._device,
+            "torque did not come on: " + ", ".join(missing),
+            port=self._config.port,
+            expected="Torque Enable 1",
+            remedy="look for hardware errors with `hil doctor`",
+        )
 
-    def switch_off(self, ids: Sequence[int]) -> list[str]:
-        """Torque off, then the watchdog; names of servos that still have it, or do not say."""
+    def switch_off(self, ids: Sequence[int]) -> None:
+        """Torque off, then the watchdog; checked.
+
+        Raises:
+            DeviceError: a servo still has its torque, or does not say.
+        """
         self.torque = False
         for _ in range(_ATTEMPTS):
             self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
@@ -117,8 +130,14 @@ class Upkeep:
             asked = [self._ids.index(i) for i in ids]
             left += [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
             if state and not left:
-                break
-        return left if state else ["nobody answers"]
+                return
+        raise DeviceError(
+            self._device,
+            "torque is not off: " + (", ".join(left) if state else "nobody answers"),
+            port=self._config.port,
+            expected="Torque Enable 0",
+            remedy="cut the servos' supply",
+        )
 
     def audit(self, ids: Sequence[int], *, patience_s: float = 0.0) -> dict[int, tuple[int, int]]:
         """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors.

@@ -4,6 +4,9 @@ One group read and one group write per cycle; per-servo status, never a number t
 data"; positions that count on across restarts. The zero of an angle is the servo's centre, 2048 counts.
 Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
 truncated towards zero (`facts/robot.md`); the stamp is that of the position.
+
+Here is what happens when: opening, the order of a cycle, the sample. What a read is made of is in `cycle`,
+what the goals are in `goals`, what RAM must hold in `upkeep`, when a fault becomes an error in `outage`.
 """
 
 from __future__ import annotations
@@ -13,13 +16,11 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
+from hil.clock import Clock, nanoseconds
 from hil.config.servos import ServosConfig
 from hil.config.xh430 import (
     A_PER_COUNT,
-    COUNTS_PER_TURN,
     FAST_READ_FIRMWARE,
-    POSITION,
     RAD_PER_COUNT,
     RAD_S_PER_COUNT,
     ZERO_COUNTS,
@@ -29,12 +30,14 @@ from hil.drivers.servos import identity as ident
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cycle import ALL_OK, CycleReader, Reading
+from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
 from hil.drivers.servos.identity import Finding
+from hil.drivers.servos.outage import OutageWatch
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.turns import TurnCounter
 from hil.drivers.servos.upkeep import PATIENCE_S, Upkeep
-from hil.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Actuators
 from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
 
@@ -61,7 +64,6 @@ class XH430Servos(Actuators):
         self._config, self._clock = config, clock
         self._bus: Bus | None = None
         self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
         self._watchdog_ns = nanoseconds(config.watchdog_s)
         self._sequence = 0
 
@@ -106,33 +108,13 @@ class XH430Servos(Actuators):
         self._upkeep.prepare(blocks)
         self._cycle = CycleReader(bus, config, self._clock, fast=fast, mapped=self._upkeep.mapped)
         self._health = HealthWatch(config, self._clock)
-        self._goal_write = self._upkeep.goal_write()
-        self._limits(blocks)
+        self._outage = OutageWatch(config, self.name, self._clock.now_ns())
+        self._goals = Goals(config, blocks, self._upkeep.goal_write(), self.name)
         self._turns = TurnCounter()
         self._registers = np.array([reg.from_block(b, "present_position") for b in blocks], dtype=np.int64)
-        self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._registers[4:]))
         self._alert = [0] * 8
-        self._good_ns = [self._clock.now_ns()] * 8
         self._doubtful = self._commanded = self._paused = False
-        self._identity = {
-            "model": f"XH430 ({config.model_number})",
-            "firmware": ", ".join(str(f) for f in firmware),
-            "ids": ", ".join(str(i) for i in config.ids),
-            "port": config.port,
-            "baud": str(config.baud),
-        }
-
-    def _limits(self, blocks: list[bytes]) -> None:
-        """Raw limits of the goals: the bench's, and the servos' own, beyond which they ignore a goal."""
-        config = self._config
-        top = np.array([reg.from_block(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
-        top = np.minimum(top, int(config.velocity_limit_rad_s / RAD_S_PER_COUNT))
-        self._one_turn = ident.expected_mode(config, 4) == POSITION
-        self._goal_low = np.concatenate((-top, np.full(4, -1_048_575)))
-        self._goal_high = np.concatenate((top, np.full(4, 1_048_575)))
-        if self._one_turn:
-            self._goal_low[4:] = [reg.from_block(b, "min_position_limit") for b in blocks[4:]]
-            self._goal_high[4:] = [reg.from_block(b, "max_position_limit") for b in blocks[4:]]
+        self._identity = ident.described(config, blocks)
 
     def close(self) -> None:
         """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
@@ -161,8 +143,8 @@ class XH430Servos(Actuators):
         if self._cycle.asked():
             return
         silence_ns = self._clock.now_ns() - bus.traffic_ns
-        if silence_ns > _PAUSE_NS:  # nobody asked, so nobody failed to answer
-            self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
+        if silence_ns > _PAUSE_NS:
+            self._outage.excuse(silence_ns)
         self._paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
         self._cycle.ask(full=self._paused or self._look_closely())
 
@@ -212,7 +194,7 @@ class XH430Servos(Actuators):
             status, alert = self._judge(reading, restarted, jumped)
             bad = np.array([s is not Status.OK for s in status])
             position[bad] = velocity[bad] = current[bad] = np.nan
-        self._keep_time(status, stamp.host_ns)
+        self._outage.note(status, self._alert, stamp.host_ns)
         return ServoSample(stamp, position, velocity, current, status, alert)
 
     def _judge(
@@ -235,35 +217,10 @@ class XH430Servos(Actuators):
                 self._doubtful = self._doubtful or bool(jumped[j])
         return tuple(status), tuple(self._alert)
 
-    def _keep_time(self, status: tuple[Status, ...], now_ns: int) -> None:
-        """Raise once a servo has not been usable for too long."""
-        if status is ALL_OK:
-            self._good_ns = [now_ns] * 8
-            return
-        for j, one in enumerate(status):
-            if one is Status.OK:
-                self._good_ns[j] = now_ns
-        late = [j for j in range(8) if now_ns - self._good_ns[j] > self._fail_ns]
-        if not late:
-            return
-        found = ", ".join(
-            f"{SERVOS[j]} (ID {self._config.ids[j]}): {status[j].value}"
-            + (f" {hardware_error_text(self._alert[j])}" if self._alert[j] else "")
-            for j in late
-        )
-        broken = any(status[j] is Status.HARDWARE_ERROR for j in late)
-        raise (DeviceError if broken else DeviceTimeoutError)(
-            self.name,
-            f"nothing usable for {self._fail_ns / NS_PER_S:g} s from {found}",
-            port=self._config.port,
-            expected="an answer in every cycle",
-            remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
-        )
-
     def _audit(self, reading: Reading) -> tuple[int, ...]:
         """Judge by a full look whether torque and watchdogs are as they should be; repair, holding still."""
         state = self._upkeep.judge(reading)
-        held = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
+        held = self._goals.still(self._registers)
         lost = [j for j, status in enumerate(reading.status) if status is Status.RESET]
         if not self._upkeep.torque:
             for j in lost:
@@ -274,13 +231,6 @@ class XH430Servos(Actuators):
             if state[j][0] == 0:
                 self._turns.restarted(j)
         return repaired
-
-    def _held(self) -> np.ndarray:
-        """Raw steering goals at which nothing moves."""
-        present = self._registers[4:]
-        if self._one_turn:
-            present = np.clip(present % COUNTS_PER_TURN, self._goal_low[4:], self._goal_high[4:])
-        return present
 
     def read_health(self) -> tuple[ServoHealth, ...]:
         """Voltage and temperature every `health_period_s`, as `read` has brought them; empty between."""
@@ -311,16 +261,8 @@ class XH430Servos(Actuators):
             )  # fmt: skip
         self._upkeep.audit(self._cycle.live_ids, patience_s=PATIENCE_S)
         self._upkeep.refuse_hardware_errors()
-        self._goals = np.concatenate((np.zeros(4, dtype=np.int64), self._held()))
-        missing = self._upkeep.switch_on(self._goal_write.packet(self._goals), self._cycle.live_ids)
-        if missing:
-            raise DeviceError(
-                self.name,
-                "torque did not come on: " + ", ".join(missing),
-                port=self._config.port,
-                expected="Torque Enable 1",
-                remedy="look for hardware errors with `hil doctor`",
-            )
+        self._goals.hold(self._registers)
+        self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
         self.read()
 
     def command(self, setpoint: ServoSetpoint) -> None:
@@ -330,21 +272,9 @@ class XH430Servos(Actuators):
             UsageError: a goal is not a number.
         """
         bus = self._opened()
-        steer = np.clip(
-            setpoint.steer_position_rad, -self._config.steer_limit_rad, self._config.steer_limit_rad
-        )
-        goals = np.concatenate(
-            (
-                setpoint.drive_velocity_rad_s / RAD_S_PER_COUNT,
-                steer / RAD_PER_COUNT + (ZERO_COUNTS - self._turns.offset[4:]),
-            )
-        )
-        if not np.isfinite(goals).all():
-            raise UsageError(f"{self.name}: a goal is not finite: {setpoint}")
-        goals = np.minimum(np.maximum(np.rint(goals), self._goal_low), self._goal_high)
-        self._goals = goals.astype(np.int64)
+        self._goals.follow(setpoint, self._turns.offset)
         self._commanded = True
-        packet = self._goal_write.packet(self._goals)
+        packet = self._goals.packet()
         if self._config.prefetch:
             self._cycle.ask(full=self._look_closely(), after=packet)
         else:
@@ -354,8 +284,8 @@ class XH430Servos(Actuators):
         """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
         if self._bus is None or not self._identity:
             return
-        self._goals[:4] = 0
-        packet = self._goal_write.packet(self._goals)
+        self._goals.rest()
+        packet = self._goals.packet()
         for _ in range(2):
             self._bus.send(packet)
 
@@ -366,15 +296,7 @@ class XH430Servos(Actuators):
             DeviceError: a servo still has torque on, or does not say.
         """
         self._opened()
-        left = self._upkeep.switch_off(self._cycle.live_ids)
-        if left:
-            raise DeviceError(
-                self.name,
-                "torque is not off: " + ", ".join(left),
-                port=self._config.port,
-                expected="Torque Enable 0",
-                remedy="cut the servos' supply",
-            )
+        self._upkeep.switch_off(self._cycle.live_ids)
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""
