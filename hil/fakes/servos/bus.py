@@ -73,8 +73,8 @@ class ServoBus(SerialChip, Scheduled):
         if not self._faults.none:
             self._follow_faults(t_ns)
         for servo in self.servos:
-            if servo.trajectory.ongoing:
-                servo.advance(GRID_NS * 1e-9)
+            if servo.axis.trajectory.ongoing:
+                servo.axis.advance(GRID_NS * 1e-9)
         silence_ns = t_ns - self._traffic_ns
         if silence_ns >= _WATCHDOG_STEP_NS:
             self._watch(t_ns, silence_ns)

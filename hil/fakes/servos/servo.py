@@ -1,42 +1,32 @@
-"""One XH430: registers with their side effects, operating modes, torque, errors, restart.
+"""One XH430 as its instructions see it: registers with their side effects, errors, restart, backup.
 
-The servo turns its registers into commands to the motor (`JointCommand`) and shows what the bus's
-`Sensing` measured, in its own counts, direction and turns.
+What the registers mean to the motor is in `axis`. The servo shows what the bus's `Sensing` measured, in
+its own counts, direction and turns.
 """
 
 from __future__ import annotations
 
-import math
 import struct
 
 from hil.config.xh430 import (
-    A_PER_COUNT,
     BAUD_RATES,
     CURRENT,
     CURRENT_POSITION,
-    EXTENDED,
     MODEL_NUMBER,
     POSITION,
     PWM,
-    RAD_S_PER_COUNT,
     VELOCITY,
     WATCHDOG_STEP_S,
     ZERO_COUNTS,
     Register,
 )
-from hil.fakes.plant_api import JointCommand, Plant
+from hil.fakes.plant_api import Plant
 from hil.fakes.servos import protocol
+from hil.fakes.servos.axis import FULL_PWM, Axis
 from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
-from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.options import ServoBusOptions
-from hil.fakes.servos.position import PositionRegister
 
-OFF = JointCommand()
-_FULL_PWM = 885
-_WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
-_REVERSE, _TIMED, _TORQUE_ON_BY_GOAL = 1, 4, 8
-_HOMING_IN_POSITION_MODE = 1024
-_IN_POSITION, _FOLLOWING = 12, 100
+_TORQUE_ON_BY_GOAL = 8
 _LIVE = struct.Struct("<HBBhhiiiiHB")
 _LIVE_AT = 120
 _CYCLIC = struct.Struct("<hii")
@@ -50,13 +40,13 @@ class Servo:
     Attributes:
         joint: index in the plant and in `hil.signals.SERVOS`.
         table: the control table.
+        axis: the motor, and what it is asked for.
         dead: without power.
         busy_until_ns: starting up, deaf until then.
-        tripped: the bus watchdog has stopped it.
     """
 
     def __init__(self, joint: int, plant: Plant, options: ServoBusOptions) -> None:
-        self.joint, self._plant, self._options = joint, plant, options
+        self.joint, self._options = joint, options
         self.table = ControlTable()
         drive = joint < 4
         for name, raw in {
@@ -69,8 +59,8 @@ class Servo:
             **options.eeprom.get(joint, {}),
         }.items():
             self.table.put(name, raw)
-        self._position = PositionRegister(options.drive_start_counts[joint] if drive else ZERO_COUNTS)
-        self.trajectory = Trajectory()
+        zero = options.drive_start_counts[joint] if drive else ZERO_COUNTS
+        self.axis = Axis(joint, plant, self.table, zero)
         self.dead = False
         self.busy_until_ns = 0
         self._pending: tuple[int, bytes] | None = None
@@ -82,12 +72,17 @@ class Servo:
     @property
     def torque(self) -> bool:
         """Whether the motor is driven."""
-        return self._torque
+        return self.axis.torque
 
     @property
     def present(self) -> int:
         """Present Position in register counts."""
-        return self._position.present
+        return self.axis.position.present
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the bus watchdog has stopped it."""
+        return self.axis.tripped
 
     def answers_to(self, servo_id: int) -> bool:
         """Whether an instruction packet to an ID is meant for this servo."""
@@ -95,7 +90,7 @@ class Servo:
 
     def boot(self, t_ns: int, encoder: int) -> None:
         """Power-up or reboot: RAM at defaults, one turn, errors cleared, deaf for a while."""
-        self._position.encoder = encoder
+        self.axis.position.encoder = encoder
         self.table.reset_ram()
         startup = self.table.get("startup_configuration")
         if self._backup is not None:
@@ -104,48 +99,45 @@ class Servo:
                 self.table.restore(self._backup, eeprom=False)
         self.booted_ns = self.busy_until_ns = t_ns
         self.busy_until_ns += round(self._options.boot_s * 1e9)
-        self.tripped, self._pending = False, None
-        self._torque = self._shut_down = False
+        self._pending, self._shut_down = None, False
         self._load()
-        self._position.wrap()
-        self.table.put("goal_position", self.present)
-        self.trajectory.rest(self.present)
-        self._plant.command(self.joint, OFF)
+        self.axis.start_over()
         if startup & 1 and self.firmware >= 45:
             self._set_torque(True)
 
     def reboot(self, t_ns: int) -> None:
         """Start over where it stands."""
-        self.boot(t_ns, self._position.encoder)
+        self.boot(t_ns, self.axis.position.encoder)
 
     def lose_power(self) -> None:
         """No supply: the motor is free."""
-        self.dead, self._torque = True, False
-        self._plant.command(self.joint, OFF)
+        self.dead = True
+        self.axis.lose_power()
 
     def slip(self, counts: int) -> None:
         """The encoder's magnet turns on its shaft."""
-        self._position.slip(counts)
+        self.axis.position.slip(counts)
 
     def sense(self, encoder: int, velocity: int) -> None:
         """Take what the encoder says (joint direction, counts from joint angle 0)."""
-        self._position.encoder, self._velocity = encoder, velocity
+        self.axis.position.encoder, self._velocity = encoder, velocity
 
     def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
         """Put the live registers 120..146 into the table; `sense` has been called."""
-        sign, present = self._position.sign, self.present
+        axis, present = self.axis, self.present
+        sign, trajectory = axis.position.sign, axis.trajectory
         tick = (t_ns - self.booted_ns) // 1_000_000 % 32768
-        moving = self.trajectory.ongoing or abs(velocity) > self._moving_threshold
-        goal_velocity = round(self.trajectory.velocity)
+        moving = trajectory.ongoing or abs(velocity) > self._moving_threshold
+        goal_velocity = round(trajectory.velocity)
         values = (
-            tick, moving, self._moving_status(present), round(sign * duty * _FULL_PWM), sign * current,
-            sign * velocity, present, goal_velocity, round(self.trajectory.position), voltage, celsius,
+            tick, moving, axis.moving_status(present), round(sign * duty * FULL_PWM), sign * current,
+            sign * velocity, present, goal_velocity, round(trajectory.position), voltage, celsius,
         )  # fmt: skip
         _LIVE.pack_into(self.table.data, _LIVE_AT, *values)
 
     def show_motion(self, velocity: int, current: int) -> None:
         """Put only current, velocity and position (126..135) into the table: what every cycle reads."""
-        sign = self._position.sign
+        sign = self.axis.position.sign
         _CYCLIC.pack_into(self.table.data, _CYCLIC_AT, sign * current, sign * velocity, self.present)
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
@@ -161,11 +153,6 @@ class Servo:
             for register, raw in values:
                 self._store(register, raw)
         return protocol.OK
-
-    def advance(self, dt_s: float) -> None:
-        """One grid step of a profile."""
-        self.trajectory.advance(dt_s)
-        self._drive()
 
     def register_write(self, address: int, data: bytes) -> int:
         """Keep a write for the action that will follow; the error number."""
@@ -185,14 +172,12 @@ class Servo:
 
     def watchdog_ns(self) -> int:
         """Silence that trips the bus watchdog, 0 when it is off."""
-        return self._watchdog_ns if self._torque and not self.tripped else 0
+        return self._watchdog_ns if self.axis.torque and not self.axis.tripped else 0
 
     def trip(self) -> None:
         """The bus has been silent for too long: stop, hold, and say so."""
-        self.tripped = True
         self.table.put("bus_watchdog", -1)
-        self.trajectory.rest(self.present)
-        self._drive(stopped=True)
+        self.axis.trip()
 
     def raise_error(self, bits: int) -> None:
         """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
@@ -204,12 +189,10 @@ class Servo:
 
     def clear_turns(self) -> int:
         """Forget the turns (instruction 0x10); the error number."""
-        if self.trajectory.ongoing or abs(self._velocity) > self._moving_threshold:
+        if self.axis.trajectory.ongoing or abs(self._velocity) > self._moving_threshold:
             return protocol.RESULT_FAIL
-        self._position.wrap()
-        self.table.put("goal_position", self.present)
-        self.trajectory.rest(self.present)
-        self._drive()
+        self.axis.forget_turns()
+        self.axis.drive()
         return protocol.OK
 
     def back_up(self, parameters: bytes) -> int:
@@ -218,7 +201,7 @@ class Servo:
             return protocol.INSTRUCTION_ERROR
         if parameters not in (b"\x01CTRL", b"\x02CTRL"):
             return protocol.DATA_RANGE
-        if self._torque or (parameters[0] == 2 and self._backup is None):
+        if self.torque or (parameters[0] == 2 and self._backup is None):
             return protocol.RESULT_FAIL
         if parameters[0] == 1:
             self._backup = self.table.snapshot()
@@ -229,7 +212,7 @@ class Servo:
         """Second half of a restore: values back, then a reboot that keeps the RAM ones."""
         backup = dict(self._backup or {})
         self.table.restore(backup, eeprom=True)
-        self.boot(t_ns, self._position.encoder)
+        self.boot(t_ns, self.axis.position.encoder)
         self.table.restore(backup, eeprom=False)
         self._load()
 
@@ -243,14 +226,14 @@ class Servo:
         for name, raw in kept.items():
             self.table.put(name, raw)
         self._backup = None
-        self.boot(t_ns, self._position.encoder)
+        self.boot(t_ns, self.axis.position.encoder)
 
     def _check(self, register: Register, raw: int) -> None:
-        self.table.check(register, raw, self._torque)
+        self.table.check(register, raw, self.axis.torque)
         name = register.name
-        if self.tripped and (name in GOALS or (name == "bus_watchdog" and raw)):
+        if self.axis.tripped and (name in GOALS or (name == "bus_watchdog" and raw)):
             raise WriteRefused(protocol.DATA_RANGE)
-        if name == "goal_position" and self.mode == POSITION:
+        if name == "goal_position" and self.axis.mode == POSITION:
             low, high = self.table.get("min_position_limit"), self.table.get("max_position_limit")
             if not low <= raw <= high:
                 raise WriteRefused(protocol.DATA_LIMIT)
@@ -263,20 +246,20 @@ class Servo:
         name = register.name
         self.table.put(name, raw)
         if name in GOALS:
-            if not self._torque and self._drive_mode & _TORQUE_ON_BY_GOAL and self.firmware >= 45:
+            if not self.axis.torque and self._drive_mode & _TORQUE_ON_BY_GOAL and self.firmware >= 45:
                 self._set_torque(True)
-            self._pursue(name, raw)
+            self.axis.pursue(name, raw)
         elif name == "torque_enable":
             self._set_torque(bool(raw))
         elif name == "bus_watchdog":
-            self.tripped = False
+            self.axis.tripped = False
             self._watchdog_ns = round(raw * WATCHDOG_STEP_S * 1e9)
         elif name == "operating_mode":
             self._change_mode(raw)
         elif register.eeprom:
             self._load()
             if name == "drive_mode":
-                self._position.wrap()
+                self.axis.position.wrap()
 
     def _change_mode(self, mode: int) -> None:
         table = self.table
@@ -291,7 +274,7 @@ class Servo:
         table.put("goal_current", table.get("current_limit"))
         self._load()
         if mode == POSITION:
-            self._position.wrap()
+            self.axis.position.wrap()
 
     def _load(self) -> None:
         """Keep at hand what is looked at often."""
@@ -300,12 +283,9 @@ class Servo:
         self.id, self.secondary = table.get("id"), table.get("secondary_id")
         self.baud = BAUD_RATES[table.get("baud_rate")]
         self.delay_ns = 2000 * table.get("return_delay_time")
-        self.mode = table.get("operating_mode")
         self._drive_mode = table.get("drive_mode")
-        self._position.sign = -1 if self._drive_mode & _REVERSE and self.firmware >= 38 else 1
+        self.axis.load(table)
         self._moving_threshold = table.get("moving_threshold")
-        offset, most = table.get("homing_offset"), _HOMING_IN_POSITION_MODE
-        self._position.homing = min(max(offset, -most), most) if self.mode == POSITION else offset
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
 
@@ -313,62 +293,4 @@ class Servo:
         if on and self._shut_down:
             on = False
         self.table.put("torque_enable", int(on))
-        was, self._torque = self._torque, on
-        if on and not was:
-            if self.mode == POSITION:
-                self._position.wrap()
-            self.trajectory.rest(self.present)
-            for name in ("goal_velocity", "goal_position"):
-                self._pursue(name, self.table.get(name))
-        self._drive()
-
-    def _pursue(self, name: str, raw: int) -> None:
-        """Make a trajectory of a goal where the mode uses it, and tell the motor."""
-        trajectory, mode = self.trajectory, self.mode
-        if not self._torque or self._there_already(name, raw):
-            return
-        table, timed = self.table, bool(self._drive_mode & _TIMED) and self.firmware >= 42
-        acceleration = table.get("profile_acceleration")
-        if name == "goal_velocity" and mode == VELOCITY:
-            trajectory.turn(raw, acceleration, timed=timed)
-        elif name == "goal_position" and mode in _WITH_POSITION:
-            trajectory.move(raw, acceleration, table.get("profile_velocity"), timed=timed)
-        self._drive()
-
-    def _there_already(self, name: str, raw: int) -> bool:
-        """Whether a goal is what the motor is being asked for anyway."""
-        trajectory = self.trajectory
-        if trajectory.ongoing or self.tripped:
-            return False
-        if name == "goal_velocity" and self.mode == VELOCITY:
-            return trajectory.velocity == raw
-        return name == "goal_position" and self.mode in _WITH_POSITION and trajectory.position == raw
-
-    def _drive(self, stopped: bool = False) -> None:
-        """Ask the motor for what mode, goals and trajectory mean."""
-        if not self._torque:
-            self._plant.command(self.joint, OFF)
-            return
-        get, mode, sign = self.table.get, self.mode, self._position.sign
-        duty = get("goal_pwm") / _FULL_PWM
-        if mode == VELOCITY:
-            goal = sign * self.trajectory.velocity * RAD_S_PER_COUNT
-            command = JointCommand("velocity", goal, pwm_limit=abs(duty))
-        elif mode == CURRENT:
-            command = JointCommand("current", 0.0 if stopped else sign * get("goal_current") * A_PER_COUNT)
-        elif mode == PWM:
-            command = JointCommand("pwm", 0.0 if stopped else sign * duty)
-        else:
-            goal = self._position.joint_rad(self.trajectory.position)
-            limit_a = abs(get("goal_current")) * A_PER_COUNT if mode == CURRENT_POSITION else math.inf
-            command = JointCommand("position", goal, current_limit_a=limit_a, pwm_limit=abs(duty))
-        self._plant.command(self.joint, command)
-
-    def _moving_status(self, present: int) -> int:
-        trajectory = self.trajectory
-        if self.mode not in _WITH_POSITION:
-            return 0
-        arrived = not trajectory.ongoing and abs(present - trajectory.position) <= _IN_POSITION
-        shape = trajectory.shape << 4 if trajectory.ongoing and trajectory.shape != STEP else 0
-        following = abs(present - trajectory.position) > _FOLLOWING
-        return int(arrived) | trajectory.ongoing << 1 | following << 3 | shape
+        self.axis.set_torque(on)
