@@ -5,7 +5,8 @@
     python benchmarks/live_loop.py --seconds 60 --rate 200 --baud 4000000
     python benchmarks/live_loop.py --viewer stopped                 # also killed, absent, running
 
-Beyond 100 Hz the servos are asked ahead (`servos.prefetch`), also with --prefetch.
+The servos are asked ahead, as by every bench in real time (`servos.prefetch`); --no-prefetch shows what a
+loop costs that waits for them.
 
 An idle loop, which sleeps until each deadline and does nothing, runs first. Then the emulated bench in
 a process of its own, with the EKF in the loop, the robot driving, recording and the Rerun view on (a
@@ -39,8 +40,7 @@ from hil.geometry import Array
 from hil.interfaces import Sink
 from hil.live import LivePlan, LiveSession
 from hil.monitor import RerunMonitor
-from hil.punctuality import LoopStatistics
-from hil.realtime import RealTime
+from hil.realtime import RealTime, idle_loop
 from hil.recording.mcap_writer import McapRecorder
 from hil.signals import CycleRecord
 from hil.trajectories import Trajectory, through
@@ -52,7 +52,7 @@ PERFECT = {
     "emulation.mocap.stalls_per_s": 0.0,
 }
 _SIDE_M = 0.2
-_WITHOUT_PREFETCH_HZ = 100.0
+_USUAL_HZ = 100.0
 _MORE_LATE_PERCENT, _FAST_MORE_LATE_PERCENT = 0.05, 1.0
 _WORK_P99_MS, _GROWTH_MB, _RECORDING_US, _MB_PER_10_MIN = 4.0, 5.0, 500.0, 150.0
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
@@ -123,19 +123,9 @@ class At(Sink):
 
 def idle(seconds: float, rate_hz: float, fifo_priority: int | None) -> dict[str, float]:
     """A loop that does nothing."""
-    clock, period_ns = MonotonicClock(), round(NS_PER_S / rate_hz)
-    statistics = LoopStatistics()
-    with RealTime(clock, fifo_priority=fifo_priority) as real_time:
-        deadline_ns = clock.now_ns() + period_ns
-        for _ in range(round(seconds * rate_hz)):
-            clock.sleep_until_ns(deadline_ns)
-            lateness_ns = clock.now_ns() - deadline_ns
-            statistics.cycles += 1
-            statistics.late += lateness_ns > 1_000_000
-            statistics.add({"lateness": lateness_ns})
-            deadline_ns += period_ns * (1 + max(0, lateness_ns // period_ns))
-            real_time.idle(deadline_ns)
-    return _punctuality(statistics.summary())
+    clock = MonotonicClock()
+    real_time = RealTime(clock, fifo_priority=fifo_priority)
+    return _punctuality(idle_loop(clock, real_time, seconds=seconds, rate_hz=rate_hz).summary())
 
 
 def _punctuality(summary: dict[str, float]) -> dict[str, float]:
@@ -186,8 +176,8 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
     overrides: dict[str, object] = {**PERFECT, "loop.rate_hz": options.rate}
     if options.fifo:
         overrides["loop.fifo_priority"] = options.fifo
-    if options.prefetch:
-        overrides["servos.prefetch"] = True
+    if options.prefetch is not None:
+        overrides["servos.prefetch"] = options.prefetch
     if options.baud:
         overrides |= {"servos.baud": options.baud, "servos.usb_latency_s": 0.001}
     with ExitStack() as stack:
@@ -216,6 +206,7 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         cycles = max(1, recorder.written)
         return {
             **_punctuality(bench.statistics.summary()),
+            "prefetch": bench.config.servos is not None and bench.config.servos.prefetch,
             "samples": summary["samples"],
             "lost_samples": _lost(summary["samples"]),
             "memory_mb": memory.samples[-1][1],
@@ -237,7 +228,7 @@ def _lost(samples: Any) -> int:
 
 def checks(out: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """What was found against what is asked of the loop; sizes and small shares are asked of 100 Hz."""
-    live, fast = out["live"], out["rate_hz"] > _WITHOUT_PREFETCH_HZ
+    live, fast = out["live"], out["rate_hz"] > _USUAL_HZ
     wanted = {
         "more_late_percent": (
             out["more_late_percent"], _FAST_MORE_LATE_PERCENT if fast else _MORE_LATE_PERCENT
@@ -267,14 +258,12 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
         "--prefetch", action=argparse.BooleanOptionalAction,
-        help="servos.prefetch; by default beyond 100 Hz",
+        help="servos.prefetch; by default as the bench decides",
     )  # fmt: skip
     options = parser.parse_args()
-    if options.prefetch is None:
-        options.prefetch = options.rate > _WITHOUT_PREFETCH_HZ
     out: dict[str, Any] = {
         "seconds": options.seconds, "rate_hz": options.rate, "viewer": options.viewer,
-        "prefetch": options.prefetch, "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
+        "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
         out["idle"] = idle(options.idle_seconds or options.seconds, options.rate, options.fifo)

@@ -17,9 +17,10 @@ from types import TracebackType
 
 import numpy as np
 
-from hil.clock import Clock, nanoseconds, sleep_punctually
+from hil.clock import NS_PER_S, Clock, nanoseconds, sleep_punctually
 from hil.errors import SafetyStop
 from hil.loop import Brain
+from hil.punctuality import LoopStatistics
 from hil.signals import (
     ImuSample,
     Inputs,
@@ -148,6 +149,32 @@ class RealTime:
             )
             return
         self._undo.append(lambda: os.sched_setscheduler(0, policy, parameters))
+
+
+def idle_loop(
+    clock: Clock, real_time: RealTime, *, seconds: float, rate_hz: float, late_after_s: float = 0.001
+) -> LoopStatistics:
+    """Punctuality of a loop that sleeps until each deadline and does nothing: what the machine itself costs.
+
+    Args:
+        clock: the host's.
+        real_time: scheduling as of the loop that is to be compared; held around this one.
+        seconds: how long.
+        rate_hz: cycles per second.
+        late_after_s: a start later than this after its deadline counts as late.
+    """
+    statistics, period_ns, late_ns = LoopStatistics(), round(NS_PER_S / rate_hz), nanoseconds(late_after_s)
+    with real_time:
+        deadline_ns = clock.now_ns() + period_ns
+        for _ in range(round(seconds * rate_hz)):
+            clock.sleep_until_ns(deadline_ns)
+            lateness_ns = clock.now_ns() - deadline_ns
+            statistics.cycles += 1
+            statistics.late += lateness_ns > late_ns
+            statistics.add({"lateness": lateness_ns})
+            deadline_ns += period_ns * (1 + max(0, lateness_ns // period_ns))
+            real_time.idle(deadline_ns)
+    return statistics
 
 
 def warm_up(brain: Brain, start: RobotState) -> None:

@@ -56,7 +56,7 @@ def open_bench(
         FaultNotSupportedError: a fault that no emulated device of the bench can produce.
         DeviceError: the emulated devices cannot be served.
     """
-    checked = load_bench(config, emulate=emulate, overrides=overrides)
+    checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
     plan = read_faults((*checked.emulation.faults, *faults))
     emulated = checked.emulated()

@@ -181,6 +181,18 @@ class BenchConfig(Strict):
         """Names of the devices whose backend is emulated."""
         return tuple(n for n, c in self.devices().items() if c.backend == "emulated")
 
+    def settled(self, *, realtime: bool) -> BenchConfig:
+        """With what depends on how the bench runs decided: `servos.prefetch`, where the file leaves it out.
+
+        Args:
+            realtime: the bench is asked to run in real time; one with a real device does in any case.
+        """
+        if self.servos is None:
+            return self
+        at_the_wire = realtime or len(self.emulated()) < len(self.devices())
+        ahead = self.servos.asks_ahead(realtime=at_the_wire, rate_hz=self.loop.rate_hz)
+        return self.model_copy(update={"servos": self.servos.model_copy(update={"prefetch": ahead})})
+
 
 def profile_names() -> tuple[str, ...]:
     """Names of the shipped profiles."""

@@ -18,6 +18,8 @@ from hil.config.xh430 import (
 
 Ids = tuple[int, int, int, int]
 
+_AHEAD_FROM_HZ = 100.0
+
 STEER_MODES = {"position": POSITION, "extended": EXTENDED, "current_position": CURRENT_POSITION}
 _OWNED = (
     "torque_enable", "status_return_level", "bus_watchdog", "goal_velocity", "goal_position",
@@ -35,7 +37,8 @@ class ServosConfig(BaseModel):
         steer_mode: operating mode that the steering servos must have; drives must be in velocity mode.
         fast_sync_read: `auto` uses the fast reads when every firmware has them (45 on).
         prefetch: ask for the next state right after every command, so that a read need not wait for the
-            bus; the sample is then most of a cycle old, and stamped so. For rates beyond 100 Hz.
+            bus; the sample is then most of a cycle old, and stamped so. Where it is left out: yes in real
+            time from 100 Hz on, no in slower loops and in virtual time.
         usb_latency_s: latency timer of the USB adapter.
         return_delay_s: Return Delay Time that the servos are expected to have; larger is reported.
         reply_slack_s: silence beyond the computed time of a reply before it counts as lost.
@@ -60,7 +63,7 @@ class ServosConfig(BaseModel):
     steer_ids: Ids = (5, 6, 7, 8)
     steer_mode: Literal["position", "extended", "current_position"] = "position"
     fast_sync_read: Literal["auto"] | bool = "auto"
-    prefetch: bool = False
+    prefetch: bool | None = None
     usb_latency_s: float = Field(0.001, ge=0, le=0.1)
     return_delay_s: float = Field(0.0, ge=0, le=508e-6)
     reply_slack_s: float = Field(0.0015, gt=0, le=0.1)
@@ -80,6 +83,12 @@ class ServosConfig(BaseModel):
     def ids(self) -> tuple[int, ...]:
         """All eight IDs in the order of `hil.signals.SERVOS`."""
         return self.drive_ids + self.steer_ids
+
+    def asks_ahead(self, *, realtime: bool, rate_hz: float) -> bool:
+        """`prefetch`, or what follows from how the loop runs where it was left out."""
+        if self.prefetch is not None:
+            return self.prefetch
+        return realtime and rate_hz >= _AHEAD_FROM_HZ
 
     @property
     def watchdog_count(self) -> int:

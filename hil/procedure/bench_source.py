@@ -42,8 +42,9 @@ class BenchSource:
 
     @cached_property
     def config(self) -> BenchConfig:
-        """The checked configuration; raises `ConfigError`."""
-        return load_bench(self.bench, emulate=self.emulate, overrides=self.overrides)
+        """The checked configuration, as the bench will run; raises `ConfigError`."""
+        found = load_bench(self.bench, emulate=self.emulate, overrides=self.overrides)
+        return found.settled(realtime=self.realtime)
 
     @property
     def virtual(self) -> bool:

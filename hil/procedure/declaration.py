@@ -25,7 +25,8 @@ if TYPE_CHECKING:
 
 Body = Callable[["Context"], None]
 Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
-Measurements = Sequence[Measurement] | Callable[[Any], Iterable[Measurement]]
+Declare = Callable[[Any], Iterable[Measurement]] | Callable[[Any, BenchConfig], Iterable[Measurement]]
+Measurements = Sequence[Measurement] | Declare
 
 DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
@@ -54,7 +55,8 @@ class Procedure:
         body: the function.
         needs: devices without which it cannot run.
         parameters: dataclass or pydantic model with defaults.
-        measurements: what it measures, or a function of the parameters that says so.
+        measurements: what it measures, or a function that says so of the parameters, or of parameters and
+            bench configuration where limits depend on the bench.
         plan: steps and trajectories from parameters and bench configuration, for a dry run.
         teardown_s: time limit of each teardown action.
         bench: profile that it runs on when no bench is named.
@@ -71,10 +73,13 @@ class Procedure:
     bench: str = "emulated"
     summary: str = ""
 
-    def declared(self, parameters: Any) -> tuple[Measurement, ...]:
-        """The measurements that these parameters call for."""
-        found = self.measurements(parameters) if callable(self.measurements) else self.measurements
-        return check_unique(found)
+    def declared(self, parameters: Any, config: BenchConfig) -> tuple[Measurement, ...]:
+        """The measurements that these parameters call for on a bench."""
+        if not callable(self.measurements):
+            return check_unique(self.measurements)
+        declare: Callable[..., Iterable[Measurement]] = self.measurements
+        given = (parameters, config)[: len(inspect.signature(declare).parameters)]
+        return check_unique(declare(*given))
 
     def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
         """The plan; without one, the titles written in the function's source."""

@@ -38,7 +38,7 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
         "parameters": as_dict(parameters),
         "measurements": [
             {"name": m.name, "unit": m.unit, "low": m.low, "high": m.high, "rationale": m.rationale}
-            for m in proc.declared(parameters)
+            for m in proc.declared(parameters, config)
         ],
         "steps": steps,
         "trajectories_checked": sum(len(s["trajectories"]) for s in steps),

@@ -57,8 +57,8 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         HilError: something was wrong before anything could move (configuration, parameters, journal).
     """
     parameters = make_parameters(proc.parameters, options.parameters, proc.name)
-    declared = proc.declared(parameters)
     proc.check_needs(source.config)
+    declared = proc.declared(parameters, source.config)
     header = _header(proc, parameters, source)
     past = _past(options, header)
     interrupts = Interrupts(options.tell)

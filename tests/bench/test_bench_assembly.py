@@ -31,6 +31,31 @@ def test_a_seed_decides_every_bit_of_a_run():
     assert log_hash(first) != log_hash(other)
 
 
+def asks_ahead(realtime=False, **overrides):
+    """What a bench decides, seen in its configuration; nothing is opened."""
+    bench = hil.open_bench("emulated", realtime=realtime, overrides=overrides)
+    bench.close()
+    return bench.config.servos.prefetch
+
+
+def test_servos_are_asked_ahead_in_real_time_and_at_rates_that_need_it():
+    real = {f"{name}.backend": "real" for name in ("servos", "encoders", "imu", "tracker", "mocap")}
+    assert asks_ahead() is False
+    assert asks_ahead(**{"loop.rate_hz": 200.0}) is False
+    assert asks_ahead(realtime=True) is True
+    assert asks_ahead(**real) is True
+    assert asks_ahead(**real, **{"loop.rate_hz": 50.0}) is False
+    assert asks_ahead(**real, **{"servos.prefetch": False}) is False
+    assert asks_ahead(**{"servos.prefetch": True}) is True
+
+
+def test_a_run_that_asks_ahead_repeats_bit_for_bit():
+    first, again = (drive(1, overrides={"servos.prefetch": True}) for _ in range(2))
+    assert log_hash(first) == log_hash(again)
+    ages_ns = [s.stamp.host_ns - s.stamp.t_ns for r in first.records[2:] for s in r.inputs.servos]
+    assert 8_000_000 < min(ages_ns) <= max(ages_ns) < 10_000_000
+
+
 def test_a_line_is_driven_and_the_truth_agrees_with_the_estimate():
     with hil.open_bench("emulated", seed=1) as bench:
         motion = bench.drive(STRAIGHT, hold_s=0.5)

@@ -17,8 +17,10 @@ STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.01, 0.0), duration_s=1.2)
 pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
 
 
-def record(path, *faults, observers=("ukf", "odometry"), controller="optimal", trajectory=STRAIGHT):
-    bench = hil.open_bench("emulated", seed=4, faults=faults)
+def record(
+    path, *faults, observers=("ukf", "odometry"), controller="optimal", trajectory=STRAIGHT, overrides=None
+):
+    bench = hil.open_bench("emulated", seed=4, faults=faults, overrides=overrides)
     bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
     with bench:
         bench.drive(trajectory, observers=observers, controller=controller, hold_s=0.2)
@@ -37,6 +39,13 @@ def test_every_run_of_a_virtual_recording_repeats(drive):
     assert [r["difference"] for r in told] == [None, None]
     assert [r["references"] for r in told] == ["none", "computed"]
     assert drive.problems == []
+
+
+def test_a_recording_of_servos_that_were_asked_ahead_repeats(tmp_path):
+    opened = open_recording(record(tmp_path / "ahead.mcap", overrides={"servos.prefetch": True}))
+    assert opened.bench.config.servos.prefetch is True
+    told = [verify_run(opened.bench, run) for run in opened.runs]
+    assert [r["difference"] for r in told] == [None, None]
 
 
 def test_a_changed_input_is_named_by_cycle_and_field(drive):

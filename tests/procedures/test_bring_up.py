@@ -60,6 +60,27 @@ def test_bring_up_finds_wrong_signs_and_leaves_the_right_ones(tmp_path):
     assert "body" not in [s["title"] for s in done.result.facts["steps"]]
 
 
+@pytest.mark.parametrize(("rate_hz", "ahead"), [(100.0, False), (100.0, True), (200.0, True), (50.0, False)])
+def test_the_age_allowed_follows_from_rate_and_asking_ahead(tmp_path, rate_hz, ahead):
+    overrides = {"loop.rate_hz": rate_hz, "servos.prefetch": ahead}
+    parameters = {"watch_s": 2.0, "devices": "servos,encoders,imu,mocap"}
+    done = run("bring_up", tmp_path / "run", parameters, overrides=overrides)
+    limits = {m["name"]: m["high"] for m in done.result.measurements}
+    period_ms = 1e3 / rate_hz
+    assert limits["servos.age"] == 5.0 + period_ms * ahead
+    assert limits["encoders.age"] == 10.0 + period_ms
+    assert limits["imu.age"] == 20.0 + period_ms
+    assert not [name for name in done.failed if name.endswith(".age")]
+    assert (done.values["servos.age"] > 5.0) is (ahead and rate_hz < 200.0)
+
+
+def test_servos_that_answer_late_are_too_old(tmp_path):
+    overrides = {"servos.reply_slack_s": 0.02, "emulation.servos": {"processing_s": 0.012}}
+    parameters = {"watch_s": 2.0, "devices": "servos,mocap"}
+    done = run("bring_up", tmp_path / "run", parameters, overrides=overrides | {"loop.rate_hz": 50.0})
+    assert "servos.age" in done.failed
+
+
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
