@@ -7,7 +7,11 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.calibration.artefact import CalibrationFile, save_calibration
+from hil.clock import MonotonicClock
 from hil.config.bench import load_bench
+from hil.procedure.bench_source import BenchSource
+from hil.punctuality import LoopStatistics
+from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
 
 pytest_plugins = ["pytester"]
 
@@ -116,6 +120,52 @@ def test_no_time(bench):
 def test_that_fails(bench):
     assert False
 """
+
+
+def ran(cycles, late):
+    found = LoopStatistics(cycles=cycles, late=late)
+    found.add({"work": 5_000_000, "read": 3_000_000})
+    return found
+
+
+@pytest.mark.parametrize(
+    ("late", "before", "after", "problem"),
+    [
+        (15, 0, 0, False),
+        (16, 0, 0, True),
+        (100, 30, 0, False),
+        (100, 0, 30, False),
+        (100, 20, 20, True),
+    ],
+)
+def test_late_cycles_are_held_against_an_idle_loop(late, before, after, problem):
+    said = too_late(ran(1500, late), (ran(500, before), ran(500, after)))
+    assert bool(said) is problem
+    if problem:
+        assert f"{late} of 1500 cycles were late" in said
+        assert f"({before} of 500 and {after} of 500)" in said
+        assert "work 5.0 ms, of it reading the devices 3.0 ms" in said
+
+
+def test_virtual_time_is_held_against_nothing():
+    assert idle_for(BenchSource("emulated"), 60.0) == ()
+    assert too_late(ran(1500, 15), ()) == ""
+    assert "(none)" in too_late(ran(1500, 16), ())
+
+
+def test_an_idle_loop_runs_at_the_benchs_rate():
+    source = BenchSource("emulated", realtime=True, overrides={"loop.rate_hz": 50.0})
+    begun_ns = MonotonicClock().now_ns()
+    (found,) = idle_for(source, 0.2)
+    assert MonotonicClock().now_ns() - begun_ns >= 200_000_000
+    assert found.cycles == 10
+
+
+def test_samples_that_were_asked_for_ahead_may_be_a_cycle_older():
+    source = BenchSource("emulated", realtime=True)
+    assert oldest_s(source.config, "servos") == pytest.approx(0.03)
+    assert oldest_s(BenchSource("emulated").config, "servos") == pytest.approx(0.02)
+    assert oldest_s(source.config, "tracker") == pytest.approx(0.2)
 
 
 def test_fixtures_and_markers_on_the_emulated_bench(run):
