@@ -1,4 +1,4 @@
-"""Class `Bench`: devices, clock, loop and configuration, and the motions that one asks of them."""
+"""Class `Bench`: devices, clock and loop, opened and closed together, and the motions asked of them."""
 
 from __future__ import annotations
 
@@ -9,32 +9,23 @@ from types import TracebackType
 
 import numpy as np
 
-from hil.alignment import Alignment
-from hil.bench.settings import alignment_parameters, motion_limits, real_time, safety_limits
+from hil.bench.blueprint import Blueprint
+from hil.bench.settings import real_time
 from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
-from hil.controller import make_controller
-from hil.controller.joint_script import JointScript, ScriptedController
-from hil.errors import UsageError
-from hil.estimator import make_estimator
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.geometry import Array, ArrayLike
-from hil.interfaces import Controller, Estimator, Sink
+from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
-from hil.motion_limits import check
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.rig import Rig
 from hil.signals import CycleRecord, RobotState
-from hil.supervisor import Supervisor
 from hil.trajectories import Trajectory
-from hil.versions import versions
-
-FEEDBACK = ("odometry", "ekf", "ukf")
 
 _SETTLE_S = 0.5
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
@@ -42,18 +33,13 @@ _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 OnCycle = Callable[[CycleRecord], None]
 
 
-class Bench:
+class Bench(Blueprint):
     """Devices, clock, loop and configuration of one bench; use it as a context manager.
 
     Attributes:
-        config: the checked configuration, as used.
         clock: virtual or monotonic.
         rig: the devices.
         world: the emulated world where it lives in this process, else None.
-        geometry: wheel geometry in use (nominal or calibrated).
-        calibration: name and version of the calibration in use; empty without one.
-        fitted_with: forward model that it was fitted with; empty without one.
-        seed: seed of the emulated world.
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
     """
@@ -71,10 +57,10 @@ class Bench:
         seed: int = 0,
         sinks: tuple[Sink, ...] = (),
     ) -> None:
-        self.config, self.clock, self.rig, self.world = config, clock, rig, world
-        self.geometry, self.calibration, self.seed = geometry, calibration, seed
-        self.fitted_with = fitted_with
-        self.alignment_parameters = alignment_parameters(config)
+        super().__init__(
+            config, geometry=geometry, calibration=calibration, fitted_with=fitted_with, seed=seed
+        )
+        self.clock, self.rig, self.world = clock, rig, world
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
         self._sinks = list(sinks)
@@ -147,68 +133,6 @@ class Bench:
             return None
         self.world.sync_plant()
         return self.world.plant.truth()
-
-    def versions(self) -> dict[str, str]:
-        """Versions of what the result depends on."""
-        return versions()
-
-    def header(self) -> dict[str, object]:
-        """What a recording says about its origin, enough to build the brain of every run again."""
-        return {
-            "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
-            "geometry": self.geometry.vector().tolist(),
-            "calibration": self.calibration,
-            "seed": self.seed,
-            "versions": self.versions(),
-        }
-
-    def make_brain(
-        self,
-        trajectory: Trajectory | JointScript | None,
-        *,
-        controller: str | None = None,
-        feedback: str = "ekf",
-        observers: tuple[str, ...] = (),
-    ) -> Brain:
-        """The deterministic part of the loop for one motion or script (also what replay runs).
-
-        Raises:
-            UsageError: unknown feedback or controller.
-        """
-        config = self.config
-        law: Controller | None = None
-        if isinstance(trajectory, JointScript):
-            law = ScriptedController(trajectory)
-        elif trajectory is not None:
-            control = config.control
-            if controller not in (None, "nonlinear", "optimal"):
-                raise UsageError(f"controller {controller!r} is unknown", expected="nonlinear or optimal")
-            if controller is not None:
-                control = control.model_copy(update={"law": controller})
-            law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
-        return Brain(
-            Supervisor(safety_limits(config), watched=tuple(config.devices())),
-            Alignment(self.alignment_parameters),
-            self.make_estimator(feedback),
-            law,
-            trajectory.sample if trajectory is not None else None,
-            {name: self.make_estimator(name, diagnostics=False) for name in observers},
-        )
-
-    def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:
-        """A fresh estimator of this bench, with or without figures about itself.
-
-        Raises:
-            UsageError: unknown kind.
-        """
-        if kind not in FEEDBACK:
-            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
-        config = self.config.estimator.model_copy(update={"kind": kind})
-        return make_estimator(config, self.geometry, surface=self.config.surface, diagnostics=diagnostics)
-
-    def check(self, trajectory: Trajectory) -> None:
-        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
-        check(trajectory, self.geometry.projection(), motion_limits(self.config))
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
         """Rest, and return the pose (3,) from motion capture averaged over the rest.

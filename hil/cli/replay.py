@@ -12,7 +12,7 @@ import click
 from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
 
 if TYPE_CHECKING:
-    from hil.bench import Bench
+    from hil.bench.blueprint import Blueprint
     from hil.live.playback import OpenedRecording
     from hil.motion import Motion
     from hil.recording.runs import RecordedRun
@@ -108,7 +108,7 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 
 
 def _compared(
-    recording: Path, bench: Bench, run: RecordedRun, kinds: tuple[str, ...], *, foreign: bool
+    recording: Path, bench: Blueprint, run: RecordedRun, kinds: tuple[str, ...], *, foreign: bool
 ) -> dict[str, Motion]:
     from hil.report.replay import compare, smoothed
 
@@ -126,7 +126,7 @@ def _compared(
     return motions
 
 
-def _show(bench: Bench, motions: dict[str, Motion], view: str | None) -> None:
+def _show(bench: Blueprint, motions: dict[str, Motion], view: str | None) -> None:
     """Play the run to the monitor, the estimators as further paths."""
     if view is None:
         return

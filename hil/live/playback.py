@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench import Bench
-from hil.bench.settings import with_wheel_model
+from hil.bench.blueprint import Blueprint
+from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
-from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench, validate
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.errors import DataError, UsageError
@@ -28,7 +27,6 @@ from hil.recording.rosbag import read_bag, read_topic_map
 from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs, read_runs
 from hil.recording.sources import read_recordings
 from hil.report.replay import FIELDS, RecordedReferences, verify_cycle
-from hil.rig import Rig
 from hil.signals import CycleRecord
 from hil.trajectories import Trajectory
 
@@ -37,7 +35,7 @@ _FOREIGN_BENCH = "emulated_floor"
 
 @dataclass
 class OpenedRecording:
-    """A recording, and the bench of its making without devices.
+    """A recording, and the bench of its making, as far as it is configuration.
 
     Attributes:
         foreign: not one of ours: wheels and ground truth, nothing estimated.
@@ -45,7 +43,7 @@ class OpenedRecording:
     """
 
     path: Path
-    bench: Bench
+    bench: Blueprint
     header: dict[str, Any]
     foreign: bool
     problems: list[str]
@@ -121,20 +119,17 @@ def _foreign(path: Path, bench: str | None, calibration: Path | None, read: Any)
 def _bench(
     config: BenchConfig, geometry: WheelGeometry | None, calibration: Path | None, header: Mapping[str, Any],
     *, recorded: bool = False,
-) -> Bench:  # fmt: skip
-    """A bench without devices; a recorded configuration names every value, chosen by somebody or not."""
-    clock = MonotonicClock()
+) -> Blueprint:  # fmt: skip
+    """The bench of a configuration; a recorded configuration names every value, chosen by somebody or not."""
     if calibration is not None:
         found = read_calibration(calibration)
         geometry = found.geometry
         config = with_wheel_model(config, found.model, given=False if recorded else None)
-    if geometry is None:
-        robot = config.robot
-        geometry = WheelGeometry(*map(np.array, (robot.wheel_x_m, robot.wheel_y_m, robot.wheel_radius_m)))
-    return Bench(config, clock, Rig(clock), geometry=geometry, seed=int(header.get("seed", 0)))
+    geometry = geometry_of(config) if geometry is None else geometry
+    return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0)))
 
 
-def rebuild(bench: Bench, start: RunStart, records: Sequence[CycleRecord] = ()) -> Brain:
+def rebuild(bench: Blueprint, start: RunStart, records: Sequence[CycleRecord] = ()) -> Brain:
     """The brain of a recorded run.
 
     References that came from outside (velocity commands) are taken from the records; all others are
@@ -160,7 +155,7 @@ class RunCheck:
     """Whether a run repeats bit for bit, told cycle by cycle, so that none has to be kept.
 
     Args:
-        bench: of its making, without devices.
+        bench: of its making.
         start: how it began, None where the recording does not say.
 
     Attributes:
@@ -168,7 +163,7 @@ class RunCheck:
             `difference`: the first one in words, None without.
     """
 
-    def __init__(self, bench: Bench, start: RunStart | None) -> None:
+    def __init__(self, bench: Blueprint, start: RunStart | None) -> None:
         self.told: dict[str, Any] = {
             "cycles": 0, "verified": [], "references": "none", "difference": None
         }  # fmt: skip
@@ -203,7 +198,7 @@ def _are_recorded(brain: Brain) -> bool:
     return isinstance(brain.reference_at, RecordedReferences)
 
 
-def verify_run(bench: Bench, run: RecordedRun) -> dict[str, Any]:
+def verify_run(bench: Blueprint, run: RecordedRun) -> dict[str, Any]:
     """Whether a run repeats bit for bit; see `RunCheck.told`."""
     check = RunCheck(bench, run.start)
     with without_collector():

@@ -1,0 +1,111 @@
+"""What a bench makes out of its configuration alone: brains, estimators, the head of a recording.
+
+No device, clock or loop: a replay needs this half of a bench only, and gets the same brains from it as
+the loop had.
+"""
+
+from __future__ import annotations
+
+from hil.alignment import Alignment
+from hil.bench.settings import alignment_parameters, motion_limits, safety_limits
+from hil.config.bench import BenchConfig
+from hil.controller import make_controller
+from hil.controller.joint_script import JointScript, ScriptedController
+from hil.errors import UsageError
+from hil.estimator import make_estimator
+from hil.interfaces import Controller, Estimator
+from hil.kinematics import WheelGeometry
+from hil.loop import Brain
+from hil.motion_limits import check
+from hil.supervisor import Supervisor
+from hil.trajectories import Trajectory
+from hil.versions import versions
+
+FEEDBACK = ("odometry", "ekf", "ukf")
+
+
+class Blueprint:
+    """Configuration and wheel geometry of a bench.
+
+    Attributes:
+        config: the checked configuration, as used.
+        geometry: wheel geometry in use (nominal or calibrated).
+        calibration: name and version of the calibration in use; empty without one.
+        fitted_with: forward model that it was fitted with; empty without one.
+        seed: seed of the emulated world.
+    """
+
+    def __init__(
+        self,
+        config: BenchConfig,
+        *,
+        geometry: WheelGeometry,
+        calibration: str = "",
+        fitted_with: str = "",
+        seed: int = 0,
+    ) -> None:
+        self.config, self.geometry, self.seed = config, geometry, seed
+        self.calibration, self.fitted_with = calibration, fitted_with
+        self.alignment_parameters = alignment_parameters(config)
+
+    def versions(self) -> dict[str, str]:
+        """Versions of what the result depends on."""
+        return versions()
+
+    def header(self) -> dict[str, object]:
+        """What a recording says about its origin, enough to build the brain of every run again."""
+        return {
+            "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
+            "geometry": self.geometry.vector().tolist(),
+            "calibration": self.calibration,
+            "seed": self.seed,
+            "versions": self.versions(),
+        }
+
+    def make_brain(
+        self,
+        trajectory: Trajectory | JointScript | None,
+        *,
+        controller: str | None = None,
+        feedback: str = "ekf",
+        observers: tuple[str, ...] = (),
+    ) -> Brain:
+        """The deterministic part of the loop for one motion or script (also what replay runs).
+
+        Raises:
+            UsageError: unknown feedback or controller.
+        """
+        config = self.config
+        law: Controller | None = None
+        if isinstance(trajectory, JointScript):
+            law = ScriptedController(trajectory)
+        elif trajectory is not None:
+            control = config.control
+            if controller not in (None, "nonlinear", "optimal"):
+                raise UsageError(f"controller {controller!r} is unknown", expected="nonlinear or optimal")
+            if controller is not None:
+                control = control.model_copy(update={"law": controller})
+            law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
+        return Brain(
+            Supervisor(safety_limits(config), watched=tuple(config.devices())),
+            Alignment(self.alignment_parameters),
+            self.make_estimator(feedback),
+            law,
+            trajectory.sample if trajectory is not None else None,
+            {name: self.make_estimator(name, diagnostics=False) for name in observers},
+        )
+
+    def make_estimator(self, kind: str, *, diagnostics: bool = True) -> Estimator:
+        """A fresh estimator of this bench, with or without figures about itself.
+
+        Raises:
+            UsageError: unknown kind.
+        """
+        if kind not in FEEDBACK:
+            raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
+        config = self.config.estimator.model_copy(update={"kind": kind})
+        return make_estimator(config, self.geometry, surface=self.config.surface, diagnostics=diagnostics)
+
+    def check(self, trajectory: Trajectory) -> None:
+        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
+        check(trajectory, self.geometry.projection(), motion_limits(self.config))
