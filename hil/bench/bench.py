@@ -22,7 +22,7 @@ from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.runs import RunStart
+from hil.recording.runs import RUN, RunStart
 from hil.rig import Rig
 from hil.signals import CycleRecord, RobotState
 from hil.trajectories import Trajectory
@@ -222,7 +222,7 @@ class Bench(Blueprint):
     ) -> None:
         """Run a brain from a known state until `until(record)` says so; the robot is held at the end.
 
-        Everything is compiled and loaded before the first cycle, and recorders are told how it began.
+        Everything is compiled and loaded before the first cycle.
 
         Args:
             brain: what decides.
@@ -236,18 +236,26 @@ class Bench(Blueprint):
                 stack.enter_context(self.real_time)
             if drop_old:
                 self.rig.read(0)
-            begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
-            brain.reset(begun.state)
-            for sink in self._sinks:
-                if isinstance(sink, McapRecorder):
-                    sink.note(begun.state.t_ns, "run", begun.note())
-            loop = self.make_loop(brain)
+            loop = self.make_loop(brain, start)
             if self.real_time is not None:
                 loop.idle = self.real_time.idle
             loop.run(until)
 
-    def make_loop(self, brain: Brain) -> ControlLoop:
-        """A loop over this bench's devices, clock and sinks; its statistics become the bench's."""
+    def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
+        """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
+
+        The brain is reset to the start, now, and recorders are told: without that note nobody could
+        repeat the run from its recording.
+
+        Args:
+            brain: what decides.
+            start: what `brain` was made of, and where the robot stands.
+        """
+        begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
+        brain.reset(begun.state)
+        for sink in self._sinks:
+            if isinstance(sink, McapRecorder):
+                sink.note(begun.state.t_ns, RUN, begun.note())
         config = self.config.loop
         loop = ControlLoop(
             self.rig,

@@ -135,6 +135,8 @@ def clock(bench: Bench) -> Clock:
 @pytest.fixture
 def loop(bench: Bench) -> ControlLoop:
     """A control loop over `bench` that reads, estimates and commands nothing."""
-    brain = bench.make_brain(None)
-    brain.reset(bench.start_state())
-    return bench.make_loop(brain)
+    from hil.recording.runs import RunStart
+
+    feedback = "ekf"
+    start = RunStart(bench.start_state(), feedback)
+    return bench.make_loop(bench.make_brain(None, feedback=feedback), start)

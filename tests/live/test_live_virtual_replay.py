@@ -9,7 +9,7 @@ import hil
 from hil.errors import DataError, SafetyStop, UsageError
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.runs import RecordedRun
+from hil.recording.runs import RecordedRun, RunStart
 from hil.trajectories import line
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.01, 0.0), duration_s=1.2)
@@ -46,6 +46,20 @@ def test_a_recording_of_servos_that_were_asked_ahead_repeats(tmp_path):
     assert opened.bench.config.servos.prefetch is True
     told = [verify_run(opened.bench, run) for run in opened.runs]
     assert [r["difference"] for r in told] == [None, None]
+
+
+def test_a_loop_made_by_hand_says_in_its_recording_how_it_began(tmp_path):
+    path = tmp_path / "loop.mcap"
+    bench = hil.open_bench("emulated", seed=4)
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
+        start = RunStart(bench.start_state(), "ekf")
+        loop = bench.make_loop(bench.make_brain(None, feedback="ekf"), start)
+        for cycles in (30, 60):  # going on is no new beginning
+            loop.run(lambda record, last=cycles: record.cycle >= last)
+    (run,) = open_recording(path).runs
+    told = verify_run(open_recording(path).bench, run)
+    assert (told["cycles"], told["difference"]) == (61, None)
 
 
 def test_a_changed_input_is_named_by_cycle_and_field(drive):

@@ -55,6 +55,9 @@ FIXTURES = """
 import numpy as np
 import pytest
 
+from hil.live.playback import open_recording, verify_run
+from hil.recording.mcap_writer import McapRecorder
+
 began = []
 
 def test_the_fixtures_are_one_bench(bench, world, clock, loop):
@@ -65,6 +68,19 @@ def test_the_fixtures_are_one_bench(bench, world, clock, loop):
     loop.run(lambda record: records.append(record) or len(records) == 20)
     assert np.isfinite(records[-1].state.pose_body_in_wall).all()
     assert len(records[-1].inputs.servos) == 1
+
+@pytest.fixture
+def recorder(bench, tmp_path):
+    recorder = McapRecorder(tmp_path / "loop.mcap", bench.header(), lossless=True)
+    bench.add_sink(recorder)
+    return recorder
+
+def test_a_recorded_loop_can_be_replayed(bench, recorder, loop, tmp_path):
+    loop.run(lambda record: record.cycle == 19)
+    bench.remove_sink(recorder)
+    opened = open_recording(tmp_path / "loop.mcap")
+    told = verify_run(opened.bench, opened.run(0))
+    assert (told["cycles"], told["difference"]) == (20, None)
 
 @pytest.mark.parametrize("again", [False, True])
 def test_every_test_has_a_world_of_its_own(bench, again):
@@ -173,6 +189,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
     outcomes = {name: case.outcome for name, case in found.items()}
     assert outcomes == {
         "test_the_fixtures_are_one_bench": "passed",
+        "test_a_recorded_loop_can_be_replayed": "passed",
         "test_every_test_has_a_world_of_its_own[False]": "passed",
         "test_every_test_has_a_world_of_its_own[True]": "passed",
         "test_what_the_bench_has": "passed",
