@@ -98,3 +98,18 @@ def test_garbage_is_collected_only_in_spare_time():
         clock.t_ns += 30_000 * MS
         real_time.idle(clock.t_ns + 9 * MS)
         assert real_time.collections == 2
+
+
+def test_a_full_collection_that_fits_into_no_cycle_is_left_out():
+    clock, kept = Hand(), []
+    with RealTime(clock) as real_time:
+        kept += [[] for _ in range(20_000)]  # as many as a few hundred records are
+        full = gc.get_stats()[2]["collections"]
+        for _ in range(2):
+            clock.t_ns += 30_000 * MS
+            real_time.idle(clock.t_ns + 9 * MS)
+        assert real_time.collections == 2
+        assert gc.get_stats()[2]["collections"] == full
+        clock.t_ns += 30_000 * MS
+        real_time.idle(clock.t_ns + 200 * MS)
+        assert gc.get_stats()[2]["collections"] == full + 1
