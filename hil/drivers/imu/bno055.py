@@ -1,8 +1,8 @@
-"""BNO055 over UART as a sensor: identity, set-up, burst reads, and repair after a silent chip reset.
+"""BNO055 over UART as a sensor: burst reads, what to think of them, and repair after a silent chip reset.
 
 One burst per `read` covers gyro, quaternion, linear acceleration, gravity and calibration status
 (registers 0x14..0x35, 36 bytes on the wire). A chip that has reset itself answers happily with zeros
-in CONFIG mode; the driver notices, restores mode and offsets, and reports `Status.RESET`.
+in CONFIG mode; the driver notices, has mode and offsets restored (`chip`), and reports `Status.RESET`.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from collections.abc import Mapping
 from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.imu import ImuConfig
 from hil.drivers.imu import burst
-from hil.drivers.imu.calibration import SIZE as CALIBRATION_SIZE
 from hil.drivers.imu.calibration import ImuCalibration
+from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
 from hil.drivers.imu.link import ExchangeError, Link
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Sensor
@@ -22,24 +22,14 @@ from hil.signals import ImuSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 
-_PAGE = 0x07
 _REQUEST_BITS = 40.0
-_SYS_STATUS, _UNIT_SEL, _OPR_MODE, _TRIGGER = 0x39, 0x3B, 0x3D, 0x3F
-_POWER, _AXIS_MAP, _CALIBRATION = 0x3E, 0x41, 0x55
-_WITH_STATE = _OPR_MODE + 1 - burst.START
-_IDENTITY = bytes((0xA0, 0xFB, 0x32, 0x0F))
-_IDENTITY_NAMES = ("chip", "accelerometer", "magnetometer", "gyroscope")
-_MODES = {"imu": 0x8, "compass": 0x9, "m4g": 0xA, "ndof_fmc_off": 0xB, "ndof": 0xC}
-_TO_CONFIG_S, _TO_FUSION_S = 0.020, 0.008
-_SETUP_BUDGET_S = 0.25
-_CRYSTAL = 0x80
+_SYS_STATUS = 0x39
+_WITH_STATE = OPR_MODE + 1 - burst.START
 _SYSTEM_ERROR = 0x01
 
 _OUTAGE_AFTER = 3
 _RECHECK_NS = 50_000_000
 _WITHOUT_VALUES = (Status.RESET, Status.STARTING)
-_IDENTIFY_PERIOD_S = 0.05
-_REMEDY = "check power, wiring, baud rate and that the PS1 pin selects UART"
 
 
 class Bno055Imu(Sensor[ImuSample]):
@@ -56,7 +46,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._config, self._clock = config, clock
         self._link: Link | None = None
         self._identity: dict[str, str] = {}
-        self._mode = _MODES[config.fusion_mode]
+        self._mode = MODES[config.fusion_mode]
         self._calibration: ImuCalibration | None = None
         self._retry_ns = nanoseconds(config.retry_budget_s)
         self._patience_ns = nanoseconds(config.reply_timeout_s)
@@ -77,14 +67,12 @@ class Bno055Imu(Sensor[ImuSample]):
         self.close()
         if self._config.calibration_file is not None:
             self._calibration = ImuCalibration.load(self._config.calibration_file)
-        self._link = Link(self._config, self._clock, self.name)
+        self._link = link = Link(self._config, self._clock, self.name)
+        self._chip = Chip(link, self._config, self._clock, self.name, self._calibration)
         deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
         try:
-            identity = self._identify(deadline_ns)
-            self._set_up(deadline_ns)
-        except ExchangeError as error:
-            self.close()
-            raise self._failure(error, "the BNO055 cannot be set up") from None
+            identity = self._chip.identify(deadline_ns)
+            self._chip.prepare(deadline_ns)
         except BaseException:
             self.close()
             raise
@@ -149,15 +137,8 @@ class Bno055Imu(Sensor[ImuSample]):
         Raises:
             DeviceError: the chip did not answer as it should.
         """
-        link = self._opened()
-        try:
-            deadline_ns = self._clock.now_ns() + nanoseconds(_SETUP_BUDGET_S)
-            self._leave_fusion(link, deadline_ns)
-            found = ImuCalibration.from_bytes(link.read(_CALIBRATION, CALIBRATION_SIZE, deadline_ns))
-            self._enter_fusion(link, deadline_ns)
-        except ExchangeError as error:
-            raise self._failure(error, "the calibration cannot be read") from None
-        return found
+        self._opened()
+        return self._chip.read_offsets()
 
     def write_calibration(self, calibration: ImuCalibration) -> None:
         """Have the chip use these offsets now and after every reset it may have while open.
@@ -167,10 +148,7 @@ class Bno055Imu(Sensor[ImuSample]):
         """
         self._calibration = calibration
         self._opened()
-        try:
-            self._set_up(self._clock.now_ns() + nanoseconds(_SETUP_BUDGET_S))
-        except ExchangeError as error:
-            raise self._failure(error, "the calibration cannot be written") from None
+        self._chip.write_offsets(calibration)
 
     def _opened(self) -> Link:
         if self._link is None:
@@ -178,69 +156,6 @@ class Bno055Imu(Sensor[ImuSample]):
                 self.name, "used while closed", port=self._config.port, remedy="call open() first"
             )
         return self._link
-
-    def _identify(self, deadline_ns: int) -> dict[str, str]:
-        """Wait for the chip (it may be booting), then compare the identity bytes."""
-        link = self._opened()
-        while True:
-            now_ns = self._clock.now_ns()
-            try:
-                link.write(_PAGE, b"\x00", now_ns)
-                data = link.read(0x00, 7, now_ns + self._retry_ns)
-            except ExchangeError as error:
-                if now_ns >= deadline_ns:
-                    raise self._failure(error, "no BNO055 answers") from None
-            else:
-                if data[:4] == _IDENTITY:
-                    break
-                if now_ns >= deadline_ns:
-                    raise self._wrong_identity(data)
-            self._clock.sleep_until_ns(now_ns + nanoseconds(_IDENTIFY_PERIOD_S))
-        return {
-            "model": "BNO055",
-            "chip_id": f"0x{data[0]:02X}",
-            "firmware": f"{data[5]:x}.{data[4]:02x}",
-            "bootloader": f"{data[6]:02x}",
-            "port": self._config.port,
-        }
-
-    def _wrong_identity(self, data: bytes) -> DeviceError:
-        table = ", ".join(
-            f"{name} 0x{want:02X} found 0x{have:02X}"
-            for name, want, have in zip(_IDENTITY_NAMES, _IDENTITY, data[:4], strict=True)
-        )
-        return DeviceError(
-            self.name,
-            "another device answers",
-            port=self._config.port,
-            expected=table,
-            remedy="check the port; the Bosch USB stick speaks another protocol",
-        )
-
-    def _set_up(self, deadline_ns: int) -> None:
-        """CONFIG mode, units, axes, offsets, then the fusion mode."""
-        link = self._opened()
-        self._leave_fusion(link, deadline_ns)
-        link.write(_POWER, b"\x00", deadline_ns)
-        link.write(_UNIT_SEL, b"\x00", deadline_ns)
-        if self._config.external_crystal:
-            link.write(_TRIGGER, bytes((_CRYSTAL,)), deadline_ns)
-        link.write(_AXIS_MAP, bytes((self._config.axis_map, self._config.axis_sign)), deadline_ns)
-        if self._calibration is not None:
-            link.write(_CALIBRATION, self._calibration.to_bytes(), deadline_ns)
-        self._enter_fusion(link, deadline_ns)
-
-    def _leave_fusion(self, link: Link, deadline_ns: int) -> None:
-        link.write(_PAGE, b"\x00", deadline_ns)
-        link.write(_OPR_MODE, b"\x00", deadline_ns)
-        self._wait(_TO_CONFIG_S)
-
-    def _enter_fusion(self, link: Link, deadline_ns: int) -> None:
-        link.write(_OPR_MODE, bytes((self._mode,)), deadline_ns)
-        self._wait(_TO_FUSION_S)
-
-    def _wait(self, duration_s: float) -> None:
-        self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(duration_s))
 
     def _check(self, link: Link, now_ns: int) -> None:
         """Look at mode and system status."""
@@ -255,7 +170,7 @@ class Bno055Imu(Sensor[ImuSample]):
         if state[4] & 0x0F != self._mode:
             _LOG.warning("%s at %s has lost its mode: set up again", self.name, self._config.port)
             self._suspicious = True
-            self._set_up(now_ns + nanoseconds(_SETUP_BUDGET_S))
+            self._chip.repair(now_ns)
             self._suspicious, self._was_reset = False, True
 
     def _failed(self, error: ExchangeError) -> ImuSample:
@@ -278,18 +193,8 @@ class Bno055Imu(Sensor[ImuSample]):
                 f"nothing usable for {(now_ns - self._good_ns) / NS_PER_S:.1f} s ({reason})",
                 port=self._config.port,
                 expected="a burst in every cycle",
-                remedy=_REMEDY,
+                remedy=REMEDY,
             )
-
-    def _failure(self, error: ExchangeError, what: str) -> DeviceError:
-        kind = DeviceTimeoutError if error.status is Status.TIMEOUT else DeviceError
-        return kind(
-            self.name,
-            f"{what} ({error.reason})",
-            port=self._config.port,
-            expected=f"replies at {self._config.baud} baud",
-            remedy=_REMEDY,
-        )
 
     def _stamp(self, host_ns: int, age_ns: int) -> Stamp:
         self._sequence += 1
