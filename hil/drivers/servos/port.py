@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import errno
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from dynamixel_sdk import PortHandler
@@ -20,6 +22,7 @@ from hil.errors import DeviceError
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4
 _TIMEOUT_STEP_S = 5e-4
+_PATIENCE_S = 0.02
 
 
 class PortLost(Exception):
@@ -38,7 +41,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     Attributes:
         return_delay_s: longest of the servos', part of a reply's time.
-        patience_s: what set-up waits beyond that: unlike a control cycle it may, when the host is busy.
     """
 
     def __init__(self, url: str, baud: int, clock: Clock, *, latency_s: float, slack_s: float) -> None:
@@ -48,7 +50,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self.baudrate: int = baud
         self.return_delay_s = 508e-6
         self._clock = clock
-        self.patience_s = 0.0
+        self._patience_s = 0.0
         self._latency_s = latency_s
         self._wait_s = latency_s + slack_s
         self._sent_ns = 0
@@ -105,9 +107,18 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         """Time of `count` bytes on the wire."""
         return count * _BITS / self.baudrate
 
+    @contextmanager
+    def patient(self) -> Iterator[None]:
+        """Outside the control cycle: replies may take longer meanwhile, when the host is busy."""
+        before, self._patience_s = self._patience_s, _PATIENCE_S
+        try:
+            yield
+        finally:
+            self._patience_s = before
+
     def reply_s(self, sent: int, expected: int, delays: int = 1) -> float:
         """Longest time from a request of `sent` bytes to the end of a reply of `expected`, s."""
-        wait_s = self._wait_s + self.patience_s
+        wait_s = self._wait_s + self._patience_s
         return self.wire_s(sent + expected) + delays * self.return_delay_s + wait_s
 
     def answer_ns(self, count: int) -> int:

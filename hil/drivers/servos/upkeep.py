@@ -22,9 +22,6 @@ from hil.signals import SERVOS, Status
 
 _LOG = logging.getLogger(__name__)
 
-PATIENCE_S = 0.02
-"""What checks outside the cycle wait beside what the wire needs, when the host is busy."""
-
 _FULL_LEVEL = 2
 _ATTEMPTS = 3
 
@@ -103,7 +100,7 @@ class Upkeep:
             self._bus.send(hold)
             self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
             self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
-            state = self.audit(ids, patience_s=PATIENCE_S)
+            state = self.audit(ids)
             missing = [SERVOS[j] for j in range(len(SERVOS)) if not state.get(j, (0, 0))[0]]
             if not missing:
                 return
@@ -125,7 +122,7 @@ class Upkeep:
         for _ in range(_ATTEMPTS):
             self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
             self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
-            state = self.audit(ids, patience_s=PATIENCE_S)
+            state = self.audit(ids)
             left = [SERVOS[j] for j, (torque, _) in state.items() if torque]
             asked = [self._ids.index(i) for i in ids]
             left += [f"{SERVOS[j]} (no answer)" for j in asked if j not in state]
@@ -139,12 +136,10 @@ class Upkeep:
             remedy="cut the servos' supply",
         )
 
-    def audit(self, ids: Sequence[int], *, patience_s: float = 0.0) -> dict[int, tuple[int, int]]:
-        """(torque, watchdog) of the servos that answer, by joint; remembers hardware errors.
+    def audit(self, ids: Sequence[int]) -> dict[int, tuple[int, int]]:
+        """(torque, watchdog) by joint, of those among `ids` that answer; remembers hardware errors.
 
-        Args:
-            ids: servos to ask.
-            patience_s: beside what the wire needs: outside the cycle a busy host may take its time.
+        Waits longer than a cycle may, when the host is busy.
         """
         if not ids:
             return {}
@@ -153,7 +148,8 @@ class Upkeep:
         )
         group = GroupRead(ids, address, length, fast=self._fast)
         delays = 1 if self._fast else len(ids)
-        timeout_s = patience_s + self._bus.port.reply_s(len(group.request), group.expected, delays)
+        with self._bus.port.patient():
+            timeout_s = self._bus.port.reply_s(len(group.request), group.expected, delays)
         answers = group.answers(self._bus.exchange(group, timeout_s).data)
         state = {}
         for servo_id, answer in answers.items():

@@ -36,7 +36,7 @@ from hil.drivers.servos.identity import Finding
 from hil.drivers.servos.outage import OutageWatch
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.turns import TurnCounter
-from hil.drivers.servos.upkeep import PATIENCE_S, Upkeep
+from hil.drivers.servos.upkeep import Upkeep
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Actuators
 from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
@@ -84,13 +84,12 @@ class XH430Servos(Actuators):
         )
         port.open(self.name)
         self._bus = bus = Bus(port, self._clock, self.name)
-        port.patience_s = PATIENCE_S
         try:
-            self._set_up(bus)
+            with port.patient():
+                self._set_up(bus)
         except BaseException:
             self.close()
             raise
-        port.patience_s = 0.0
 
     def _set_up(self, bus: Bus) -> None:
         config = self._config
@@ -259,7 +258,7 @@ class XH430Servos(Actuators):
                 expected="an answer from all eight servos",
                 remedy="check cable, power and IDs",
             )  # fmt: skip
-        self._upkeep.audit(self._cycle.live_ids, patience_s=PATIENCE_S)
+        self._upkeep.audit(self._cycle.live_ids)
         self._upkeep.refuse_hardware_errors()
         self._goals.hold(self._registers)
         self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
