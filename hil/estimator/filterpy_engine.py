@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from hil.clock import NS_PER_S
 from hil.estimator import layout as L
 from hil.estimator import replay as kernels
 from hil.estimator.conditioning import guard
-from hil.estimator.fusion import Engine
+from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
 from hil.estimator.sensors import jacobian, observe, predicted
@@ -92,7 +93,7 @@ class FilterpyEngine(Engine):
             self._filter.predict_x = self._predict_mean
             self._step_s = 0.0
 
-    def run(self, history: History, begin: int, zero_ns: int) -> None:
+    def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """Event by event, in Python."""
         h, capacity = history, len(history.t_ns)
         for k in range(begin, h.count):
@@ -100,6 +101,8 @@ class FilterpyEngine(Engine):
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
             self._take(int(h.kinds[i]), float(h.t_ns[i] - zero_ns), h.x[i], h.p[i], h.m[i], h.data[i])
+        now.x[:], now.p[:], now.m[:] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
+        self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
         """Filterpy's prediction."""

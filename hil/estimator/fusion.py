@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from operator import itemgetter
 from typing import Protocol
 
 import numpy as np
@@ -18,8 +17,8 @@ from hil.config.estimator import EstimatorConfig
 from hil.errors import UsageError
 from hil.estimator import layout as L
 from hil.estimator.history import History
-from hil.estimator.intake import Event, Intake
-from hil.estimator.replay import advance, run
+from hil.estimator.intake import REASONS, Intake
+from hil.estimator.replay import run_to
 from hil.geometry import Array
 from hil.interfaces import Estimator
 from hil.kinematics import WheelGeometry
@@ -49,19 +48,31 @@ _FIGURES = {
     "rejected_wheel_fl": L.WHEEL_REJECTED, "rejected_wheel_bl": L.WHEEL_REJECTED + 1,
     "rejected_wheel_br": L.WHEEL_REJECTED + 2, "rejected_wheel_fr": L.WHEEL_REJECTED + 3,
 }  # fmt: skip
-_PICKED = itemgetter(*_FIGURES.values())
+_PLACES = np.array(tuple(_FIGURES.values()))
+_REJECTED = {name: f"rejected_{name}" for name in REASONS}
+_AGES = {name: f"age_{name}_s" for name in L.SENSORS}
+
+
+class Now:
+    """The newest state and sensor memory, at the time of the cycle.
+
+    Attributes:
+        figures: (97,) memory, state and what is derived of them, as the diagnostics pick from it.
+        x, p, m: (20,), (20, 20), (72,); x and m are parts of `figures`.
+    """
+
+    def __init__(self) -> None:
+        self.figures = np.zeros(_AFTER + 5)
+        self.m, self.x = self.figures[: L.MEMORY], self.figures[L.MEMORY : _AFTER]
+        self.p = np.zeros((L.STATES, L.STATES))
 
 
 class Engine(Protocol):
     """How events are run through the filter."""
 
     @abstractmethod
-    def run(self, history: History, begin: int, zero_ns: int) -> None:
-        """Replay the events of a history from `begin` to its end."""
-
-    @abstractmethod
-    def advance(self, x: Array, p: Array, dt_s: float) -> None:
-        """Predict one state in place."""
+    def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
+        """Replay the events of a history from `begin` to its end; `now` is its last state at `now_ns`."""
 
 
 class CompiledEngine(Engine):
@@ -70,17 +81,13 @@ class CompiledEngine(Engine):
     def __init__(self, par: Array, wheels: Array, rows: Array) -> None:
         self._par, self._wheels, self._rows = par, wheels, rows
 
-    def run(self, history: History, begin: int, zero_ns: int) -> None:
+    def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """One call for the whole stretch."""
         h = history
-        run(
-            h.first, begin, h.count, zero_ns, h.t_ns, h.kinds, h.data, h.x, h.p, h.m,
-            self._par, self._wheels, self._rows,
+        run_to(
+            h.marks, begin, zero_ns, h.t_ns, h.kinds, h.data, h.x, h.p, h.m,
+            self._par, self._wheels, self._rows, now_ns, now.x, now.p, now.m,
         )  # fmt: skip
-
-    def advance(self, x: Array, p: Array, dt_s: float) -> None:
-        """Kernel prediction."""
-        advance(x, p, dt_s, self._par)
 
 
 class FusionEstimator(Estimator):
@@ -98,10 +105,10 @@ class FusionEstimator(Estimator):
     ) -> None:  # fmt: skip
         self.config, self.geometry, self.surface = config, geometry, surface
         self.engine, self._diagnosed = engine, diagnostics
-        self._gates = config.gates
         self._intake = Intake(config)
         self.history = History(nanoseconds(config.time.history_s))
-        self._x, self._p = np.zeros(L.STATES), np.zeros((L.STATES, L.STATES))
+        self._now = Now()
+        self._now.figures[_AFTER : _AFTER + 2] = config.gates.one_dof, config.gates.three_dof
         self._ready = False
 
     def reset(self, state: RobotState) -> None:
@@ -122,56 +129,35 @@ class FusionEstimator(Estimator):
             covariance = np.diag([1e-6] * 3 + [_TWIST_SIGMA**2] * 3)
             start_ns = measurements.t_ns - self.history.span_ns
             self.reset(RobotState(start_ns, np.zeros(3), np.zeros(3), covariance))
-        h = self.history
-        events = self._intake.events(measurements, h.base_ns)
-        h.trim(max(measurements.t_ns, int(h.t_ns[h.newest])), len(events))
-        begin = h.count
-        for t_ns, kind, seq, row in sorted(events, key=_stamp):
-            if t_ns <= h.base_ns:
-                self._intake.refused["late"] += 1
-                continue
-            place = h.add(t_ns, kind, seq, row)
-            if place < 0:
-                self._intake.refused["duplicate"] += 1
-            else:
-                begin = min(begin, place)
-        if begin < h.count:
-            self.engine.run(h, begin, self._zero_ns)
-        return self._state(measurements.t_ns)
-
-    def _state(self, t_ns: int) -> RobotState:
-        h, last = self.history, self.history.newest
-        x, p = self._x, self._p
-        x[:], p[:] = h.x[last], h.p[last]
-        ahead_ns = t_ns - int(h.t_ns[last])
-        if ahead_ns > 0:
-            self.engine.advance(x, p, ahead_ns / NS_PER_S)
+        h, now = self.history, self._now
+        begin = h.enter(self._intake.stage(measurements, h.base_ns), measurements.t_ns)
+        self.engine.run(h, begin, self._zero_ns, measurements.t_ns, now)
         return RobotState(
-            t_ns=t_ns,
-            pose_body_in_wall=x[:3].copy(),
-            twist_body=x[3:6].copy(),
-            covariance=p[:6, :6].copy(),
-            diagnostics=self._diagnostics(t_ns, x, p, h.m[last]) if self._diagnosed else {},
+            t_ns=measurements.t_ns,
+            pose_body_in_wall=now.x[:3].copy(),
+            twist_body=now.x[3:6].copy(),
+            covariance=now.p[:6, :6].copy(),
+            diagnostics=self._diagnostics(measurements.t_ns) if self._diagnosed else {},
         )
 
-    def _diagnostics(self, t_ns: int, x: Array, p: Array, m: Array) -> dict[str, float]:
+    def _diagnostics(self, t_ns: int) -> dict[str, float]:
         """Figures by name, in this order: what the sensors said, what was refused, ages."""
-        gates, slip_m_s = self._gates, float(x[L.SLIP_X])
-        sigmas = (math.sqrt(max(p.item(k, k), 0.0)) for k in (L.SCALE, L.SLIP_X))
-        values = (*m.tolist(), *x.tolist(), gates.one_dof, gates.three_dof, -slip_m_s, *sigmas)
-        out: dict[str, float] = dict(zip(_FIGURES, _PICKED(values), strict=True))
-        for name, count in self._intake.refused.items():
-            out[f"rejected_{name}"] = float(count)
+        now, intake, figures = self._now, self._intake, self._now.figures
+        figures[_AFTER + 2] = -figures[L.MEMORY + L.SLIP_X]
+        for k, place in ((3, L.SCALE), (4, L.SLIP_X)):
+            figures[_AFTER + k] = math.sqrt(max(now.p.item(place, place), 0.0))
+        out: dict[str, float] = dict(zip(_FIGURES, figures.take(_PLACES).tolist(), strict=True))
+        _, _, late, duplicate = self.history.marks.tolist()
+        for name, count in intake.refused.items():
+            out[_REJECTED[name]] = float(count)
+        out["rejected_late"] += late
+        out["rejected_duplicate"] += duplicate
         if self.config.time.clock == "estimated":
-            for name, clock in self._intake.clocks.items():
+            for name, clock in intake.clocks.items():
                 out[f"clock_offset_{name}_s"], out[f"clock_drift_{name}"] = clock.offset_s, clock.drift
-        for name, last_ns in self._intake.last_ns.items():
-            out[f"age_{name}_s"] = (t_ns - last_ns) / NS_PER_S
+        for name, last_ns in intake.last_ns.items():
+            out[_AGES[name]] = (t_ns - last_ns) / NS_PER_S
         return out
-
-
-def _stamp(event: Event) -> int:
-    return event[0]
 
 
 def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array, Array]:

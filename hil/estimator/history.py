@@ -10,10 +10,12 @@ import numpy as np
 
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
+from hil.estimator.intake import Staged
 from hil.estimator.replay import Ints
 from hil.geometry import Array
 
 CAPACITY = 2048
+FIRST, COUNT, LATE, DUPLICATE = range(4)
 
 
 @compiled
@@ -68,6 +70,67 @@ def insert(
     return place
 
 
+@compiled
+def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> None:
+    """Forget events older than the span, and more of them where `room` new ones would not fit."""
+    capacity = t_ns.shape[0]
+    now_ns = max(now_ns, t_ns[(marks[FIRST] + marks[COUNT] - 1) % capacity])
+    while marks[COUNT] > 1:
+        second = (marks[FIRST] + 1) % capacity
+        if now_ns - t_ns[second] < span_ns and marks[COUNT] + room <= capacity:
+            return
+        marks[FIRST] = second
+        marks[COUNT] -= 1
+
+
+@compiled
+def enter(
+    marks: Ints, t_ns: Ints, kinds: Ints, seqs: Ints, data: Array, span_ns: int, now_ns: int,
+    number: int, new_ns: Ints, new_kinds: Ints, new_seqs: Ints, new: Array,
+) -> int:  # fmt: skip
+    """Put a cycle's samples into the ring, old ones first; the first place to replay from.
+
+    Args:
+        marks: (4,) first slot, number of events, refused as late, refused as duplicates; changed in place.
+        t_ns: (capacity,) stamps of the ring, and its
+        kinds: (capacity,),
+        seqs: (capacity,) and
+        data: (capacity, 16), all changed in place.
+        span_ns: how far back a sample may lie.
+        now_ns: time of the cycle.
+        number: of new samples.
+        new_ns: (room,) their stamps in any order, and their
+        new_kinds: (room,),
+        new_seqs: (room,) and
+        new: (room, 16).
+    """
+    capacity = t_ns.shape[0]
+    let_go(marks, t_ns, span_ns, now_ns, number)
+    begin = int(marks[COUNT])
+    order = np.argsort(new_ns[:number], kind="mergesort")
+    for k in range(number):
+        n, newest = order[k], (marks[FIRST] + marks[COUNT] - 1) % capacity
+        if new_ns[n] <= t_ns[marks[FIRST]] or number - k > capacity - marks[COUNT]:
+            marks[LATE] += 1
+            continue
+        place = marks[COUNT]
+        if new_ns[n] > t_ns[newest]:
+            i = (newest + 1) % capacity
+            t_ns[i], kinds[i], seqs[i] = new_ns[n], new_kinds[n], new_seqs[n]
+            data[i] = new[n]
+        else:
+            place = insert(
+                marks[FIRST], marks[COUNT], t_ns, kinds, seqs, data,
+                new_ns[n], new_kinds[n], new_seqs[n], new[n],
+            )  # fmt: skip
+        if place < 0:
+            marks[DUPLICATE] += 1
+        else:
+            marks[COUNT] += 1
+            begin = min(begin, int(place))
+    return begin
+
+
 class History:
     """Ring of events and checkpoints.
 
@@ -85,43 +148,41 @@ class History:
         self.x = np.zeros((capacity, L.STATES))
         self.p = np.zeros((capacity, L.STATES, L.STATES))
         self.m = np.zeros((capacity, L.MEMORY))
-        self.first = self.count = 0
+        self.marks = np.zeros(4, dtype=np.int64)
 
     def reset(self, t_ns: int, x: Array, p: Array, m: Array) -> None:
         """Forget everything and start from one state."""
-        self.first, self.count = 0, 1
+        self.marks[:] = 0, 1, 0, 0
         self.t_ns[0], self.kinds[0], self.seqs[0] = t_ns, L.RESET, 0
         self.data[0] = 0.0
         self.x[0], self.p[0], self.m[0] = x, p, m
 
     @property
+    def first(self) -> int:
+        """Ring slot of the base, event 0."""
+        return self.marks.item(FIRST)
+
+    @property
+    def count(self) -> int:
+        """Number of events, the base among them."""
+        return self.marks.item(COUNT)
+
+    @property
     def base_ns(self) -> int:
         """Stamp of the oldest state that can be returned to."""
-        return int(self.t_ns[self.first])
+        return self.t_ns.item(self.first)
 
     @property
     def newest(self) -> int:
         """Ring slot of the newest event."""
         return (self.first + self.count - 1) % len(self.t_ns)
 
-    def trim(self, now_ns: int, room: int) -> None:
-        """Let go of events older than the span, and of more where `room` new events would not fit."""
-        capacity = len(self.t_ns)
-        while self.count > 1:
-            second = (self.first + 1) % capacity
-            if now_ns - self.t_ns[second] < self.span_ns and self.count + room <= capacity:
-                return
-            self.first, self.count = second, self.count - 1
-
-    def add(self, t_ns: int, kind: int, seq: int, row: Array) -> int:
-        """Insert one event; its place counted from the base, or -1 for a duplicate."""
-        if t_ns > self.t_ns[self.newest]:
-            i = (self.first + self.count) % len(self.t_ns)
-            self.t_ns[i], self.kinds[i], self.seqs[i], self.data[i] = t_ns, kind, seq, row
-            self.count += 1
-            return self.count - 1
-        place = insert(
-            self.first, self.count, self.t_ns, self.kinds, self.seqs, self.data, t_ns, kind, seq, row
-        )
-        self.count += place > 0
-        return place
+    def enter(self, staged: Staged, now_ns: int) -> int:
+        """Put a cycle's samples in; the first place to replay from, `count` when nothing is new."""
+        s = staged
+        return int(
+            enter(
+                self.marks, self.t_ns, self.kinds, self.seqs, self.data, self.span_ns, now_ns,
+                s.count, s.t_ns, s.kinds, s.seqs, s.rows,
+            )
+        )  # fmt: skip

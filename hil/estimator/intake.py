@@ -6,7 +6,6 @@ Counts are by name and part of the diagnostics: `rejected_not_finite`, `rejected
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -14,13 +13,30 @@ from hil.clock import nanoseconds
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import layout as L
 from hil.estimator.clocks import SensorClock
+from hil.estimator.replay import Ints
 from hil.geometry import Array
 from hil.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 REASONS = ("not_finite", "shape", "late", "future", "duplicate")
-_FOUR = (4,)
+_FOUR, _THREE, _TWO = (4,), (3,), (2,)
+_ROOM = 64
 
-Event = tuple[int, int, int, Array]
+
+class Staged:
+    """Room for the usable samples of one cycle, in the order in which they came.
+
+    Attributes:
+        count: how many there are.
+        t_ns, kinds, seqs: (room,) stamps, sensor ids, sequence numbers.
+        rows: (room, 16) event rows.
+    """
+
+    def __init__(self, room: int) -> None:
+        self.count = 0
+        self.t_ns: Ints = np.zeros(room, dtype=np.int64)
+        self.kinds: Ints = np.zeros(room, dtype=np.int64)
+        self.seqs: Ints = np.zeros(room, dtype=np.int64)
+        self.rows = np.zeros((room, L.ROW_DATA))
 
 
 class Intake:
@@ -30,6 +46,7 @@ class Intake:
         self._future_ns = nanoseconds(config.time.future_s)
         self._estimated = config.time.clock == "estimated"
         self._use_mocap = config.mocap.use
+        self._staged = Staged(_ROOM)
         self.reset()
 
     def reset(self) -> None:
@@ -38,79 +55,84 @@ class Intake:
         self.clocks = {name: SensorClock() for name in L.SENSORS[1:]}
         self.last_ns: dict[str, int] = {}
 
-    def events(self, measurements: Measurements, oldest_ns: int) -> list[Event]:
-        """Usable samples of a cycle as (stamp, sensor id, sequence, row)."""
-        out = []
-        newest_ns, last_ns = measurements.t_ns + self._future_ns, self.last_ns
-        for kind, stamp, row in self._rows(measurements):
-            if row is None:
-                continue
-            name = L.SENSORS[kind]
-            t_ns = self._stamp(name, stamp) if self._estimated else stamp.t_ns
-            if t_ns <= oldest_ns:
-                self.refused["late"] += 1
-            elif t_ns > newest_ns:
-                self.refused["future"] += 1
-            else:
-                last_ns[name] = max(t_ns, last_ns.get(name, t_ns))
-                out.append((t_ns, kind, stamp.seq, row))
-        return out
+    def stage(self, measurements: Measurements, oldest_ns: int) -> Staged:
+        """Usable samples of a cycle; good until the next call."""
+        wheels, gyro, tracker = measurements.wheels, measurements.gyro, measurements.tracker
+        mocap = measurements.mocap if self._use_mocap else ()
+        staged, many = self._staged, len(wheels) + len(gyro) + len(tracker) + len(mocap)
+        if many > len(staged.t_ns):
+            staged = self._staged = Staged(2 * many)
+        staged.count = 0
+        newest_ns = measurements.t_ns + self._future_ns
+        for w in wheels:
+            if self._wheels(w, staged.rows[staged.count]):
+                self._keep(staged, L.WHEELS, w.stamp, oldest_ns, newest_ns)
+        for g in gyro:
+            if self._gyro(g, staged.rows[staged.count]):
+                self._keep(staged, L.GYRO, g.stamp, oldest_ns, newest_ns)
+        for kind, poses in ((L.TRACKER, tracker), (L.MOCAP, mocap)):
+            for p in poses:
+                if self._pose(p, staged.rows[staged.count]):
+                    self._keep(staged, kind, p.stamp, oldest_ns, newest_ns)
+        return staged
 
-    def _stamp(self, name: str, stamp: Stamp) -> int:
-        clock = self.clocks[name]
-        clock.add(stamp.t_ns, stamp.host_ns)
-        return stamp.t_ns + clock.correction_ns(stamp.t_ns)
-
-    def _rows(self, measurements: Measurements) -> Iterator[tuple[int, Stamp, Array | None]]:
-        for w in measurements.wheels:
-            yield L.WHEELS, w.stamp, self._wheels(w)
-        for g in measurements.gyro:
-            yield L.GYRO, g.stamp, self._gyro(g)
-        for t in measurements.tracker:
-            yield L.TRACKER, t.stamp, self._pose(t)
-        if self._use_mocap:
-            for c in measurements.mocap:
-                yield L.MOCAP, c.stamp, self._pose(c)
-
-    def _wheels(self, sample: WheelMeasurement) -> Array | None:
-        arrays = (sample.wheel_angle_rad, sample.steering_rad, sample.wheel_rate_rad_s)
-        if any(np.shape(a) != _FOUR for a in arrays) or len(sample.valid) != 4:
-            self.refused["shape"] += 1
-            return None
-        turned, steered, rates = (np.asarray(a).tolist() for a in arrays)
-        usable = [
-            float(ok) if math.isfinite(t) and math.isfinite(s) else 0.0
-            for ok, t, s in zip(sample.valid, turned, steered, strict=True)
-        ]
-        if not any(usable):
-            self.refused["not_finite"] += 1
-            return None
-        return np.array([*turned, *steered, *rates, *usable], dtype=np.float64)
-
-    def _gyro(self, sample: GyroMeasurement) -> Array | None:
-        pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)
-        if pull.shape != (2,):
-            self.refused["shape"] += 1
-            return None
-        if not (math.isfinite(sample.yaw_rate_rad_s) or math.isfinite(sample.gravity_heading_rad)):
-            self.refused["not_finite"] += 1
-            return None
-        row = np.zeros(L.ROW_DATA)
-        row[0], row[1] = sample.yaw_rate_rad_s, sample.gravity_heading_rad
-        if math.isfinite(pull[0]) and math.isfinite(pull[1]):
-            row[2], row[3] = pull
+    def _keep(self, staged: Staged, kind: int, stamp: Stamp, oldest_ns: int, newest_ns: int) -> None:
+        """Let the row in that was filled last, unless it is from another time."""
+        name, t_ns, last_ns = L.SENSORS[kind], stamp.t_ns, self.last_ns
+        if self._estimated:
+            clock = self.clocks[name]
+            clock.add(t_ns, stamp.host_ns)
+            t_ns += clock.correction_ns(t_ns)
+        if t_ns <= oldest_ns:
+            self.refused["late"] += 1
+        elif t_ns > newest_ns:
+            self.refused["future"] += 1
         else:
-            row[1] = math.nan
-        return row
+            if t_ns > last_ns.get(name, t_ns - 1):
+                last_ns[name] = t_ns
+            k = staged.count
+            staged.t_ns[k], staged.kinds[k], staged.seqs[k] = t_ns, kind, stamp.seq
+            staged.count = k + 1
 
-    def _pose(self, sample: PoseMeasurement) -> Array | None:
-        if np.shape(sample.pose) != (3,):
-            self.refused["shape"] += 1
-            return None
-        row = np.zeros(L.ROW_DATA)
-        row[0:3] = sample.pose
+    def _wheels(self, sample: WheelMeasurement, row: Array) -> bool:
+        turned, steered = np.asarray(sample.wheel_angle_rad), np.asarray(sample.steering_rad)
+        rates, valid = np.asarray(sample.wheel_rate_rad_s), sample.valid
+        if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
+            return self._refuse("shape")
+        row[:4], row[4:8], row[8:12], row[12:] = turned, steered, rates, valid
+        angles = row[:8].tolist()
+        if not math.isfinite(sum(angles)):
+            for i in range(4):
+                if not (math.isfinite(angles[i]) and math.isfinite(angles[4 + i])):
+                    row[12 + i] = 0.0
+            valid = row[12:].tolist()
+        return any(valid) or self._refuse("not_finite")
+
+    def _gyro(self, sample: GyroMeasurement, row: Array) -> bool:
+        pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)
+        if pull.shape != _TWO:
+            return self._refuse("shape")
+        rate, heading = sample.yaw_rate_rad_s, sample.gravity_heading_rad
+        if not (math.isfinite(rate) or math.isfinite(heading)):
+            return self._refuse("not_finite")
+        ahead, left = pull.tolist()
+        if not (math.isfinite(ahead) and math.isfinite(left)):
+            heading, ahead, left = math.nan, 0.0, 0.0
+        row[:] = 0.0
+        row[0], row[1], row[2], row[3] = rate, heading, ahead, left
+        return True
+
+    def _pose(self, sample: PoseMeasurement, row: Array) -> bool:
+        pose = np.asarray(sample.pose)
+        if pose.shape != _THREE:
+            return self._refuse("shape")
+        if not all(map(math.isfinite, pose.tolist())):
+            return self._refuse("not_finite")
+        row[:] = 0.0
+        row[:3] = pose
         row[3], row[4] = sample.quality, sample.valid
-        if not (math.isfinite(row[0]) and math.isfinite(row[1]) and math.isfinite(row[2])):
-            self.refused["not_finite"] += 1
-            return None
-        return row
+        return True
+
+    def _refuse(self, reason: str) -> bool:
+        self.refused[reason] += 1
+        return False

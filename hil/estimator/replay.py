@@ -246,6 +246,27 @@ def take(
 
 
 @compiled
+def run_to(
+    marks: Ints, begin: int, zero_ns: int, t_ns: Ints, kinds: Ints, data: Array, x: Array, p: Array, m: Array,
+    par: Array, wheels: Array, rows: Array, now_ns: int, now_x: Array, now_p: Array, now_m: Array,
+) -> None:  # fmt: skip
+    """`run` to the end of a history, and its newest state predicted to `now_ns` where that is later.
+
+    `marks` (4,) begins with the first slot and the number of events; `now_x` (20,), `now_p` (20, 20) and
+    `now_m` (72,) are filled. Everything else is as for `run`.
+    """
+    first, count = marks[0], marks[1]
+    run(first, begin, count, zero_ns, t_ns, kinds, data, x, p, m, par, wheels, rows)
+    last = (first + count - 1) % t_ns.shape[0]
+    now_x[:] = x[last]
+    now_p[:] = p[last]
+    now_m[:] = m[last]
+    ahead_ns = now_ns - t_ns[last]
+    if ahead_ns > 0:
+        advance(now_x, now_p, ahead_ns / 1e9, par)
+
+
+@compiled
 def run(
     first: int, begin: int, end: int, zero_ns: int, t_ns: Ints, kinds: Ints, data: Array,
     x: Array, p: Array, m: Array, par: Array, wheels: Array, rows: Array,

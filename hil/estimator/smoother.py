@@ -16,7 +16,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
 from hil.estimator.fusion import start_of
-from hil.estimator.intake import Event, Intake
+from hil.estimator.intake import Intake
 from hil.estimator.process import advance_linear, anchor_matrix, transition
 from hil.estimator.replay import Ints, admit, innovations, moments, run
 from hil.estimator.sensors import jacobian, observe
@@ -49,7 +49,7 @@ def smooth(
     linear = config.model_copy(update={"kind": "ekf"})
     par = L.parameters(linear, surface)
     wheels, rows = L.wheel_tables(linear, geometry)
-    tape = _Tape(list(_ordered(linear, measurements, start.t_ns)), start.t_ns)
+    tape = _Tape(*_ordered(linear, measurements, start.t_ns), start.t_ns)
     begins = [start_of(linear, surface, start)]
     for segment in tape.segments():
         x, p, m = segment.forward(*begins[-1], par, wheels, rows)
@@ -68,14 +68,29 @@ def smooth(
     return tuple(reversed(states))
 
 
-def _ordered(config: EstimatorConfig, measurements: Iterable[Measurements], start_ns: int) -> Iterable[Event]:
-    """Every usable sample once, and a mark per cycle, in the filter's total order."""
-    intake, found = Intake(config), []
+def _ordered(
+    config: EstimatorConfig, measurements: Iterable[Measurements], start_ns: int
+) -> tuple[Ints, Array]:
+    """Every usable sample once, and a mark per cycle, in the filter's total order (NaN after all numbers).
+
+    Returns:
+        (n, 3) stamps, sensor ids, sequence numbers; (n, 16) event rows.
+    """
+    intake, nothing = Intake(config), np.zeros((1, L.ROW_DATA))
+    found: list[tuple[int, ...]] = []
+    rows = [nothing[:0]]
     for m in measurements:
-        found += [(t, kind, seq, tuple(row.tolist())) for t, kind, seq, row in intake.events(m, start_ns)]
-        found.append((m.t_ns, L.RESET, m.cycle, (0.0,) * L.ROW_DATA))
-    for t_ns, kind, seq, values in sorted(set(found)):
-        yield t_ns, kind, seq, np.array(values)
+        s = intake.stage(m, start_ns)
+        found += zip(*(a[: s.count].tolist() for a in (s.t_ns, s.kinds, s.seqs)), strict=True)
+        found.append((m.t_ns, L.RESET, m.cycle))
+        rows += [s.rows[: s.count].copy(), nothing]
+    keys, data = np.array(found, dtype=np.int64).reshape(-1, 3), np.concatenate(rows)
+    order = np.lexsort((*data.T[::-1], *keys.T[::-1]))
+    keys, data = keys[order], data[order]
+    both = (data[1:] == data[:-1]) | (np.isnan(data[1:]) & np.isnan(data[:-1]))
+    fresh = np.ones(len(keys), dtype=np.bool_)
+    fresh[1:] = ~(both.all(axis=1) & (keys[1:] == keys[:-1]).all(axis=1))
+    return keys[fresh], data[fresh]
 
 
 class _Segment:
@@ -98,13 +113,10 @@ class _Segment:
 class _Tape:
     """All events of a run."""
 
-    def __init__(self, events: Sequence[Event], start_ns: int) -> None:
+    def __init__(self, keys: Ints, data: Array, start_ns: int) -> None:
         self._zero_ns = start_ns
-        self._t_ns = np.array([start_ns, *(e[0] for e in events)], dtype=np.int64)
-        self._kinds = np.array([L.RESET, *(e[1] for e in events)], dtype=np.int64)
-        self._data = np.zeros((len(events) + 1, L.ROW_DATA))
-        for k, event in enumerate(events):
-            self._data[k + 1] = event[3]
+        self._t_ns, self._kinds = np.r_[start_ns, keys[:, 0]], np.r_[L.RESET, keys[:, 1]]
+        self._data = np.concatenate([np.zeros((1, L.ROW_DATA)), data])
 
     def segments(self) -> list[_Segment]:
         """The run in stretches whose states fit in memory; neighbours share one event."""
@@ -210,15 +222,16 @@ def backward(
         late: (20,) and
         spread: (20, 20), see `pull_update`; changed in place.
         xs: (n, 20) and
-        ps: (n, 6, 6), filled with smoothed states and the covariance of pose and twist, rows 1 on.
+        ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
     """
     for k in range(t_ns.shape[0] - 1, 0, -1):
-        xs[k] = x[k] - p[k] @ late
-        ps[k] = (p[k] - p[k] @ spread @ p[k])[:6, :6]
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
         kind, stamp = kinds[k], float(t_ns[k] - zero_ns)
         use = 0
-        if kind != L.RESET:
+        if kind == L.RESET:
+            xs[k] = x[k] - p[k] @ late
+            ps[k] = (p[k] - p[k] @ spread @ p[k])[:6, :6]
+        else:
             use = admit(kind, stamp, m[k - 1], data[k], par)
         if use == 1 or use == 2:
             before, spread_before = x[k - 1].copy(), p[k - 1].copy()

@@ -1,0 +1,73 @@
+"""What enters the filter: floods, duplicates and rows that are not finite, in any order of arrival."""
+
+from dataclasses import replace
+
+import numpy as np
+from estimator_drives import drive
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import make_estimator
+from hil.estimator.history import CAPACITY
+from hil.estimator.smoother import smooth
+from hil.kinematics import WheelGeometry
+
+
+def bits(states):
+    return [s.pose_body_in_wall.tobytes() + s.twist_body.tobytes() + s.covariance.tobytes() for s in states]
+
+
+def filtered(cycles):
+    estimator = make_estimator(EstimatorConfig(kind="ekf"), WheelGeometry.nominal(), surface="wall")
+    estimator.reset(cycles.start)
+    return [estimator.update(m) for m in cycles.measurements]
+
+
+def smoothed(measurements, start):
+    return smooth(EstimatorConfig(kind="ekf"), WheelGeometry.nominal(), "wall", measurements, start)
+
+
+def without_gravity(gyro):
+    """Pairs of samples with one stamp, of which only the row that is not finite differs."""
+    return tuple(
+        replace(g, gravity_heading_rad=heading) for g in gyro for heading in (np.nan, g.gravity_heading_rad)
+    )
+
+
+def test_rows_that_are_not_finite_have_one_place_whatever_their_order_of_arrival():
+    cycles = drive(seconds=0.4, seed=5)
+    forth = [replace(m, gyro=without_gravity(m.gyro)) for m in cycles.measurements]
+    back = [replace(m, gyro=m.gyro[::-1]) for m in forth]
+    twice = [replace(m, gyro=m.gyro + m.gyro) for m in forth]
+    expected = bits(smoothed(forth, cycles.start))
+    assert bits(smoothed(back, cycles.start)) == expected
+    assert bits(smoothed(twice, cycles.start)) == expected
+    assert bits(filtered(replace(cycles, measurements=forth))) == bits(
+        filtered(replace(cycles, measurements=back))
+    )
+
+
+def test_more_samples_than_the_history_holds_are_refused_from_the_oldest_on():
+    cycles = drive(seconds=0.3, seed=5)
+    calm = filtered(cycles)
+    *before, last = cycles.measurements
+    stamp, given = last.gyro[-1].stamp, CAPACITY + 500
+    flood = tuple(
+        replace(last.gyro[-1], stamp=replace(stamp, t_ns=stamp.t_ns - 1000 * k, seq=stamp.seq - k))
+        for k in range(given)
+    )
+    states = filtered(replace(cycles, measurements=(*before, replace(last, gyro=flood))))
+    others = len(last.wheels) + len(last.tracker)
+    refused = states[-1].diagnostics["rejected_late"] - calm[-1].diagnostics["rejected_late"]
+    assert given - (CAPACITY - 1) <= refused <= given + others - (CAPACITY - 1)
+    assert np.allclose(states[-1].pose_body_in_wall, calm[-1].pose_body_in_wall, atol=0.02)
+    assert np.all(np.linalg.eigvalsh(states[-1].covariance) > 0.0)
+
+
+def test_a_sample_that_comes_twice_is_counted_and_changes_nothing():
+    cycles = drive(seconds=0.3, seed=5)
+    *before, earlier, last = cycles.measurements
+    again = replace(last, wheels=earlier.wheels + last.wheels)
+    once, twice = filtered(cycles)[-1], filtered(replace(cycles, measurements=(*before, earlier, again)))[-1]
+    assert bits([once]) == bits([twice])
+    refused = twice.diagnostics["rejected_duplicate"] - once.diagnostics["rejected_duplicate"]
+    assert refused == len(earlier.wheels) > 0
