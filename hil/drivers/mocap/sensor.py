@@ -10,12 +10,12 @@ import numpy as np
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.mocap import MocapConfig
+from hil.drivers.device_clock import DeviceClock
+from hil.drivers.jumps import JumpTest
 from hil.drivers.mocap.datagrams import DatagramFactory, udp_ports
 from hil.drivers.mocap.frames import BodyPose, Frame
 from hil.drivers.mocap.handshake import Handshake
 from hil.drivers.mocap.session import Session
-from hil.drivers.tracker.device_clock import DeviceClock
-from hil.drivers.tracker.jumps import JumpTest
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Sensor
 from hil.signals import MocapSample, Stamp, Status
@@ -56,13 +56,7 @@ class NatNetMocap(Sensor[MocapSample]):
         self._session: Session | None = None
         self._identity: dict[str, str] = {}
         self._clock_map = DeviceClock(nanoseconds(config.transit_s))
-        self._jumps = JumpTest(
-            distance_m=config.jump_distance_m,
-            angle_rad=config.jump_angle_rad,
-            speed_m_s=config.max_speed_m_s,
-            rate_rad_s=config.max_rate_rad_s,
-            reaccept_after=config.reaccept_after,
-        )
+        self._jumps = JumpTest.of(config)
         self._reconnect_ns = nanoseconds(config.reconnect_after_s)
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)

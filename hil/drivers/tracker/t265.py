@@ -18,9 +18,9 @@ import numpy as np
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.tracker import TrackerConfig
-from hil.drivers.tracker.device_clock import DeviceClock
+from hil.drivers.device_clock import DeviceClock
+from hil.drivers.jumps import JumpTest
 from hil.drivers.tracker.feed import FeedPipeline
-from hil.drivers.tracker.jumps import JumpTest
 from hil.drivers.tracker.library import (
     VENDOR_ERRORS,
     Frame,
@@ -80,13 +80,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._identity: dict[str, str] = {}
         self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
-        self._jumps = JumpTest(
-            distance_m=config.jump_distance_m,
-            angle_rad=config.jump_angle_rad,
-            speed_m_s=config.max_speed_m_s,
-            rate_rad_s=config.max_rate_rad_s,
-            reaccept_after=config.reaccept_after,
-        )
+        self._jumps = JumpTest.of(config)
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck_ns = nanoseconds(config.stuck_after_s)

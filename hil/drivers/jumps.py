@@ -6,6 +6,9 @@ import math
 from collections.abc import Sequence
 from typing import TypeAlias
 
+from hil.config.mocap import MocapConfig
+from hil.config.tracker import TrackerConfig
+
 _Pose: TypeAlias = tuple[float, Sequence[float], Sequence[float]]
 
 
@@ -19,6 +22,7 @@ class JumpTest:
     Args:
         distance_m, angle_rad: step that is allowed at any time.
         speed_m_s, rate_rad_s: motion that is allowed beside it.
+        reaccept_after: poses that must agree.
     """
 
     def __init__(
@@ -28,6 +32,17 @@ class JumpTest:
         self._angle_rad, self._rate_rad_s = angle_rad, rate_rad_s
         self._reaccept_after = reaccept_after
         self.reset()
+
+    @classmethod
+    def of(cls, limits: MocapConfig | TrackerConfig) -> JumpTest:
+        """The test of a sensor's configuration."""
+        return cls(
+            distance_m=limits.jump_distance_m,
+            angle_rad=limits.jump_angle_rad,
+            speed_m_s=limits.max_speed_m_s,
+            rate_rad_s=limits.max_rate_rad_s,
+            reaccept_after=limits.reaccept_after,
+        )
 
     def reset(self) -> None:
         """Believe the next pose."""
