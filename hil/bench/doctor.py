@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
@@ -20,10 +19,9 @@ from hil.bench.bench import Bench
 from hil.bench.settings import wheel_model
 from hil.clock import nanoseconds
 from hil.errors import HilError
+from hil.finding import Finding, Level
 from hil.interfaces import Device
 from hil.signals import SERVOS, WHEELS, Status
-
-Level = Literal["ok", "warning", "failure"]
 
 _WATCH_S = 2.0
 _SETTLE_S = 0.6
@@ -32,22 +30,6 @@ _LOSS_WARNING, _LOSS_FAILURE = 0.02, 0.2
 _LATENCY_TIMER_S = 0.001
 _GRAVITY_M_S2, _GRAVITY_TOLERANCE_M_S2 = 9.81, 0.5
 _LATE_MOCAP_S, _MOCAP_GAP_S = 0.05, 0.3
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One thing looked at: what was found, what would be right, what to do."""
-
-    device: str
-    check: str
-    level: Level
-    found: str
-    expected: str = ""
-    remedy: str = ""
-
-    def to_json(self) -> dict[str, str]:
-        """As plain data."""
-        return {key: str(value) for key, value in asdict(self).items()}
 
 
 def examine(bench: Bench, *, watch_s: float = _WATCH_S) -> Iterator[Finding]:
@@ -139,8 +121,7 @@ def _servos(bench: Bench, servos: Any, samples: list[Any], watch_s: float) -> It
         "remove the cause, then reboot the servo",
     )  # fmt: skip
     yield from _health(bench, servos)
-    for fact in servos.diagnose():
-        yield Finding("servos", fact.check, fact.level, fact.found, fact.expected, fact.remedy)
+    yield from servos.diagnose()
 
 
 def _health(bench: Bench, servos: Any) -> Iterator[Finding]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from hil.clock import Clock
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.config.xh430 import (
@@ -19,26 +17,10 @@ from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import Answer
 from hil.errors import DeviceError, DeviceTimeoutError
+from hil.finding import Finding
 from hil.signals import SERVOS, Status
 
 _SECOND_CHANCE_NS = 250_000_000
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One fact about the bus for `hil doctor`.
-
-    Attributes:
-        check: what was looked at.
-        level: `ok`, `warning` or `failure`.
-        found, expected, remedy: in words.
-    """
-
-    check: str
-    level: str
-    found: str
-    expected: str = ""
-    remedy: str = ""
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
@@ -157,7 +139,9 @@ def described(config: ServosConfig, blocks: list[bytes]) -> dict[str, str]:
     }
 
 
-def findings(config: ServosConfig, blocks: list[bytes], *, fast: bool, mapped: bool) -> tuple[Finding, ...]:
+def findings(
+    config: ServosConfig, blocks: list[bytes], device: str, *, fast: bool, mapped: bool
+) -> tuple[Finding, ...]:
     """What a check of the bus tells, beyond that it opened."""
     firmware = [reg.from_block(b, "firmware_version") for b in blocks]
     delays = [reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks]
@@ -168,33 +152,36 @@ def findings(config: ServosConfig, blocks: list[bytes], *, fast: bool, mapped: b
     protection = TABLE["shutdown"].default
     protected = all(s & protection == protection for s in shutdown)
     return (
-        Finding("identity", "ok", f"8 servos, model {config.model_number}, firmware {sorted(set(firmware))}"),
         Finding(
-            "return delay", "warning" if slow else "ok", f"up to {max(delays) * 1e6:.0f} us",
+            device, "identity", "ok",
+            f"8 servos, model {config.model_number}, firmware {sorted(set(firmware))}",
+        ),
+        Finding(
+            device, "return delay", "warning" if slow else "ok", f"up to {max(delays) * 1e6:.0f} us",
             f"{config.return_delay_s * 1e6:.0f} us", "`hil setup ... --set return_delay_time=0`",
         ),
         Finding(
-            "reads", "ok" if fast else "warning", "fast sync read" if fast else "plain sync read",
+            device, "reads", "ok" if fast else "warning", "fast sync read" if fast else "plain sync read",
             "firmware 45 on all servos", "update the firmware with DYNAMIXEL Wizard",
         ),
         Finding(
-            "goals", "ok" if mapped else "warning", "one sync write" if mapped else "one bulk write",
+            device, "goals", "ok" if mapped else "warning", "one sync write" if mapped else "one bulk write",
             "the bench's indirect addresses", "release torque once, then open again",
         ),
         Finding(
-            "hardware errors", "failure" if alerts else "ok", str(alerts or "none"), "none",
+            device, "hardware errors", "failure" if alerts else "ok", str(alerts or "none"), "none",
             "remove the cause, then reboot the servo",
         ),
         Finding(
-            "shutdown", "ok" if protected else "warning",
+            device, "shutdown", "ok" if protected else "warning",
             ", ".join(f"0x{s:02X}" for s in sorted(set(shutdown))), f"0x{protection:02X}",
             "let overload, shock and heat switch the motor off",
         ),
-        _limits(config, blocks),
+        _limits(config, blocks, device),
     )  # fmt: skip
 
 
-def _limits(config: ServosConfig, blocks: list[bytes]) -> Finding:
+def _limits(config: ServosConfig, blocks: list[bytes], device: str) -> Finding:
     """Limits in the EEPROM against those of the bench: a goal beyond the servo's own is ignored."""
 
     def values(name: str, joints: slice = slice(0, 8)) -> list[float]:
@@ -206,7 +193,7 @@ def _limits(config: ServosConfig, blocks: list[bytes]) -> Finding:
     wide = high >= config.steer_limit_rad and low <= -config.steer_limit_rad
     enough = rate >= config.velocity_limit_rad_s and (wide or config.steer_mode == "extended")
     return Finding(
-        "limits", "ok" if enough else "warning",
+        device, "limits", "ok" if enough else "warning",
         f"wheels {rate:.2f} rad/s, steering {low:.2f} to {high:.2f} rad, "
         f"{min(values('current_limit')):.2f} A, "
         f"{max(values('min_voltage_limit')):.1f} to {min(values('max_voltage_limit')):.1f} V, "

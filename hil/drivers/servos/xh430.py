@@ -32,12 +32,12 @@ from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cycle import ALL_OK, CycleReader, Reading
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
-from hil.drivers.servos.identity import Finding
 from hil.drivers.servos.outage import OutageWatch
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.turns import TurnCounter
 from hil.drivers.servos.upkeep import Upkeep
 from hil.errors import DeviceError, DeviceTimeoutError
+from hil.finding import Finding
 from hil.interfaces import Actuators
 from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
 
@@ -300,4 +300,5 @@ class XH430Servos(Actuators):
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""
         self._opened()
-        return ident.findings(self._config, self._blocks, fast=self._cycle.fast, mapped=self._upkeep.mapped)
+        fast, mapped = self._cycle.fast, self._upkeep.mapped
+        return ident.findings(self._config, self._blocks, self.name, fast=fast, mapped=mapped)
