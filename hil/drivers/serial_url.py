@@ -8,6 +8,8 @@ changes, not at every time-out that is set and every buffer that is cleared (50 
 from __future__ import annotations
 
 import contextlib
+import errno
+import os
 import queue
 import socket
 import warnings
@@ -15,6 +17,8 @@ from typing import Any
 
 import serial
 from serial import rfc2217
+
+from hil.errors import DeviceError
 
 RFC2217 = "rfc2217://"
 
@@ -57,6 +61,27 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
             with contextlib.suppress(queue.Empty):
                 while self._read_buffer.qsize():
                     self._read_buffer.get(False)
+
+
+def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> DeviceError:
+    """What `open_serial` has raised, as an error that says what can be done about it.
+
+    Args:
+        device: name in the error.
+        url: that could not be opened.
+        error: one of `PORT_ERRORS`.
+        expected: what should be there.
+    """
+    number = getattr(error, "errno", None)
+    remedy = "check the cable and the port name; `hil discover` lists ports"
+    if number == errno.EACCES:
+        remedy = "give the user access to the port (group dialout, or a udev rule)"
+    elif number in (errno.EBUSY, errno.EAGAIN):
+        remedy = "close the other program that uses the port"
+    detail = os.strerror(number) if number else str(error)
+    return DeviceError(
+        device, f"port cannot be opened ({detail})", port=url, expected=expected, remedy=remedy
+    )
 
 
 def open_serial(url: str, *, baud: int, timeout_s: float, write_timeout_s: float) -> Any:

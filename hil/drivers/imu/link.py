@@ -6,14 +6,11 @@ two-byte error reply (`facts/devices.md` section 3). Vendor exceptions end here.
 
 from __future__ import annotations
 
-import errno
-import os
 from typing import Any
 
 from hil.clock import Clock, nanoseconds
 from hil.config.imu import ImuConfig
-from hil.drivers.serial_url import PORT_ERRORS, open_serial
-from hil.errors import DeviceError
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
 from hil.signals import Status
 
 READ, WRITE = 0x01, 0x00
@@ -61,23 +58,8 @@ class Link:
                 write_timeout_s=max(config.reply_timeout_s, 0.1),
             )
         except PORT_ERRORS as error:
-            raise self._cannot_open(error) from None
-
-    def _cannot_open(self, error: Exception) -> DeviceError:
-        number = getattr(error, "errno", None)
-        remedy = "check the cable and the port name; `hil discover` lists ports"
-        if number == errno.EACCES:
-            remedy = "give the user access to the port (group dialout, or a udev rule)"
-        elif number in (errno.EBUSY, errno.EAGAIN):
-            remedy = "close the other program that uses the port"
-        detail = os.strerror(number) if number else str(error)
-        return DeviceError(
-            self._name,
-            f"port cannot be opened ({detail})",
-            port=self.port_name,
-            expected="a BNO055 in UART mode at a serial port or pyserial URL",
-            remedy=remedy,
-        )
+            expected = "a BNO055 in UART mode at a serial port or pyserial URL"
+            raise cannot_open(name, config.port, error, expected=expected) from None
 
     def close(self) -> None:
         """Let go of the port; never raises."""

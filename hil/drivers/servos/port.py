@@ -7,8 +7,6 @@ blocks in the serial read, and computes its time-outs from baud rate, bytes, ret
 
 from __future__ import annotations
 
-import errno
-import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -16,8 +14,7 @@ from typing import Any
 from dynamixel_sdk import PortHandler
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
-from hil.drivers.serial_url import PORT_ERRORS, open_serial
-from hil.errors import DeviceError
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
 
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4
@@ -66,23 +63,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]
             self.is_open = True
             self.ser.reset_input_buffer()
         except PORT_ERRORS as error:
-            raise self._cannot_open(device, error) from None
-
-    def _cannot_open(self, device: str, error: Exception) -> DeviceError:
-        number = getattr(error, "errno", None)
-        remedy = "check the cable and the port name; `hil discover` lists ports"
-        if number == errno.EACCES:
-            remedy = "give the user access to the port (group dialout, or a udev rule)"
-        elif number in (errno.EBUSY, errno.EAGAIN):
-            remedy = "close the other program that uses the port"
-        detail = os.strerror(number) if number else str(error)
-        return DeviceError(
-            device,
-            f"port cannot be opened ({detail})",
-            port=self.port_name,
-            expected="a DYNAMIXEL bus at a serial port or pyserial URL",
-            remedy=remedy,
-        )
+            expected = "a DYNAMIXEL bus at a serial port or pyserial URL"
+            raise cannot_open(device, self.port_name, error, expected=expected) from None
 
     def setBaudRate(self, baudrate: int) -> bool:
         """Another rate on the open port; raises `PortLost`."""
