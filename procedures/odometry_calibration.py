@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
-from hil.calibration.problem import Setting, make_setting
+from hil.calibration.problem import make_setting
 from hil.calibration.shelf import made_for, shelve
 from hil.calibration.validation import score
 from hil.config.bench import BenchConfig
@@ -35,7 +35,7 @@ from procedures.parts.odometry_collecting import (
     reference,
 )
 from procedures.parts.odometry_report import show
-from procedures.parts.odometry_rounds import Driven, geometry_in, improve, tracks, worth_going_on
+from procedures.parts.odometry_rounds import Driven, improve, odometry_in, worth_going_on
 
 _SIMILAR_MM = 0.5
 
@@ -106,7 +106,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = replace(make_setting("recommended", model="exact"), by_motion=True)
+    setting = replace(make_setting("recommended", model="creep"), by_motion=True)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
@@ -114,8 +114,8 @@ def run(ctx: Context) -> None:
     while True:
         number = len(rounds) + 1
         rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, files[-1]))
-        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1], setting)
-        if rounds[-1].rmse_m(setting).mean() < rounds[best].rmse_m(setting).mean():
+        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1])
+        if rounds[-1].rmse_m().mean() < rounds[best].rmse_m().mean():
             best = number - 1
         if number == p.max_rounds or (number >= p.min_rounds and not going_on):
             break
@@ -124,7 +124,7 @@ def run(ctx: Context) -> None:
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):
-        _measure(ctx, rounds, fresh, setting)
+        _measure(ctx, rounds, fresh)
         ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
         if best == 0:
             ctx.measure("rejected_recordings", 0)
@@ -134,7 +134,10 @@ def run(ctx: Context) -> None:
         ctx.measure("rejected_recordings", len(result.fit.rejected))
         show(ctx, rounds, fresh, result, setting, p.method, p.compared_methods)
         _install(
-            ctx, replace(result, validation={"fresh_run": score(fresh.recordings, fresh.geometry, setting)})
+            ctx,
+            replace(
+                result, validation={"fresh_run": score(fresh.recordings, fresh.odometry.geometry, setting)}
+            ),
         )
 
 
@@ -144,7 +147,7 @@ def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration:
     first = (number - 1) * p.repetitions
     jobs = [Repetition(folder, p.motions, first + k + 1, p.sizes) for k in range(repetitions)]
     names = collect(ctx, label, jobs, calibration, p.processes)
-    return Driven(label, read_round(folder, names), geometry_in(calibration, ctx.source.config))
+    return Driven(label, read_round(folder, names), odometry_in(calibration, ctx.source.config))
 
 
 def _keep(ctx: Context, name: str, result: Calibration) -> Path:
@@ -156,17 +159,16 @@ def _keep(ctx: Context, name: str, result: Calibration) -> Path:
     return path
 
 
-def _measure(ctx: Context, rounds: list[Driven], fresh: Driven, setting: Setting) -> None:
-    first, last = rounds[0], fresh
-    before: Any = evaluate(tracks(first.recordings, first.geometry, setting))["mean"]
-    after: Any = evaluate(tracks(last.recordings, last.geometry, setting))["mean"]
+def _measure(ctx: Context, rounds: list[Driven], fresh: Driven) -> None:
+    before: Any = evaluate(rounds[0].tracks())["mean"]
+    after: Any = evaluate(fresh.tracks())["mean"]
     for name, scale, key in (
         ("position_rmse", 1e3, "rmse_position_m"), ("heading_rmse", np.degrees(1.0), "rmse_theta_rad"),
     ):  # fmt: skip
         ctx.measure(f"{name}_before", scale * before[key])
         ctx.measure(f"{name}_after", scale * after[key])
     ctx.measure("improvement", before["rmse_position_m"] / after["rmse_position_m"])
-    driven = 1e3 * np.array([d.rmse_m(setting).mean() for d in rounds])
+    driven = 1e3 * np.array([d.rmse_m().mean() for d in rounds])
     rises = driven[1:] - np.minimum.accumulate(driven)[:-1]
     ctx.measure("worst_later_round", float(max(rises, default=0.0)))
     ctx.measure("rounds", len(rounds))

@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
+from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.errors import DeviceError
 from hil.geometry import Array, rotation2
@@ -24,7 +25,7 @@ from hil.trajectories import Trajectory, line
 from procedures.parts.fragment import write_fragment
 from procedures.parts.samples import encoders, wheels
 from procedures.parts.scripted import Stretch, play
-from procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, load_shares, toe_turn_rad_m
+from procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
 from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))

@@ -10,6 +10,7 @@ import numpy as np
 from hil.alignment import AlignmentParameters, Mount
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
+from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.motion_limits import MotionLimits
 from hil.realtime import RealTime
@@ -18,6 +19,7 @@ from hil.supervisor import SafetyLimits
 LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
+_GRAVITY_M_S2 = 9.81
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
@@ -57,9 +59,30 @@ def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
 
 
 def geometry_of(config: BenchConfig) -> WheelGeometry:
-    """Nominal wheel geometry of the configured robot."""
+    """Nominal wheel geometry of the configured robot, loaded as it stands at heading 0."""
     robot = config.robot
-    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
+    return WheelGeometry(
+        np.array(robot.wheel_x_m),
+        np.array(robot.wheel_y_m),
+        np.array(robot.wheel_radius_m),
+        load=4.0 * load_shares(config),
+        creep_ratio=robot.creep_ratio,
+    )
+
+
+def load_shares(config: BenchConfig) -> Array:
+    """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
+    robot = config.robot
+    x, y, height = robot.centre_of_mass_m
+    weight = robot.mass_kg * _GRAVITY_M_S2
+    total, moment_x, moment_y = weight, weight * x, weight * y
+    if config.surface == "wall":
+        thrust = robot.thrust_compensation * weight
+        total, moment_y = robot.edf_force_n, 0.0
+        moment_x = robot.propeller_height_m * thrust - height * weight
+    statics = np.stack([np.ones(4), np.array(robot.wheel_x_m), np.array(robot.wheel_y_m)])
+    loads = np.maximum(np.linalg.pinv(statics) @ np.array([total, moment_x, moment_y]), 0.0)
+    return np.asarray(loads / loads.sum(), dtype=np.float64)
 
 
 def wheel_model(fitted_with: str) -> str:
@@ -75,7 +98,7 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
 
     Args:
         config: of the bench.
-        fitted_with: forward model of the calibration: `exact`, `paper` or `dry-friction`.
+        fitted_with: forward model of the calibration (`hil.kinematics.MODELS`).
         given: whether the file names a model; None to see whether it was set.
     """
     estimator = config.estimator

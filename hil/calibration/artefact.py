@@ -11,17 +11,18 @@ import os
 import re
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import tomli_w
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hil.calibration.calibrate import Calibration
 from hil.errors import ConfigError
 from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.kinematics import ForwardModel, WheelGeometry
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -41,6 +42,14 @@ class Parameters(BaseModel):
     y_w_m: Four
     r_m: Four
     delta0_rad: Four = (0.0, 0.0, 0.0, 0.0)
+
+
+class Tyres(BaseModel):
+    """What the forward model `creep` was told of the wheels; see `hil.kinematics.WheelGeometry`."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    load: Four
+    creep_ratio: float
 
 
 class MadeFor(BaseModel):
@@ -64,6 +73,7 @@ class CalibrationFile(BaseModel):
     Attributes:
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
+        tyres: for `creep` only.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -73,7 +83,7 @@ class CalibrationFile(BaseModel):
     wheel_order: str = "FL BL BR FR"
     method: str
     setting: str
-    model: Literal["exact", "paper", "dry-friction"]
+    model: ForwardModel
     signal: Literal["position", "velocity"]
     parameters: Parameters
     nominal: Parameters
@@ -88,16 +98,23 @@ class CalibrationFile(BaseModel):
     previous: dict[str, str] = {}
     verdict: Literal["", "PASS", "MARGINAL", "FAIL"] = ""
     made_for: MadeFor | None = None
+    tyres: Tyres | None = None
+
+    @model_validator(mode="after")
+    def _tyres_known(self) -> CalibrationFile:
+        if self.model == "creep" and self.tyres is None:
+            raise ValueError("tyres: the model creep needs their load and creep_ratio")
+        return self
 
     @property
     def geometry(self) -> WheelGeometry:
         """The calibrated geometry."""
-        return _geometry(self.parameters)
+        return _geometry(self.parameters, self.tyres)
 
     @property
     def nominal_geometry(self) -> WheelGeometry:
         """The geometry that it started from; the twist correction belongs to it."""
-        return _geometry(self.nominal)
+        return _geometry(self.nominal, self.tyres)
 
     @property
     def twist(self) -> Array:
@@ -105,8 +122,11 @@ class CalibrationFile(BaseModel):
         return np.array(self.twist_correction)
 
 
-def _geometry(p: Parameters) -> WheelGeometry:
-    return WheelGeometry(np.array(p.x_w_m), np.array(p.y_w_m), np.array(p.r_m), np.array(p.delta0_rad))
+def _geometry(p: Parameters, tyres: Tyres | None) -> WheelGeometry:
+    wheels = WheelGeometry.from_vector([*p.x_w_m, *p.y_w_m, *p.r_m, *p.delta0_rad])
+    if tyres is None:
+        return wheels
+    return replace(wheels, load=np.array(tyres.load), creep_ratio=tyres.creep_ratio)
 
 
 def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
@@ -176,6 +196,8 @@ def calibration_file(
         "verdict": verdict,
         "made_for": made_for,
     }
+    if result.setting.model == "creep":
+        tree["tyres"] = {"load": result.geometry.load.tolist(), "creep_ratio": result.geometry.creep_ratio}
     return CalibrationFile.model_validate(tree)
 
 

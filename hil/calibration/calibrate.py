@@ -71,8 +71,8 @@ class Calibration:
         Least squares of the fitted model's body motion on the nominal model's, over the recordings.
         """
         wheel_rad = self.fit.problem.blocks.wheel_rad.reshape(-1, 8)
-        fitted = make_model(self.setting.model, wheel_rad).motion(self.fit.solution.z)
-        plain = make_model("exact", wheel_rad).motion(self.nominal.vector())
+        fitted = make_model(self.setting.model, wheel_rad, self.nominal).motion(self.fit.solution.z)
+        plain = make_model("exact", wheel_rad, self.nominal).motion(self.nominal.vector())
         return np.asarray(np.linalg.lstsq(plain, fitted, rcond=None)[0].T, dtype=np.float64)
 
     def to_json(self) -> dict[str, object]:

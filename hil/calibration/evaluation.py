@@ -111,7 +111,7 @@ def track(
     step_s = at_s if model != "dry-friction" else block_edges(at_s, FRICTION_BLOCK_S)
     wheel_rad = block_vectors(recording, step_s, signal)
     u = rolled(geometry.vector(), wheel_rad)
-    motion = twist_of_vectors(geometry.x_m, geometry.y_m, u, model)
+    motion = twist_of_vectors(geometry, u, model)
     if correction is not None:
         motion = motion @ correction.T
     poses = integrate(rest_pose(recording), motion)
@@ -176,7 +176,7 @@ def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> 
     else:
         rotation = np.diff(interpolate(at_s, recording.receive_s, recording.wheel_angle_rad), axis=0)
     u = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
-    motion = twist_of_vectors(geometry.x_m, geometry.y_m, u, "paper")
+    motion = twist_of_vectors(geometry, u, "paper")
     return Track(recording, at_s - at_s[0], integrate(truth[0], motion, "euler"), truth)
 
 

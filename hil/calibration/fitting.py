@@ -36,7 +36,7 @@ class Fit:
     @property
     def geometry(self) -> WheelGeometry:
         """The fitted wheel geometry."""
-        return WheelGeometry.from_vector(self.solution.z)
+        return self.problem.tyres.with_vector(self.solution.z)
 
     @property
     def rejected(self) -> tuple[str, ...]:
@@ -109,7 +109,7 @@ def _linear(stage: Problem) -> Problem:
     if stage.setting.model != "dry-friction":
         return stage
     twin = Problem(
-        stage.blocks, replace(stage.setting, model="exact"), WheelGeometry.from_vector(stage.nominal)
+        stage.blocks, replace(stage.setting, model="exact"), stage.tyres.with_vector(stage.nominal)
     )
     return twin.counting_with(stage).with_weights(stage.weights)
 
@@ -153,7 +153,7 @@ def _fold(problem: Problem, start: Array) -> Fit:
     fixed = Problem(
         problem.blocks,
         replace(problem.setting, choose_model=False),
-        WheelGeometry.from_vector(problem.nominal),
+        problem.tyres.with_vector(problem.nominal),
     )
     return _robust_prefit(fixed.counting_with(problem), rounds_at_ends=2, last_limit=5)
 

@@ -2,8 +2,8 @@
 
 A parameter vector z holds x_1..4, y_1..4, r_1..4 and, with offsets, the steering zeros
 d_1..4 (`WheelGeometry.vector`). With wheel vectors q that do not depend on z,
-u_i = r_i R(-d_i) q_i, and the motion is F(x, y) u for the linear models or the least-dissipation
-motion for `dry-friction` (`hil.kinematics`).
+u_i = r_i R(-d_i) q_i, and the motion is F(x, y) u for the linear models, for the others what the
+contacts let happen (`hil.contact_laws`).
 """
 
 from __future__ import annotations
@@ -14,19 +14,20 @@ from typing import Protocol
 import numpy as np
 
 from hil.calibration.evaluation import rolled
-from hil.geometry import Array
-from hil.kinematics import (
+from hil.contact_laws import (
     contact_curvature,
     contact_weight,
+    creep_balance,
+    creep_motion,
+    creep_weights,
     displacement_scale,
     dissipation_derivatives,
-    forward_matrix,
-    forward_matrix_derivative,
     inverse3,
     least_dissipation,
     polish_dissipation,
-    projection,
 )
+from hil.geometry import Array
+from hil.kinematics import WheelGeometry, forward_matrix, forward_matrix_derivative, projection
 
 _NEAR = 2e-3
 """Parameters closer than this (m or rad) start from the last solution."""
@@ -72,6 +73,43 @@ class LinearModel(MotionModel):
 def linear_matrix(z: Array, model: str = "exact") -> Array:
     """M(z) (3, 8): body displacement of raw wheel vectors, for the linear models."""
     return np.asarray(forward_matrix(z[0:4], z[4:8], model) @ rolled(z, np.eye(8)).T, dtype=np.float64)
+
+
+class CreepModel(MotionModel):
+    """Creep forces in balance; loads and tyres are given, not fitted."""
+
+    def __init__(self, wheel_rad: Array, load: Array, ratio: float) -> None:
+        self._q, self._load, self._ratio = wheel_rad, load, ratio
+
+    def motion(self, z: Array) -> Array:
+        """Weighted least squares, each block with its own weights."""
+        return creep_motion(projection(z[0:4], z[4:8]), rolled(z, self._q), self._load, self._ratio)
+
+    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
+        """Implicit derivative of the balance sum_i P_i' W_i e_i = 0.
+
+        W follows the wheel: it turns with the zero and weakens with the way rolled, as the radius grows.
+        """
+        p, u = projection(z[0:4], z[4:8]), rolled(z, self._q)
+        wxx, wxy, wyy = weights = creep_weights(u, self._load, self._ratio)
+        b, inverse = creep_balance(p, u, weights)
+        slip = u - b @ p.T
+        ex, ey, ux, uy = slip[:, 0::2], slip[:, 1::2], u[:, 0::2], u[:, 1::2]
+        fx, fy = wxx * ex + wxy * ey, wxy * ex + wyy * ey
+        omega, r = b[:, 2:3], z[8:12]
+        moves = [(-wxy * omega, -wyy * omega), (wxx * omega, wxy * omega)]
+        moves.append(((wxx * ux + wxy * uy - fx) / r, (wxy * ux + wyy * uy - fy) / r))
+        if len(z) == 16:
+            qx, qy = uy - ey, ex - ux
+            moves.append((wxx * qx + wxy * qy + fy, wxy * qx + wyy * qy - fx))
+        pull = np.empty((len(u), 3, len(z)))
+        for k, (mx, my) in enumerate(moves):
+            columns = slice(4 * k, 4 * k + 4)
+            pull[:, 0, columns], pull[:, 1, columns] = mx, my
+            pull[:, 2, columns] = -z[4:8] * mx + z[0:4] * my
+        pull[:, 2, 0:4] += fy
+        pull[:, 2, 4:8] -= fx
+        return b, np.matmul(inverse, pull)
 
 
 class DryFrictionModel(MotionModel):
@@ -142,8 +180,17 @@ def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array, pow
     return out
 
 
-def make_model(name: str, wheel_rad: Array, power: float = 1.0) -> MotionModel:
-    """Motion model by name for blocks (n, 8); `power` is the friction law's exponent."""
+def make_model(name: str, wheel_rad: Array, tyres: WheelGeometry, power: float = 1.0) -> MotionModel:
+    """Motion model by name for blocks (n, 8).
+
+    Args:
+        name: forward model.
+        wheel_rad: (n, 8) raw wheel vectors.
+        tyres: loads and creep ratio that `creep` asks for; its wheel parameters do not count.
+        power: exponent of the dry-friction law.
+    """
     if name == "dry-friction":
         return DryFrictionModel(wheel_rad, power)
+    if name == "creep":
+        return CreepModel(wheel_rad, tyres.load, tyres.creep_ratio)
     return LinearModel(name, wheel_rad)

@@ -72,12 +72,13 @@ class Problem:
 
     Attributes:
         nominal: (m,) start and prior mean; `prior_std` (m,).
+        tyres: geometry that brings loads and creep ratio; not fitted.
         lower, upper: (m,) box, infinite where there is none.
         weights: (R,) per recording, 1 until `reweigh`.
     """
 
     def __init__(self, blocks: Blocks, setting: Setting, nominal: WheelGeometry) -> None:
-        self.blocks, self.setting = blocks, setting
+        self.blocks, self.setting, self.tyres = blocks, setting, nominal
         self.nominal = nominal.vector()[: 16 if setting.offsets else 12].copy()
         self.prior_std = prior_std(self.nominal, setting)
         reach = np.inf if setting.bounds is None else setting.bounds
@@ -88,7 +89,7 @@ class Problem:
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
         self._count = [0]
-        self._model: MotionModel = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8))
+        self._model: MotionModel = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8), nominal)
         self._scale = self._row_scale()
 
     def _row_scale(self) -> Array:
@@ -118,7 +119,7 @@ class Problem:
     def with_power(self, power: float) -> Problem:
         """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
-        other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), power)
+        other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
         return other
 
     def errors(self, z: Array) -> Array:

@@ -17,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.contact_laws import least_dissipation
 from hil.geometry import Array
-from hil.kinematics import WheelGeometry, inverse, least_dissipation, projection, wheel_vectors
+from hil.kinematics import WheelGeometry, inverse, projection, wheel_vectors
 from hil.odometry import integrate
 
 MOTIONS = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")

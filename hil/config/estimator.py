@@ -43,10 +43,10 @@ class WheelNoise(_Strict):
         per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
         steering_m_rad: m of noise per radian that the module turned during the step.
         longest_gap_s: a longer interval is not taken for one displacement.
-        friction_window_s: wheel steps that `dry-friction` looks at together.
+        friction_window_s: wheel steps that `dry-friction` and `creep` look at together.
     """
 
-    model: Literal["equations", "paper", "dry-friction"] = "equations"
+    model: Literal["equations", "paper", "dry-friction", "creep"] = "equations"
     source: Literal["position", "velocity"] = "position"
     step_m: float = Field(3.0e-5, gt=0)
     per_sqrt_m: float = Field(2.0e-3, ge=0)

@@ -29,6 +29,8 @@ class RobotConfig(BaseModel):
         thrust_compensation: share of the weight along the surface that the propellers carry.
         thrust_imbalance: (right - left) / both, of the propeller thrusts.
         propeller_y_m, propeller_height_m: lateral distance and height of the two propellers.
+        creep_ratio: how stiff its tyres are against creeping sideways, as a share of lengthwise; an
+            assumption (`facts/plant_and_control.md`: 7 to 10) for the wheel model `creep`.
         supply_v: servo supply.
     """
 
@@ -46,6 +48,7 @@ class RobotConfig(BaseModel):
     thrust_imbalance: Annotated[float, Field(ge=-1, le=1)] = 0.0
     propeller_y_m: Positive = 0.19
     propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
+    creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
     supply_v: Annotated[float, Field(ge=9.5, le=16)] = 11.1
 
     @field_validator("wheel_radius_m")

@@ -28,7 +28,7 @@ _IMPORT = re.compile(r"^from hil\.estimator\.compiled import .*\bcompiled$", re.
 def fingerprint(folder: Path) -> str:
     """Short hash of the sources that kernels are made of: their files and where their constants stand."""
     digest = hashlib.sha256()
-    constants = (folder / "layout.py", folder.parent / "kinematics.py")
+    constants = (folder / "layout.py", folder.parent / "contact_laws.py")
     kernels = [path for path in sorted(folder.glob("*.py")) if _IMPORT.search(path.read_text("utf-8"))]
     for path in (*constants, *kernels):
         digest.update(path.read_bytes())

@@ -1,9 +1,9 @@
-"""Dry-friction body displacement of four wheels over a short window, for the filter kernels.
+"""Body displacement of four wheels that contradict each other, for the filter kernels.
 
-The wheels' disagreement is smaller than the encoder's quantisation in one servo step, so the friction
-weights come from the steps of the last `friction_window_s` together and are applied to the newest step
-(`facts/calibration.md` section 3: block of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same law as
-`hil.kinematics.least_dissipation`.
+The wheels' disagreement is smaller than the encoder's quantisation in one servo step, so the weights
+come from the steps of the last `friction_window_s` together and are applied to the newest step
+(`facts/calibration.md` section 3: block of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same laws as
+`hil.contact_laws`.
 """
 
 from __future__ import annotations
@@ -12,10 +12,11 @@ import math
 
 import numpy as np
 
+from hil.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.estimator.compiled import compiled
 from hil.geometry import Array
-from hil.kinematics import FRICTION_EPSILON
 
+STILL_M = 2.5e-5
 _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 
 
@@ -63,3 +64,40 @@ def friction_twist(u: Array, window: Array, wheels: Array) -> Array:
     if still < 1e-4:
         return weighted_twist(u, np.ones(4), wheels)
     return weighted_twist(u, friction_weights(window, wheels), wheels)
+
+
+@compiled
+def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
+    """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.contact_laws`.
+
+    Args:
+        u: newest step.
+        window: sum (8,) of the last steps: how far and where to each wheel rolls.
+        wheels: (6, 4), of `layout.contacts`.
+    """
+    mean = 1e-9
+    for i in range(4):
+        mean += 0.25 * math.sqrt(window[2 * i] * window[2 * i] + window[2 * i + 1] * window[2 * i + 1])
+    if mean < STILL_M:
+        return weighted_twist(u, np.ones(4), wheels)
+    a00, a01, a02, a11, a12, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    b0, b1, b2 = 0.0, 0.0, 0.0
+    for i in range(4):
+        nx, ny, x, y = window[2 * i], window[2 * i + 1], wheels[2, i], wheels[3, i]
+        size = math.sqrt(nx * nx + ny * ny)
+        rolled = max(size / mean, LEAST_ROLLED)
+        across = wheels[5, i] / rolled
+        bend = (wheels[4, i] / rolled - across) / max(size * size, 1e-30)
+        wxx, wxy, wyy = across + bend * nx * nx, bend * nx * ny, across + bend * ny * ny
+        tx, ty = wxy * x - wxx * y, wyy * x - wxy * y
+        fx, fy = wxx * u[2 * i] + wxy * u[2 * i + 1], wxy * u[2 * i] + wyy * u[2 * i + 1]
+        a00, a01, a11 = a00 + wxx, a01 + wxy, a11 + wyy
+        a02, a12, a22 = a02 + tx, a12 + ty, a22 + x * ty - y * tx
+        b0, b1, b2 = b0 + fx, b1 + fy, b2 + x * fy - y * fx
+    l10, l20 = a01 / a00, a02 / a00
+    d1 = a11 - l10 * a01
+    l21 = (a12 - l20 * a01) / d1
+    y1 = b1 - l10 * b0
+    turn = (b2 - l20 * b0 - l21 * y1) / (a22 - l20 * a02 - l21 * l21 * d1)
+    left = y1 / d1 - l21 * turn
+    return np.array([b0 / a00 - l10 * left - l20 * turn, left, turn])

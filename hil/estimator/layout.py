@@ -52,7 +52,7 @@ _NAMES = (
     "slip_m_s", "slip_across_m_s", "slip_s", "creep_walk", "creep_walk_across", "yaw_walk",
     "bias_walk", "drift_m", "drift_s", "yaw_drift",
     "camera_scaled", "wheels_scaled",
-    "step_m", "per_m", "per_s", "steering_m", "gap_s", "from_rate", "wheel_rows", "friction_s",
+    "step_m", "per_m", "per_s", "steering_m", "gap_s", "from_rate", "wheel_rows", "friction_s", "creep",
     "rate_rad_s", "gravity_rad", "gravity_a", "gravity_on",
     "tracker_m", "tracker_rad", "quality", "baseline_s", "jump_m", "jump_rad", "fast_m_s", "fast_rad_s",
     "tracker_on", "mocap_on", "mocap_m", "mocap_rad",
@@ -63,7 +63,7 @@ _NAMES = (
     SLIP_M_S, SLIP_ACROSS_M_S, SLIP_S, CREEP_WALK, CREEP_WALK_ACROSS, YAW_WALK,
     BIAS_WALK, DRIFT_M, DRIFT_S, YAW_DRIFT,
     CAMERA_SCALED, WHEELS_SCALED,
-    STEP_M, PER_M, PER_S, STEERING_M, GAP_S, FROM_RATE, WHEEL_ROWS, FRICTION_S,
+    STEP_M, PER_M, PER_S, STEERING_M, GAP_S, FROM_RATE, WHEEL_ROWS, FRICTION_S, CREEP,
     RATE_RAD_S, GRAVITY_RAD, GRAVITY_A, GRAVITY_ON,
     TRACKER_M, TRACKER_RAD, QUALITY, BASELINE_S, JUMP_M, JUMP_RAD, FAST_M_S, FAST_RAD_S,
     TRACKER_ON, MOCAP_ON, MOCAP_M, MOCAP_RAD,
@@ -95,7 +95,8 @@ def parameters(config: EstimatorConfig, surface: str) -> Array:
         "step_m": w.step_m**2, "per_m": w.per_sqrt_m**2, "per_s": w.per_sqrt_s**2,
         "steering_m": w.steering_m_rad**2, "gap_s": w.longest_gap_s, "from_rate": w.source == "velocity",
         "wheel_rows": 8 if w.model == "equations" else 3,
-        "friction_s": w.friction_window_s if w.model == "dry-friction" else 0.0,
+        "friction_s": w.friction_window_s if w.model in ("dry-friction", "creep") else 0.0,
+        "creep": w.model == "creep",
         "rate_rad_s": g.rate_rad_s**2, "gravity_rad": g.gravity_rad**2, "gravity_a": g.gravity_per_m_s2**2,
         "gravity_on": g.use_gravity and surface == "wall",
         "tracker_m": t.position_m**2, "tracker_rad": t.heading_rad**2, "quality": t.least_quality,
@@ -124,15 +125,22 @@ def prior_variances(config: EstimatorConfig, surface: str) -> Array:
     return sigma**2
 
 
+def contacts(geometry: WheelGeometry) -> Array:
+    """Rows radius, zero, x, y, and relative creep stiffness lengthwise and sideways, shape (6, 4)."""
+    g = geometry
+    rows = [g.radius_m, g.steering_zero_rad, g.x_m, g.y_m, g.load, g.creep_ratio * g.load]
+    return np.array(rows, dtype=np.float64)
+
+
 def wheel_tables(config: EstimatorConfig, geometry: WheelGeometry) -> tuple[Array, Array]:
-    """Per-wheel radius, zero, x, y (4, 4) and the forward rows (8, 11) of the wheel measurement.
+    """Per-wheel contacts (6, 4) of `contacts` and the forward rows (8, 11) of the wheel measurement.
 
     Columns 0-2 of the rows map a body displacement to what is compared; columns 3-10 map the eight
     wheel displacement components to it.
     """
     from hil.kinematics import forward_matrix
 
-    wheels = np.array([geometry.radius_m, geometry.steering_zero_rad, geometry.x_m, geometry.y_m])
+    wheels = contacts(geometry)
     rows = np.zeros((ROWS, 11))
     if config.wheels.model == "equations":
         rows[:, :3] = projection(geometry.x_m, geometry.y_m)

@@ -21,7 +21,7 @@ import numpy as np
 
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
-from hil.estimator.friction import friction_twist
+from hil.estimator.friction import creep_twist, friction_twist
 from hil.estimator.process import sinc, sinc_slope
 from hil.geometry import Array
 
@@ -42,7 +42,7 @@ def observe(
         m: sensor memory (72,) before the sample; its rolling speed and friction window take the new step.
         data: event row (16,).
         par: `layout.parameters`.
-        wheels: (4, 4), and
+        wheels: (6, 4), and
         rows: (8, 11), of `layout.wheel_tables`.
         z: (8,) filled with what was measured.
         var: (8,) filled with its variances.
@@ -119,7 +119,8 @@ def body_rows(
         window = m[L.WINDOW : L.WINDOW + 8]
         for i in range(8):
             window[i] = decay * window[i] + u[i]
-        b = friction_twist(u, window, wheels)
+        creeping = par[L.CREEP] > 0.0
+        b = creep_twist(u, window, wheels) if creeping else friction_twist(u, window, wheels)
         for j in range(3):
             z[j] = b[j]
     for j in range(3):

@@ -12,8 +12,9 @@ import numpy as np
 
 from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import friction_twist
+from hil.estimator.friction import creep_twist, friction_twist
 from hil.estimator.fusion import check_state
+from hil.estimator.layout import contacts
 from hil.geometry import Array, compose, se2_exp
 from hil.interfaces import Estimator
 from hil.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
@@ -29,9 +30,7 @@ class OdometryEstimator(Estimator):
         self._geometry, self._noise = geometry, config.wheels
         self._model = "exact" if config.wheels.model == "equations" else config.wheels.model
         self._projection = projection(geometry.x_m, geometry.y_m)
-        self._contacts = np.array(
-            [geometry.radius_m, geometry.steering_zero_rad, geometry.x_m, geometry.y_m], dtype=np.float64
-        )
+        self._contacts = contacts(geometry)
         linear = "paper" if self._model == "paper" else "exact"
         self._arm_m2 = 0.25 * float(np.sum(geometry.x_m**2 + geometry.y_m**2))
         self._forward = forward_matrix(geometry.x_m, geometry.y_m, linear)
@@ -92,10 +91,11 @@ class OdometryEstimator(Estimator):
         heading = 0.5 * (now.steering_rad + last.steering_rad) - self._geometry.steering_zero_rad
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
         if all(usable):
-            if self._model == "dry-friction":
+            if self._model in ("dry-friction", "creep"):
                 self._window *= np.exp(-dt / self._noise.friction_window_s)
                 self._window += u
-                return friction_twist(u, self._window, self._contacts)
+                law = creep_twist if self._model == "creep" else friction_twist
+                return law(u, self._window, self._contacts)
             return np.asarray(self._forward @ u, dtype=np.float64)
         rows = np.repeat(usable, 2)
         return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)

@@ -10,10 +10,9 @@ import numpy as np
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate
 from hil.calibration.problem import Setting
-from hil.kinematics import WheelGeometry
 from hil.procedure import Context
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
-from procedures.parts.odometry_rounds import Driven, improve, nominal_geometry, tracks
+from procedures.parts.odometry_rounds import Driven, Odometry, improve
 
 
 def show(
@@ -22,28 +21,28 @@ def show(
 ) -> None:  # fmt: skip
     """Everything that a person needs to judge the result."""
     fitted = next(d for d in rounds if d.recordings[0] is result.recordings[0])
-    columns = {"nominal": nominal_geometry(ctx.source.config), method: result.geometry}
+    model = result.setting.model
+    columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
     for other in compared_methods:
-        columns[other] = improve(ctx, fitted, setting, other).geometry
+        columns[other] = Odometry(improve(ctx, fitted, setting, other).geometry, model)
     parameter_table(ctx, columns, result)
-    before = tracks(rounds[0].recordings, rounds[0].geometry, setting)
-    after = tracks(fresh.recordings, fresh.geometry, setting)
+    before, after = rounds[0].tracks(), fresh.tracks()
     error_table(ctx, "Table II: errors before calibration", evaluate(before))
     error_table(ctx, "Table III: errors after calibration", evaluate(after))
-    method_table(ctx, columns, fresh, setting)
-    round_table(ctx, [*rounds, fresh], setting)
+    method_table(ctx, columns, fresh)
+    round_table(ctx, [*rounds, fresh])
     observable_table(ctx, result)
-    draw_rounds(ctx, [*rounds, fresh], setting)
-    draw_validation(ctx, tracks(fresh.recordings, rounds[0].geometry, setting), after)
+    draw_rounds(ctx, [*rounds, fresh])
+    draw_validation(ctx, rounds[0].odometry.tracks(fresh.recordings), after)
     for line in result.warnings:
         ctx.note(line[0].upper() + line[1:] + ".")
 
 
-def method_table(ctx: Context, columns: Mapping[str, WheelGeometry], fresh: Driven, setting: Setting) -> None:
+def method_table(ctx: Context, columns: Mapping[str, Odometry], fresh: Driven) -> None:
     """Every method's parameters on the validation run."""
     rows: list[list[Any]] = []
-    for name, geometry in columns.items():
-        table: Any = evaluate(tracks(fresh.recordings, geometry, setting))
+    for name, odometry in columns.items():
+        table: Any = evaluate(odometry.tracks(fresh.recordings))
         rows.append([name, *(f"{1e3 * row['rmse_position_m']:.2f}" for row in table["motions"].values())])
     motions = list(dict.fromkeys(r.motion.replace("_", " ") for r in fresh.recordings))
     ctx.table(
@@ -52,12 +51,12 @@ def method_table(ctx: Context, columns: Mapping[str, WheelGeometry], fresh: Driv
     )  # fmt: skip
 
 
-def round_table(ctx: Context, runs: Sequence[Driven], setting: Setting) -> None:
+def round_table(ctx: Context, runs: Sequence[Driven]) -> None:
     """Every round by motion."""
     motions = list(dict.fromkeys(r.motion for r in runs[0].recordings))
     rows: list[list[Any]] = []
     for run in runs:
-        table: Any = evaluate(tracks(run.recordings, run.geometry, setting))
+        table: Any = evaluate(run.tracks())
         found = table["motions"]
         cells = (f"{1e3 * found[m]['rmse_position_m']:.2f}" if m in found else "–" for m in motions)
         rows.append([run.label, len(run.recordings), *cells, f"{1e3 * table['mean']['rmse_position_m']:.2f}"])
@@ -78,7 +77,7 @@ def observable_table(ctx: Context, result: Calibration) -> None:
     )  # fmt: skip
 
 
-def parameter_table(ctx: Context, columns: Mapping[str, WheelGeometry], result: Calibration) -> None:
+def parameter_table(ctx: Context, columns: Mapping[str, Odometry], result: Calibration) -> None:
     """Table I: wheel parameters by method, with the standard errors of the result."""
     z_std = result.intervals.std.reshape(4, 4)
     rows = []
@@ -88,7 +87,7 @@ def parameter_table(ctx: Context, columns: Mapping[str, WheelGeometry], result: 
     )  # fmt: skip
     for (label, key, scale), stds in zip(quantities, z_std, strict=True):
         for wheel in range(4):
-            values = [getattr(g, key)[wheel] * scale for g in columns.values()]
+            values = [getattr(o.geometry, key)[wheel] * scale for o in columns.values()]
             name, unit = label.split(" (")
             rows.append(
                 [f"{name} {wheel + 1} ({unit}", *(f"{v:.3f}" for v in values), f"{stds[wheel] * scale:.3f}"]
@@ -114,13 +113,13 @@ def error_table(ctx: Context, title: str, table: Any) -> None:
     )  # fmt: skip
 
 
-def draw_rounds(ctx: Context, runs: Sequence[Driven], setting: Setting) -> None:
+def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
     """Position error of every round and of the validation run, with the parameters that drove it."""
     figure = new_figure(5.6, 3.2)
     axes = style(figure.add_subplot(), "", "position RMSE (mm)")
     rng = np.random.default_rng(0)
     for k, run in enumerate(runs):
-        values = 1e3 * run.rmse_m(setting)
+        values = 1e3 * run.rmse_m()
         colour = SERIES[1] if k == 0 else SERIES[2] if run is runs[-1] else SERIES[0]
         axes.plot(k + rng.uniform(-0.18, 0.18, len(values)), values, ".", color=colour, ms=4, alpha=0.55)
         axes.plot([k - 0.3, k + 0.3], [values.mean()] * 2, color=colour, lw=2)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hil.bench.settings import geometry_of
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.datasets import Recording
@@ -27,51 +28,59 @@ _BOOTSTRAP = 2000
 
 
 @dataclass(frozen=True)
+class Odometry:
+    """Wheel parameters and the forward model that reads the wheels with them."""
+
+    geometry: WheelGeometry
+    model: str
+
+    def tracks(self, recordings: Sequence[Recording]) -> list[Track]:
+        """Odometry of recordings beside their ground truth."""
+        return [track(r, self.geometry, self.model) for r in recordings]
+
+
+@dataclass(frozen=True)
 class Driven:
-    """Recordings and the parameters that drove them.
+    """Recordings and what drove them.
 
     Attributes:
         label: `round 1`, ..., `validation`.
-        geometry: in use while driving, for inverse kinematics and odometry alike.
+        odometry: in use while driving; its parameters for inverse kinematics as well.
     """
 
     label: str
     recordings: list[Recording]
-    geometry: WheelGeometry
+    odometry: Odometry
 
-    def rmse_m(self, setting: Setting) -> Array:
+    def tracks(self) -> list[Track]:
+        """Odometry as it was while driving, beside the ground truth."""
+        return self.odometry.tracks(self.recordings)
+
+    def rmse_m(self) -> Array:
         """Position RMSE of odometry for each recording, m."""
-        return np.array([position_rmse(t) for t in tracks(self.recordings, self.geometry, setting)])
+        return np.array([position_rmse(t) for t in self.tracks()])
 
 
-def nominal_geometry(config: BenchConfig) -> WheelGeometry:
-    """Wheel geometry of the configured robot."""
-    robot = config.robot
-    return WheelGeometry(np.array(robot.wheel_x_m), np.array(robot.wheel_y_m), np.array(robot.wheel_radius_m))
-
-
-def geometry_in(file: Path | None, config: BenchConfig) -> WheelGeometry:
-    """Wheel geometry of a calibration file; the bench's own without one."""
+def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
+    """Odometry of a calibration file; the bench's own without one."""
     known = file or (Path(config.calibration) if config.calibration else None)
-    return nominal_geometry(config) if known is None else read_calibration(known).geometry
-
-
-def tracks(recordings: Sequence[Recording], geometry: WheelGeometry, setting: Setting) -> list[Track]:
-    """Odometry of recordings under a geometry."""
-    return [track(r, geometry, setting.model, setting.signal) for r in recordings]
+    if known is None:
+        used = config.estimator.wheels.model
+        return Odometry(geometry_of(config), "exact" if used == "equations" else used)
+    found = read_calibration(known)
+    return Odometry(found.geometry, found.model)
 
 
 def improve(ctx: Context, latest: Driven, setting: Setting, method: str) -> Calibration:
     """Fit the latest round, starting from the parameters that drove it.
 
     The prior stands at those parameters: of all sets that explain what they did wrong the nearest is
-    taken. What the data cannot show stays as it was, and what the model does not know (unequal wheel
-    loads, friction) shrinks from round to round instead of being hidden in those directions.
+    taken. What the data cannot show stays as it was.
     """
-    config = ctx.source.config
+    nominal = geometry_of(ctx.source.config)
     return calibrate(
-        latest.recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal_geometry(config),
-        prior=latest.geometry, validate=False, report=ctx.progress,
+        latest.recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal,
+        prior=nominal.with_vector(latest.odometry.geometry.vector()), validate=False, report=ctx.progress,
     )  # fmt: skip
 
 
@@ -82,12 +91,12 @@ def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> 
     return float(np.percentile(gains, 2.5))
 
 
-def worth_going_on(ctx: Context, before: Driven, after: Driven, setting: Setting) -> bool:
+def worth_going_on(ctx: Context, before: Driven, after: Driven) -> bool:
     """Whether the latest round was driven better than the best before it, by more than chance and 5 %.
 
     Recordings are paired by motion and repetition; the interval is over those pairs.
     """
-    old, new = before.rmse_m(setting), after.rmse_m(setting)
+    old, new = before.rmse_m(), after.rmse_m()
     low = improvement_bound(old, new, np.random.default_rng(ctx.seed))
     gain = f"better by at least {100 * low:.0f} %" if low > 0 else "no better than by chance"
     ctx.note(

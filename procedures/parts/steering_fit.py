@@ -17,6 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.geometry import Array, rotation2, wrap_array
 from hil.motion import Motion
@@ -93,21 +94,6 @@ def _solve(design: Array, values: Array) -> Array:
 def _formal(design: Array, residual: Array) -> float:
     normal = design.T @ design + _weights(len(residual))
     return float(np.std(residual) * math.sqrt(np.linalg.inv(normal)[0, 0]))
-
-
-def load_shares(config: BenchConfig) -> Array:
-    """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
-    robot = config.robot
-    x, y, height = robot.centre_of_mass_m
-    weight = robot.mass_kg * _GRAVITY_M_S2
-    total, moment_x, moment_y = weight, weight * x, weight * y
-    if config.surface == "wall":
-        thrust = robot.thrust_compensation * weight
-        total, moment_y = robot.edf_force_n, 0.0
-        moment_x = robot.propeller_height_m * thrust - height * weight
-    statics = np.stack([np.ones(4), np.array(robot.wheel_x_m), np.array(robot.wheel_y_m)])
-    loads = np.maximum(np.linalg.pinv(statics) @ np.array([total, moment_x, moment_y]), 0.0)
-    return np.asarray(loads / loads.sum(), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ def slip_of(motion: Motion, geometry: WheelGeometry) -> Slip:
     heading = np.unwrap(truth[:, 2])
     middle = 0.5 * (wheels[1:, 4:] + wheels[:-1, 4:]) - geometry.steering_zero_rad
     u = wheel_vectors(np.diff(wheels[:, :4], axis=0) * geometry.radius_m, middle)
-    rolled = twist_of_vectors(geometry.x_m, geometry.y_m, u)
+    rolled = twist_of_vectors(geometry, u)
     along = 0.5 * (heading[1:] + heading[:-1])
     c, s = np.cos(along), np.sin(along)
     by_wheels = np.array(

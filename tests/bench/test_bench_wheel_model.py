@@ -10,11 +10,13 @@ import hil
 from hil.bench.doctor import examine
 from hil.calibration.artefact import CalibrationFile, save_calibration
 from hil.config.bench import load_bench
+from hil.errors import ConfigError
 from hil.kinematics import WheelGeometry
 from hil.live.playback import open_recording
 from hil.recording.mcap_writer import McapRecorder
 
 MODEL = "estimator.wheels.model"
+TYRES = {"load": [0.5, 1.4, 1.5, 0.6], "creep_ratio": 0.8}
 
 
 @pytest.fixture
@@ -30,6 +32,8 @@ def calibration(tmp_path):
             "std": {}, "twist_correction": np.eye(3).tolist(), "cost_before": 2.0, "cost_after": 1.0,
             "recordings": {},
         }  # fmt: skip
+        if model == "creep":
+            tree["tyres"] = TYRES
         save_calibration(tmp_path / name, CalibrationFile.model_validate(tree))
         return tmp_path / name
 
@@ -38,7 +42,7 @@ def calibration(tmp_path):
 
 @pytest.mark.parametrize(
     ("fitted", "expected"),
-    [("exact", "equations"), ("paper", "paper"), ("dry-friction", "dry-friction")],
+    [("exact", "equations"), ("paper", "paper"), ("dry-friction", "dry-friction"), ("creep", "creep")],
 )
 def test_the_estimators_read_the_wheels_as_the_calibration_was_fitted(calibration, fitted, expected):
     bench = hil.open_bench("emulated_floor", calibration=calibration(fitted))
@@ -91,3 +95,34 @@ def test_replay_with_another_calibration_takes_its_model(calibration, tmp_path):
     file.write_text(tomli_w.dumps(tree))
     chosen = open_recording(path, bench=str(file), calibration=calibration("dry-friction")).bench
     assert chosen.config.estimator.wheels.model == "paper"
+
+
+def test_loads_and_tyres_of_a_creep_calibration_reach_the_estimator_and_the_recording(calibration, tmp_path):
+    path = tmp_path / "rest.mcap"
+    bench = hil.open_bench("emulated_floor", calibration=calibration("creep"))
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
+        bench.observe(0.1, feedback="odometry")
+    again = open_recording(path).bench
+    for geometry in (bench.geometry, again.geometry):
+        assert geometry.load.tolist() == TYRES["load"]
+        assert geometry.creep_ratio == TYRES["creep_ratio"]
+
+
+def test_without_a_calibration_loads_follow_from_the_robot_as_configured():
+    """A centre of mass 49 mm behind the middle loads the rear wheels; the sum is the weight."""
+    with hil.open_bench("emulated_floor") as bench:
+        load, robot = bench.geometry.load, bench.config.robot
+        assert load.sum() == pytest.approx(4.0)
+        assert load @ bench.geometry.x_m / 4 == pytest.approx(robot.centre_of_mass_m[0])
+        assert load @ bench.geometry.y_m / 4 == pytest.approx(robot.centre_of_mass_m[1])
+        assert bench.geometry.creep_ratio == robot.creep_ratio == pytest.approx(0.7)
+
+
+def test_a_creep_calibration_without_its_tyres_is_refused(calibration, tmp_path):
+    path = calibration("creep")
+    text = path.read_text()
+    path.write_text(text[: text.index("[tyres]")])
+    with pytest.raises(ConfigError) as error:
+        hil.open_bench("emulated_floor", calibration=path)
+    assert any("tyres" in problem for problem in error.value.problems)

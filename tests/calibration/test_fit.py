@@ -34,14 +34,15 @@ def some_z(seed=0):
     return z
 
 
-@pytest.mark.parametrize("name", ["exact", "paper", "dry-friction"])
+@pytest.mark.parametrize("name", ["exact", "paper", "dry-friction", "creep"])
 def test_motion_jacobian_matches_differences(recordings, name):
     q = reduce_recordings(recordings[:3], 0.3).wheel_rad.reshape(-1, 8)
     z = some_z()
-    _, jacobian = make_model(name, q).motion_jacobian(z)
+    tyres = replace(CAD, load=np.array([0.5, 1.4, 1.5, 0.6]), creep_ratio=0.7)
+    _, jacobian = make_model(name, q, tyres).motion_jacobian(z)
     for k in range(16):
         h = 1e-6 * np.eye(16)[k]
-        slope = (make_model(name, q).motion(z + h) - make_model(name, q).motion(z - h)) / 2e-6
+        slope = (make_model(name, q, tyres).motion(z + h) - make_model(name, q, tyres).motion(z - h)) / 2e-6
         tolerance = 2e-3 if name == "dry-friction" else 1e-8
         assert np.median(np.abs(jacobian[:, :, k] - slope)) <= tolerance * max(np.abs(slope).max(), 1.0)
 

@@ -12,6 +12,7 @@ SEVERAL = {
     "recommended": {},
     "paper": {"preset": "paper"},
     "dry friction": {"wheels": {"model": "dry-friction"}},
+    "creep": {"wheels": {"model": "creep"}},
     "short baseline": {"tracker": {"baseline_s": 0.3}},
     "wheel scale": {"wheel_scale_sigma": 0.01, "tracker": {"scale_sigma": 0.0}},
     "with mocap": {"mocap": {"use": True}},

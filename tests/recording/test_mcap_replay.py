@@ -41,7 +41,7 @@ class DeadReckoning(Estimator):
                 step = (wheels.wheel_angle_rad - self.last) * GEOMETRY.radius_m * self.scale
                 heading = wheels.steering_rad
                 u = np.column_stack([np.cos(heading), np.sin(heading)]).ravel() * np.repeat(step, 2)
-                twist = twist_of_vectors(GEOMETRY.x_m, GEOMETRY.y_m, u)
+                twist = twist_of_vectors(GEOMETRY, u)
                 self.pose = compose(self.pose, se2_exp(twist))
             self.last = wheels.wheel_angle_rad
         return RobotState(

@@ -1,0 +1,128 @@
+"""Contact laws against their own principles: least dissipation, balance of forces, scaling."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hil import contact_laws as law
+from hil.estimator.friction import creep_twist, friction_twist
+from hil.estimator.layout import contacts
+from hil.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
+
+CAD = WheelGeometry.nominal()
+LOAD = np.array([0.5, 1.4, 1.5, 0.6])
+
+
+def test_least_dissipation_is_a_minimum_and_ignores_one_contradicting_wheel():
+    rng = np.random.default_rng(3)
+    geometry = WheelGeometry.from_vector(CAD.vector() + 0.005 * rng.standard_normal(16))
+    p = geometry.projection()
+    twist = np.array([0.05, 0.02, 0.1])
+    u = np.tile(p @ twist, (3, 1))
+    u[1, 2] += 0.02
+    u[2] += 0.004 * rng.standard_normal(8)
+    b = law.least_dissipation(p, u)
+    np.testing.assert_allclose(b[0], twist, atol=1e-9)
+    np.testing.assert_allclose(b[1], twist, atol=1e-3)
+    assert np.linalg.norm(twist_of_vectors(geometry, u[1:2])[0] - twist) > 5e-3
+    share, scale = np.ones(4), law.displacement_scale(u)
+    best = law._dissipation(p, u, b, scale, share, 1.0)
+    for _ in range(40):
+        other = b + 1e-4 * rng.standard_normal(b.shape)
+        assert np.all(law._dissipation(p, u, other, scale, share, 1.0) >= best - 1e-12)
+
+
+@given(st.floats(0.1, 10.0), st.integers(0, 100))
+@settings(max_examples=30)
+def test_dry_friction_is_homogeneous(factor, seed):
+    """Twice the wheel motion moves the body twice as far: Coulomb friction knows no speed."""
+    u = 0.01 * np.random.default_rng(seed).standard_normal((4, 8))
+    p = CAD.projection()
+    np.testing.assert_allclose(
+        law.least_dissipation(p, factor * u), factor * law.least_dissipation(p, u), atol=2e-6 * factor
+    )
+
+
+def test_dissipation_derivatives_match_differences():
+    rng = np.random.default_rng(4)
+    p, u = CAD.projection(), 0.01 * rng.standard_normal((5, 8))
+    b, share, scale = 0.005 * rng.standard_normal((5, 3)), np.ones(4), law.displacement_scale(u)
+    for power in (1.0, 1.5, 2.0):
+        gradient, hessian = law.dissipation_derivatives(p, u, b, scale, share, power)
+        for axis in range(3):
+            h = np.zeros(3)
+            h[axis] = 1e-7
+            up = law.dissipation_derivatives(p, u, b + h, scale, share, power)[0]
+            down = law.dissipation_derivatives(p, u, b - h, scale, share, power)[0]
+            np.testing.assert_allclose(hessian[:, :, axis], (up - down) / 2e-7, rtol=2e-3, atol=1e-4)
+            value = (
+                law._dissipation(p, u, b + h, scale, share, power)
+                - law._dissipation(p, u, b - h, scale, share, power)
+            ) / 2e-7
+            np.testing.assert_allclose(gradient[:, axis] / scale**2, value, rtol=1e-3, atol=1e-2)
+
+
+def contradicting(rng, n=6):
+    """Wheel vectors of body motions, wheel headings off by up to two degrees and lengths by 2 %."""
+    u = 0.002 * rng.standard_normal((n, 3)) @ np.diag([1, 1, 5]) @ CAD.projection().T
+    size, heading = np.hypot(u[:, 0::2], u[:, 1::2]), np.arctan2(u[:, 1::2], u[:, 0::2])
+    error = rng.uniform(-1, 1, (2, n, 4))
+    return wheel_vectors(size * (1 + 0.02 * error[0]), heading + 0.035 * error[1])
+
+
+def test_creep_forces_balance():
+    """Force = load times slip over way rolled, softer sideways; no net force and no net torque."""
+    u, p = contradicting(np.random.default_rng(5)), CAD.projection()
+    b = law.creep_motion(p, u, LOAD, 0.7)
+    slip = (u - b @ p.T).reshape(-1, 4, 2)
+    rolled = np.linalg.norm(u.reshape(-1, 4, 2), axis=2)
+    along = u.reshape(-1, 4, 2) / rolled[..., None]
+    across = along[..., ::-1] * [-1, 1]
+    force = (
+        sum(
+            stiffness * np.sum(slip * axis, axis=2)[..., None] * axis
+            for stiffness, axis in ((1.0, along), (0.7, across))
+        )
+        * (LOAD / rolled)[..., None]
+    )
+    torque = CAD.x_m * force[..., 1] - CAD.y_m * force[..., 0]
+    scale = np.abs(force).sum(axis=(1, 2))
+    assert np.abs(slip).max() > 1e-5
+    np.testing.assert_allclose(force.sum(axis=1) / scale[:, None], 0.0, atol=1e-12)
+    np.testing.assert_allclose(torque.sum(axis=1) / scale, 0.0, atol=1e-12)
+
+
+def test_creep_of_equal_tyres_that_roll_alike_is_least_squares():
+    rng = np.random.default_rng(6)
+    u = wheel_vectors(
+        np.full((5, 4), 0.01), rng.uniform(-np.pi, np.pi, (5, 1)) + 0.03 * rng.standard_normal((5, 4))
+    )
+    exact = u @ forward_matrix(CAD.x_m, CAD.y_m).T
+    np.testing.assert_allclose(law.creep_motion(CAD.projection(), u, np.ones(4), 1.0), exact, atol=1e-12)
+
+
+@given(st.floats(0.05, 20.0), st.integers(0, 100))
+@settings(max_examples=30)
+def test_creep_knows_neither_speed_nor_weight(factor, seed):
+    u, p = contradicting(np.random.default_rng(seed)), CAD.projection()
+    b = law.creep_motion(p, u, LOAD, 0.7)
+    np.testing.assert_allclose(law.creep_motion(p, factor * u, LOAD, 0.7), factor * b, rtol=1e-4, atol=1e-9)
+    np.testing.assert_allclose(law.creep_motion(p, u, factor * LOAD, 0.7), b, rtol=1e-9, atol=1e-15)
+
+
+def test_a_robot_that_stands_does_not_move():
+    assert not np.any(law.creep_motion(CAD.projection(), np.zeros((2, 8)), LOAD, 0.7))
+
+
+@pytest.mark.parametrize(
+    "geometry", [CAD, WheelGeometry(CAD.x_m, CAD.y_m, CAD.radius_m, load=LOAD, creep_ratio=0.7)]
+)
+def test_filter_kernels_follow_the_same_laws(geometry):
+    """The window of the last steps decides the weights; with one step in it both forms are one law."""
+    wheels, p = contacts(geometry), projection(geometry.x_m, geometry.y_m)
+    for u in contradicting(np.random.default_rng(7)):
+        want = law.creep_motion(p, u[None], geometry.load, geometry.creep_ratio)[0]
+        np.testing.assert_allclose(creep_twist(u, u, wheels), want, rtol=1e-6, atol=1e-12)
+        want = law.least_dissipation(p, u[None])[0]
+        np.testing.assert_allclose(friction_twist(u, u, wheels), want, rtol=0.02, atol=1e-5)
