@@ -285,7 +285,7 @@ def run(
         p: (capacity, 20, 20) covariances.
         m: (capacity, 72) sensor memories.
         par: `layout.parameters`.
-        wheels: (4, 4), and
+        wheels: (6, 4), and
         rows: (8, 11), of `layout.wheel_tables`.
     """
     capacity = t_ns.shape[0]

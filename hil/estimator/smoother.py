@@ -142,7 +142,7 @@ def pull_update(
         m: (72,) memory before the sample; used up.
         data: (16,) event row.
         par: `layout.parameters`.
-        wheels: (4, 4), and
+        wheels: (6, 4), and
         rows: (8, 11), of `layout.wheel_tables`.
         accepted: number of rows that the forward pass used.
         late: (20,) and
@@ -217,7 +217,7 @@ def backward(
         p: (n, 20, 20) their covariances.
         m: (n, 72) sensor memories.
         par: `layout.parameters`.
-        wheels: (4, 4), and
+        wheels: (6, 4), and
         rows: (8, 11), of `layout.wheel_tables`.
         late: (20,) and
         spread: (20, 20), see `pull_update`; changed in place.
