@@ -27,7 +27,6 @@ DEFAULT_GROUP = "239.74.163.2"
 DEFAULT_PORT = 43113
 
 _QUEUE = 4096
-_PROBABILITY = 0.1
 _OVERHEAD_BITS, _STUFFING = 47, 1.1
 
 _CHANNELS: dict[str, CanChannel] = {}
@@ -113,7 +112,7 @@ class CanChannel:
 
         def hit(kind: str) -> bool:
             fault = faults.get(kind)
-            return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+            return fault is not None and fault.strikes(self._rng)
 
         if "unplug" in faults or hit("drop"):
             return None

@@ -13,6 +13,8 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hil.clock import NS_PER_S, nanoseconds
 from hil.errors import FaultNotSupportedError, UsageError
 
@@ -23,6 +25,7 @@ WIRE_FAULTS = (
 )  # fmt: skip
 PLANT_FAULTS = ("adhesion_loss",)
 VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+_SLOWNESS, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.5, 0.5, 0.1
 
 _SPEC = re.compile(
     r"(?P<device>[\w.]+):(?P<kind>\w+)(?:@(?P<start>[\d.eE-]+)(?:\+(?P<duration>[\d.eE-]+))?)?"
@@ -47,6 +50,24 @@ class Fault:
     def option(self, key: str, default: float) -> float:
         """A numeric option of the fault, or its default."""
         return self.options.get(key, default)
+
+    def interrupts(self, t_ns: int) -> bool:
+        """Whether an `intermittent` fault acts now: the last `duty` of every `period_s`."""
+        period_ns = nanoseconds(self.option("period_s", _PERIOD_S))
+        return (t_ns - self.start_ns) % period_ns >= (1.0 - self.option("duty", _DUTY)) * period_ns
+
+    def strikes(self, rng: np.random.Generator) -> bool:
+        """Whether it hits this packet, frame or reply, by its `probability`."""
+        return bool(rng.random() < self.option("probability", _PROBABILITY))
+
+    @property
+    def slowness(self) -> float:
+        """By which `factor` a period is longer, at least 1."""
+        return max(1.0, self.option("factor", _SLOWNESS))
+
+    def delay_ns(self, default_s: float = 0.1) -> int:
+        """`delay_s` of a `delayed` fault."""
+        return nanoseconds(self.option("delay_s", default_s))
 
 
 def make_fault(
@@ -143,6 +164,46 @@ class FaultPlan:
     def active(self, device: str, t_ns: int) -> tuple[Fault, ...]:
         """All faults active on a device, in the order given."""
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
+
+
+class DeviceFaults:
+    """Asks the plan what is wrong now with a device that goes by one name.
+
+    Args:
+        plan: of the world.
+        name: of the device.
+        rng: for faults that strike at random.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        self._plan, self._name, self._rng = plan, name, rng
+        self._done: set[tuple[str, int]] = set()
+
+    @property
+    def none(self) -> bool:
+        """Whether no fault is planned at all."""
+        return self._plan.empty
+
+    def find(self, kind: str, t_ns: int) -> Fault | None:
+        """The active fault of that kind."""
+        return None if self._plan.empty else self._plan.find(self._name, kind, t_ns)
+
+    def news(self, kind: str, t_ns: int) -> Fault | None:
+        """A fault that acts once and has not been asked about before."""
+        fault = self.find(kind, t_ns)
+        if fault is None or (kind, fault.start_ns) in self._done:
+            return None
+        self._done.add((kind, fault.start_ns))
+        return fault
+
+    def slowness(self, t_ns: int) -> float:
+        """Factor on the period of output."""
+        fault = self.find("slow", t_ns)
+        return 1.0 if fault is None else fault.slowness
+
+    def _hit(self, kind: str, t_ns: int) -> bool:
+        fault = self.find(kind, t_ns)
+        return fault is not None and fault.strikes(self._rng)
 
 
 def describe(fault: Fault) -> str:

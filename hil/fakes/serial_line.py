@@ -21,7 +21,6 @@ LINE_FAULTS = ("drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unp
 
 _BITS_PER_BYTE = 10
 _USB_PACKET = 62
-_PROBABILITY = 0.1
 _WRONG_BAUD_FACTOR = 0.5
 
 _LINES: dict[str, SerialLine] = {}
@@ -177,7 +176,7 @@ class SerialLine(Scheduled):
 
         def hit(kind: str) -> bool:
             fault = faults.find(self.chip.name, kind, t_ns)
-            return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+            return fault is not None and fault.strikes(self._rng)
 
         if faults.find(self.chip.name, "unplug", t_ns) or hit("drop"):
             return ()

@@ -10,7 +10,6 @@ import math
 from collections.abc import Iterator
 from typing import Protocol
 
-from hil.clock import nanoseconds
 from hil.fakes.can_wire import WIRE_FAULTS
 from hil.fakes.encoders.as5045 import (
     COUNTS,
@@ -34,7 +33,7 @@ _TIME_LSB_NS = 10_000
 _TIME_MASK = 0xFFFFF
 _BOOT_NS = 50_000_000
 _BLOCK = 512
-_SLIP_RAD, _SLOWNESS, _DELAY_S, _PERIOD_S, _DUTY, _PROBABILITY = 0.2, 5.0, 0.05, 0.5, 0.5, 0.1
+_SLIP_RAD, _DELAY_S = 0.2, 0.05
 
 
 class Wire(Protocol):
@@ -104,7 +103,7 @@ class EncoderNode(Scheduled):
         slow = self._plan.find(self.name, "slow", t_ns) if faulty else None
         period_ns = self._period_ns
         if slow is not None:
-            period_ns = round(period_ns * max(1.0, slow.option("factor", _SLOWNESS)))
+            period_ns = round(period_ns * slow.slowness)
         self._grid_ns = max(self._grid_ns + period_ns, t_ns)
         self._due_ns = max(t_ns + 1, self._grid_ns + round(min(3.0, abs(noise[4])) * self._jitter_ns))
         if faulty and self._power(t_ns):
@@ -122,7 +121,7 @@ class EncoderNode(Scheduled):
         if faulty:
             words = [self._spoil(axis, word, t_ns) for axis, word in enumerate(words)]
             delayed = self._plan.find(self.name, "delayed", t_ns)
-            send_ns += nanoseconds(delayed.option("delay_s", _DELAY_S)) if delayed is not None else 0
+            send_ns += delayed.delay_ns(_DELAY_S) if delayed is not None else 0
         self._send(words, t_ns, send_ns)
 
     def reset(self, t_ns: int) -> None:
@@ -168,11 +167,7 @@ class EncoderNode(Scheduled):
         if self._dead or t_ns < self._boot_ns:
             return True
         fault = find(self.name, "intermittent", t_ns)
-        if fault is None:
-            return False
-        period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
-        on_ns = (1.0 - fault.option("duty", _DUTY)) * period_ns
-        return (t_ns - fault.start_ns) % period_ns >= on_ns
+        return fault is not None and fault.interrupts(t_ns)
 
     def _news(self, fault: Fault) -> bool:
         key = (f"{fault.device}:{fault.kind}", fault.start_ns)
@@ -209,7 +204,7 @@ class EncoderNode(Scheduled):
             return with_parity(word | flags & 0x1E) if flags else int(self._rng.integers(0, 1 << 18))
         if kind == "wrong":
             return _turned(word, fault.option("offset_rad", _SLIP_RAD))
-        if kind == "corrupt" and self._rng.random() < fault.option("probability", _PROBABILITY):
+        if kind == "corrupt" and fault.strikes(self._rng):
             return word ^ 1 << int(self._rng.integers(0, 18))
         if kind == "jump" and self._news(Fault(name, kind, fault.start_ns)):
             self.chips[axis].offset_rad += fault.option("angle_rad", _SLIP_RAD)

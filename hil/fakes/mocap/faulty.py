@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.clock import nanoseconds
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.faults import DeviceFaults, Fault, FaultPlan
 from hil.fakes.mocap.capture import SeenBody
 
 SUPPORTED_FAULTS = (
@@ -15,13 +14,13 @@ SUPPORTED_FAULTS = (
     "duplicate", "unplug", "jump", "reset",
 )  # fmt: skip
 
-_SLOWNESS, _DELAY_S, _PERIOD_S, _DUTY, _PROBABILITY, _OFFSET_M = 5.0, 0.1, 0.5, 0.5, 0.1, 0.1
+_OFFSET_M = 0.1
 
 Bodies = tuple[SeenBody, SeenBody]
 
 
-class MocapFaults:
-    """Asks the plan what is wrong now.
+class MocapFaults(DeviceFaults):
+    """What is wrong with server and network.
 
     Options: `wrong,offset_m=` along x; `jump` exchanges the two bodies; `garbage` makes random poses,
     with `nan=1` NaN, with `packets=1` random packets; `slow,factor=`; `delayed,delay_s=`;
@@ -31,29 +30,15 @@ class MocapFaults:
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
-        self._plan, self._name, self._rng = plan, name, rng
-        self._done: set[int] = set()
+        super().__init__(plan, name, rng)
         self._frozen: Bodies | None = None
         self._dead = False
         plan.declare(name, SUPPORTED_FAULTS)
 
-    @property
-    def none(self) -> bool:
-        """Whether no fault is planned at all."""
-        return self._plan.empty
-
-    def find(self, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind."""
-        return None if self._plan.empty else self._plan.find(self._name, kind, t_ns)
-
     def restarted(self, t_ns: int) -> bool:
         """Whether the server has just come back from a reset or from being off."""
         was_dead, self._dead = self._dead, self.find("off", t_ns) is not None
-        fault = self.find("reset", t_ns)
-        if fault is not None and fault.start_ns not in self._done:
-            self._done.add(fault.start_ns)
-            return True
-        return was_dead and not self._dead
+        return self.news("reset", t_ns) is not None or (was_dead and not self._dead)
 
     def cut_off(self, t_ns: int) -> bool:
         """Whether no packet gets in or out."""
@@ -62,22 +47,17 @@ class MocapFaults:
     def silent(self, t_ns: int) -> bool:
         """Whether this frame is not sent."""
         fault = self.find("intermittent", t_ns)
-        return fault is not None and not fault.option("occlude", 0.0) and self._interrupted(fault, t_ns)
+        return fault is not None and not fault.option("occlude", 0.0) and fault.interrupts(t_ns)
 
     def hidden(self, t_ns: int) -> bool:
         """Whether the body is out of sight."""
         fault = self.find("intermittent", t_ns)
-        return fault is not None and bool(fault.option("occlude", 0.0)) and self._interrupted(fault, t_ns)
-
-    def slowness(self, t_ns: int) -> float:
-        """Factor on the frame period."""
-        fault = self.find("slow", t_ns)
-        return 1.0 if fault is None else max(1.0, fault.option("factor", _SLOWNESS))
+        return fault is not None and bool(fault.option("occlude", 0.0)) and fault.interrupts(t_ns)
 
     def delay_ns(self, t_ns: int) -> int:
         """Extra time on the network."""
         fault = self.find("delayed", t_ns)
-        return 0 if fault is None else nanoseconds(fault.option("delay_s", _DELAY_S))
+        return 0 if fault is None else fault.delay_ns()
 
     def distort(self, bodies: Bodies, t_ns: int) -> Bodies:
         """The bodies as the server takes them to be."""
@@ -111,15 +91,6 @@ class MocapFaults:
         if self._hit("truncate", t_ns):
             packet = packet[: int(self._rng.integers(0, len(packet)))]
         return (packet, packet) if self._hit("duplicate", t_ns) else (packet,)
-
-    def _hit(self, kind: str, t_ns: int) -> bool:
-        fault = self.find(kind, t_ns)
-        return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
-
-    def _interrupted(self, fault: Fault, t_ns: int) -> bool:
-        period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
-        on_ns = (1.0 - fault.option("duty", _DUTY)) * period_ns
-        return (t_ns - fault.start_ns) % period_ns >= on_ns
 
     def _garbage(self, body: SeenBody, fault: Fault) -> SeenBody:
         bits = self._rng.integers(0, 256, 28, dtype=np.uint8)

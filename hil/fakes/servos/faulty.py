@@ -19,9 +19,7 @@ _LINE_ONLY = ("drop", "corrupt")
 SERVO_FAULTS = (*BUS_FAULTS, *_LINE_ONLY)
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
-_DELAY_S, _SLOW_S = 0.1, 0.002
-_PERIOD_S, _DUTY = 0.5, 0.5
-_PROBABILITY = 0.1
+_SLOW_S = 0.002
 
 Measured = tuple[int, int, int]
 
@@ -80,7 +78,7 @@ class ServoFaults:
     def age_ns(self, joint: int, t_ns: int) -> int:
         """How old the measurements are that the servo shows."""
         fault = self.find(joint, "delayed", t_ns)
-        return 0 if fault is None else nanoseconds(fault.option("delay_s", _DELAY_S))
+        return 0 if fault is None else fault.delay_ns()
 
     def measured(self, joint: int, t_ns: int, truth: Measured) -> Measured:
         """(position, velocity, current) counts as the servo believes them."""
@@ -101,19 +99,17 @@ class ServoFaults:
     def silent(self, joint: int, t_ns: int) -> bool:
         """Whether this reply is not given."""
         fault = self.find(joint, "intermittent", t_ns)
-        if fault is not None:
-            period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
-            if (t_ns - fault.start_ns) % period_ns >= (1.0 - fault.option("duty", _DUTY)) * period_ns:
-                return True
+        if fault is not None and fault.interrupts(t_ns):
+            return True
         fault = self.find(joint, "drop", t_ns)
-        return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
+        return fault is not None and fault.strikes(self._rng)
 
     def spoil(self, joint: int, reply: bytes, t_ns: int) -> bytes:
         """The reply as it leaves the servo."""
         if self.find(joint, "garbage", t_ns) is not None:
             return self._rng.bytes(len(reply))
         fault = self.find(joint, "corrupt", t_ns)
-        if fault is None or self._rng.random() >= fault.option("probability", _PROBABILITY):
+        if fault is None or not fault.strikes(self._rng):
             return reply
         place = int(self._rng.integers(len(reply)))
         return reply[:place] + bytes((reply[place] ^ 1 << int(self._rng.integers(8)),)) + reply[place + 1 :]

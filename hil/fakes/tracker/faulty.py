@@ -7,8 +7,7 @@ import math
 
 import numpy as np
 
-from hil.clock import nanoseconds
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.faults import DeviceFaults, Fault, FaultPlan
 from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.odometry import CameraPose
 
@@ -17,14 +16,13 @@ SUPPORTED_FAULTS = (
     "jump", "reset",
 )  # fmt: skip
 
-_SLOWNESS, _DELAY_S, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.1, 0.5, 0.5, 0.1
 _WRONG_SCALE, _JUMP_M = 1.2, 0.1
 _NAN = math.nan
 _NOT_A_POSE = CameraPose((_NAN,) * 3, (_NAN,) * 3, (_NAN,) * 4, (_NAN,) * 3)
 
 
-class TrackerFaults:
-    """Asks the plan what is wrong now.
+class TrackerFaults(DeviceFaults):
+    """What is wrong with the camera.
 
     Options: `wrong,scale=` on every step, or `wrong,confidence=`; `jump,distance_m=` once;
     `slow,factor=`; `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop` and `duplicate` with
@@ -33,15 +31,10 @@ class TrackerFaults:
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
-        self._plan, self._name, self._rng = plan, name, rng
-        self._done: set[tuple[str, int]] = set()
+        super().__init__(plan, name, rng)
         self._frozen: PoseFrame | None = None
         self._dead = False
         plan.declare(name, SUPPORTED_FAULTS)
-
-    def find(self, kind: str, t_ns: int) -> Fault | None:
-        """The active fault of that kind."""
-        return None if self._plan.empty else self._plan.find(self._name, kind, t_ns)
 
     def restarted(self, t_ns: int) -> bool:
         """Whether the camera has just come back from a reset or from being off."""
@@ -53,29 +46,12 @@ class TrackerFaults:
         if self._dead:
             return True
         fault = self.find("intermittent", t_ns)
-        if fault is None:
-            return False
-        period_ns = nanoseconds(fault.option("period_s", _PERIOD_S))
-        on_ns = (1.0 - fault.option("duty", _DUTY)) * period_ns
-        return (t_ns - fault.start_ns) % period_ns >= on_ns
-
-    def news(self, kind: str, t_ns: int) -> Fault | None:
-        """A fault of that kind that has not been asked about before."""
-        fault = self.find(kind, t_ns)
-        if fault is None or (kind, fault.start_ns) in self._done:
-            return None
-        self._done.add((kind, fault.start_ns))
-        return fault
-
-    def slowness(self, t_ns: int) -> float:
-        """Factor on the frame period."""
-        fault = self.find("slow", t_ns)
-        return 1.0 if fault is None else max(1.0, fault.option("factor", _SLOWNESS))
+        return fault is not None and fault.interrupts(t_ns)
 
     def delay_ns(self, t_ns: int) -> int:
         """Extra latency."""
         fault = self.find("delayed", t_ns)
-        return 0 if fault is None else nanoseconds(fault.option("delay_s", _DELAY_S))
+        return 0 if fault is None else fault.delay_ns()
 
     def jump_m(self, t_ns: int) -> float:
         """Distance of a jump that is due, once per fault."""
@@ -105,10 +81,6 @@ class TrackerFaults:
         if garbage is not None:
             frame = self._garbage(frame, garbage)
         return (frame, frame) if self._hit("duplicate", t_ns) else (frame,)
-
-    def _hit(self, kind: str, t_ns: int) -> bool:
-        fault = self.find(kind, t_ns)
-        return fault is not None and self._rng.random() < fault.option("probability", _PROBABILITY)
 
     def _garbage(self, frame: PoseFrame, fault: Fault) -> PoseFrame:
         if fault.option("clock", 0.0):
