@@ -3,12 +3,17 @@
 The robot turns to and fro by a few degrees, then its steering axes do. Every device's signal is fitted
 against what was commanded when: by its own time stamps, which says how wrong they are, and with the time
 to arrival, which says how old the loop's knowledge is. Body motion is what motion capture saw.
+
+Stamps are held against those of motion capture and of the servos, which are taken as right. Those of the
+inertial unit differ from run to run: its fusion runs on its own 100 Hz, half a period of which is all that
+a driver can know, and a loop of the same rate meets it in one and the same phase.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +27,15 @@ from hil.kinematics import forward, inverse
 from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from procedures.parts.devices import only
-from procedures.parts.latency_fit import Command, Delay, fit_delay, integrated, sent_s
+from procedures.parts.latency_fit import (
+    Command,
+    Delay,
+    fit_delay,
+    fit_driven,
+    fit_response,
+    integrated,
+    sent_s,
+)
 from procedures.parts.latency_report import draw_chain, draw_signals, table
 from procedures.parts.samples import Series, encoders, inertial, poses, wheels
 from procedures.parts.scripted import Stretch, play
@@ -31,6 +44,10 @@ from procedures.parts.tracking import stand
 Compared = Literal["encoders", "imu", "tracker"]
 _GOLDEN = 0.6180339887498949
 _STAMP_LIMIT_MS = {"encoders": 5.0, "imu": 8.0, "tracker": 8.0}
+_TRUSTED_S = 0.0003
+_TRUSTED = Delay(0.0, _TRUSTED_S, 1.0, 0.0)
+_SLACK_RAD = math.radians(1.0)
+_LONGEST_LAG_S, _TRUNCATION_S = 0.12, 0.0003
 
 
 class Parameters(BaseModel):
@@ -46,17 +63,32 @@ class Parameters(BaseModel):
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal against the command: times and way for a figure, its delay, and its age on arrival."""
+    """One signal against the command.
+
+    Attributes:
+        t_s, way: for a figure.
+        delay: behind the command, by its stamps.
+        age_s: median on arrival, by its stamps.
+        stamp: how much later its stamps are than the truth; for the two that are the truth, what they are
+            trusted to.
+    """
 
     t_s: Array
     way: Array
     delay: Delay
     age_s: float
+    stamp: Delay = _TRUSTED
 
     @property
     def known_s(self) -> float:
-        """From the command until the loop has seen it: mean delay and median age."""
+        """From the command until the loop has seen it, whatever the stamps say: mean delay and median age."""
         return self.delay.delay_s + self.age_s
+
+    def against(self, truth: Signal) -> Signal:
+        """With its stamps held against those of another signal of the same motion."""
+        half_s = math.hypot(self.delay.uncertainty_s, truth.delay.uncertainty_s)
+        return replace(self, stamp=replace(self.delay, delay_s=self.delay.delay_s - truth.delay.delay_s,
+                                           uncertainty_s=half_s))  # fmt: skip
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -67,21 +99,27 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         ("steering.command_to_motion", "by the servos' encoders; a step of position"),
     ):
         yield Measurement(name, "ms", low=5.0, high=150.0, marginal=20.0, rationale=why)
-        yield Measurement(f"{name}_uncertainty", "ms", high=5.0, rationale="half of the 95 % interval")
+        yield Measurement(f"{name}_uncertainty", "ms", high=2.0, rationale="half of the 95 % interval")
     yield Measurement(
         "servos.velocity_lag", "ms", low=35.0, high=70.0, marginal=5.0,
         rationale="Present Velocity behind Present Position: 52 measured on the robot",
     )  # fmt: skip
+    yield Measurement("servos.velocity_lag_uncertainty", "ms", high=4.0, rationale="95 %")
     for name in ("servos", "mocap", *p.devices):
-        yield Measurement(f"{name}.age", "ms", high=50.0, rationale="median, from measurement to arrival")
+        yield Measurement(
+            f"{name}.age", "ms", high=50.0, rationale="median, from measurement to arrival, stamps put right"
+        )
+        yield Measurement(f"{name}.age_uncertainty", "ms", high=4.0, rationale="95 %")
         yield Measurement(f"{name}.command_to_known", "ms", high=200.0, marginal=20.0,
                           rationale="until the loop has it")  # fmt: skip
+        yield Measurement(f"{name}.command_to_known_uncertainty", "ms", high=4.0, rationale="95 %")
     for name in p.devices:
         limit = _STAMP_LIMIT_MS[name]
         against = "the servos' steering" if name == "encoders" else "motion capture"
+        phase = "; half a period of its fusion either way" if name == "imu" else ""
         yield Measurement(
             f"{name}.stamp_error", "ms", low=-limit, high=limit, marginal=1.0,
-            rationale=f"stamps later than the truth, against {against}; the steering's play costs 1 ms",
+            rationale=f"stamps later than the truth, against {against}{phase}",
         )  # fmt: skip
         yield Measurement(f"{name}.stamp_error_uncertainty", "ms", high=4.0, rationale="95 %")
     yield Measurement(
@@ -158,18 +196,23 @@ def body_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, 
     steps = np.diff(rolled.values[:, 0:4], axis=0, prepend=rolled.values[:1, 0:4]) * geometry.radius_m
     by_angle = np.cumsum(forward(geometry, steps, rolled.values[:, 8:12])[:, 2])
     speed = forward(geometry, rolled.values[:, 4:8] * geometry.radius_m, rolled.values[:, 8:12])[:, 2]
+    servos = _signal(command, rolled, by_angle)
+    by_speed = integrated(rolled.t_s, speed)
+    lag = fit_response(rolled.t_s, by_angle, by_speed, _LONGEST_LAG_S)
+    lag = replace(lag, uncertainty_s=math.hypot(lag.uncertainty_s, _TRUNCATION_S))
     found = {
-        "servos": _signal(command, rolled, by_angle),
-        "velocity register": _signal(command, rolled, integrated(rolled.t_s, speed)),
+        "servos": servos,
+        "velocity register": replace(_signal(command, rolled, by_speed), stamp=lag),
     }
+    seen = poses(motion, "mocap").since(0.0)
+    mocap = _signal(command, seen, seen[2])
     if "imu" in p.devices:
         data = inertial(motion).since(0.0)
-        found["imu"] = _signal(command, data, integrated(data.t_s, data[0]))
-    for name in ("tracker", "mocap"):
-        if name == "mocap" or "tracker" in p.devices:
-            data = poses(motion, name).since(0.0)
-            found[name] = _signal(command, data, data[2])
-    return command, found
+        found["imu"] = _signal(command, data, integrated(data.t_s, data[0])).against(mocap)
+    if "tracker" in p.devices:
+        data = poses(motion, "tracker").since(0.0)
+        found["tracker"] = _signal(command, data, data[2]).against(mocap)
+    return command, {**found, "mocap": mocap}
 
 
 def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Command, dict[str, Signal]]:
@@ -177,14 +220,21 @@ def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Comma
     angles = np.array([r.setpoint.steering_rad for r in motion.records]).mean(axis=1)
     command = Command(sent_s(motion), angles)
     rolled = wheels(motion).since(0.0)
-    found = {"servos": _signal(command, rolled, integrated(rolled.t_s, rolled.values[:, 8:12].mean(axis=1)))}
+    driving = rolled.values[:, 8:12]
+    servos = _signal(command, rolled, integrated(rolled.t_s, driving.mean(axis=1)))
+    found = {"servos": servos}
     if "encoders" in p.devices:
         data = encoders(motion, bench.config).since(0.0)
         whole = np.isfinite(data.values).all(axis=1)
         t_s, mean = data.t_s[whole], data.values[whole].mean(axis=1)
-        found["encoders"] = Signal(
-            t_s, integrated(t_s, mean), fit_delay(command, t_s, integrated(t_s, mean)), _age_s(data)
-        )
+        way = integrated(t_s, mean)
+        own = Signal(t_s, way, fit_delay(command, t_s, way), _age_s(data))
+        stamp = fit_driven(
+            rolled.t_s, driving, data.t_s, data.values,
+            slack_rad=min(_SLACK_RAD, 0.5 * math.radians(p.steer_deg)),
+            about_s=own.delay.delay_s - servos.delay.delay_s,
+        )  # fmt: skip
+        found["encoders"] = replace(own, stamp=stamp)
     return command, found
 
 
@@ -196,27 +246,36 @@ def _age_s(series: Series) -> float:
     return float(np.median(series.host_s - series.t_s)) if len(series) else float("nan")
 
 
+def values_ms(p: Parameters, body: Mapping[str, Signal], axes: Mapping[str, Signal]) -> dict[str, float]:
+    """Every measured delay by its name, each with half of its 95 % interval, ms."""
+    found: dict[str, float] = {}
+
+    def note(name: str, delay_s: float, half_s: float) -> None:
+        found[name], found[f"{name}_uncertainty"] = 1e3 * delay_s, 1e3 * half_s
+
+    for name, signal in (
+        ("body", body["mocap"]), ("wheels", body["servos"]), ("steering", axes["servos"]),
+    ):  # fmt: skip
+        note(f"{name}.command_to_motion", signal.delay.delay_s, signal.delay.uncertainty_s)
+    lag = body["velocity register"].stamp
+    note("servos.velocity_lag", lag.delay_s, lag.uncertainty_s)
+    for name in ("servos", "mocap", *p.devices):
+        signal = axes[name] if name == "encoders" else body[name]
+        stamp = signal.stamp
+        note(f"{name}.age", signal.age_s + stamp.delay_s, max(stamp.uncertainty_s, _TRUSTED_S))
+        note(f"{name}.command_to_known", signal.known_s, signal.delay.uncertainty_s)
+        if name in p.devices:
+            note(f"{name}.stamp_error", stamp.delay_s, stamp.uncertainty_s)
+    return found
+
+
 def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> None:
     """Measurements, table and figures."""
     p: Parameters = ctx.parameters
     command, body = body_signals(bench, turning, p)
     axis_command, axes = steering_signals(bench, steering, p)
-    for name, signal in (
-        ("body", body["mocap"]), ("wheels", body["servos"]), ("steering", axes["servos"]),
-    ):  # fmt: skip
-        ctx.measure(f"{name}.command_to_motion", 1e3 * signal.delay.delay_s)
-        ctx.measure(f"{name}.command_to_motion_uncertainty", 1e3 * signal.delay.uncertainty_s)
-    lag_s = body["velocity register"].delay.delay_s - body["servos"].delay.delay_s
-    ctx.measure("servos.velocity_lag", 1e3 * lag_s)
-    for name in ("servos", "mocap", *p.devices):
-        signal = axes[name] if name == "encoders" else body[name]
-        ctx.measure(f"{name}.age", 1e3 * signal.age_s)
-        ctx.measure(f"{name}.command_to_known", 1e3 * signal.known_s)
-    for name in p.devices:
-        own, truth = (axes[name], axes["servos"]) if name == "encoders" else (body[name], body["mocap"])
-        ctx.measure(f"{name}.stamp_error", 1e3 * (own.delay.delay_s - truth.delay.delay_s))
-        half = np.hypot(own.delay.uncertainty_s, truth.delay.uncertainty_s)
-        ctx.measure(f"{name}.stamp_error_uncertainty", 1e3 * float(half))
+    for name, value in values_ms(p, body, axes).items():
+        ctx.measure(name, value)
     every: Mapping[str, Signal] = {**body, **{f"{n}, steering": s for n, s in axes.items()}}
     ctx.measure("worst_misfit", max(s.delay.misfit for s in every.values()))
     table(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})

@@ -2,26 +2,36 @@
 
 Everything is compared as a way: the command and rate signals are integrated, so that a joint's angle, a
 turn rate and a heading have the same shape, a rounded triangle, and the same lag of the motors in it.
-What is found is nearly the mean delay of the response (its first moment), which adds up along a chain:
-a few percent of a lag less, because corners rounded by it count less. Between two signals that have the
-same lag in them it drops out.
+The response is taken for a dead time and a first-order lag; their sum is its mean delay (its first
+moment), which adds up along a chain. A lag that is left out of the model would leave corners that no
+delay explains, and which of them fall into gaps of a signal would then decide its delay.
+
+Two sensors of one steering axis are compared by their angles instead: play between them holds the second
+one back at every reversal, and only while the axis is driven does it say nothing about time.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+from scipy.optimize import least_squares
 
 from hil.clock import NS_PER_S
 from hil.geometry import Array
 from hil.motion import Motion
 
 _BLOCKS = 8
+_STUDENT_7 = 2.365
 _EARLIEST_S, _LATEST_S = -0.15, 0.6
+_LOWEST, _HIGHEST = (-0.2, 1e-4), (0.7, 0.3)
+_LIKELY_LAG_S, _STEP_S = 0.02, 1e-5
 _SECTIONS = ("read", "estimate", "control")
+_DRIVEN_RAD_S = 0.3
+_ROUNDS = 4
 
 
 @dataclass(frozen=True)
@@ -29,7 +39,7 @@ class Delay:
     """Mean delay of a signal behind the command; `uncertainty_s` is half of the 95 % interval.
 
     Attributes:
-        gain: size of the signal over that of the command.
+        gain: size of the signal over that of what it follows.
         misfit: RMS of what is left over the RMS of the signal: 1 is a signal that does not follow.
     """
 
@@ -37,6 +47,9 @@ class Delay:
     uncertainty_s: float
     gain: float
     misfit: float
+
+
+_NOTHING = Delay(math.nan, math.nan, math.nan, math.nan)
 
 
 class Command:
@@ -48,12 +61,24 @@ class Command:
     """
 
     def __init__(self, t_s: Array, value: Array) -> None:
-        self._t_s = t_s
+        self._t_s, self._value = t_s, value
         self._way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(t_s))])
 
     def way(self, t_s: Array) -> Array:
         """Commanded way at any time."""
         return np.asarray(np.interp(t_s, self._t_s, self._way), dtype=np.float64)
+
+    def lagged(self, t_s: Array, lag_s: float) -> Array:
+        """Way of what follows the command with a first-order lag, from rest: the way less lag times rate."""
+        kept = np.exp(-np.diff(self._t_s) / lag_s).tolist()
+        rate, rates = 0.0, [0.0]
+        for value, share in zip(self._value[:-1].tolist(), kept, strict=True):
+            rate = value + (rate - value) * share
+            rates.append(rate)
+        k = np.clip(np.searchsorted(self._t_s, t_s, side="right") - 1, 0, len(rates) - 1)
+        since_s = np.maximum(t_s - self._t_s[k], 0.0)
+        now = self._value[k] + (np.array(rates)[k] - self._value[k]) * np.exp(-since_s / lag_s)
+        return self.way(t_s) - lag_s * now
 
 
 def sent_s(motion: Motion) -> Array:
@@ -81,29 +106,133 @@ def fit_delay(command: Command, t_s: Array, way: Array) -> Delay:
     known = np.isfinite(way)
     t, y = t_s[known], way[known]
     if len(t) < 10 * _BLOCKS:
-        return Delay(math.nan, math.nan, math.nan, math.nan)
-    whole = _best(command, t, y)
-    part = np.minimum(((t - t[0]) / (t[-1] - t[0]) * _BLOCKS).astype(int), _BLOCKS - 1)
-    without = np.array([_best(command, t[part != k], y[part != k]) for k in range(_BLOCKS)])
-    spread = math.sqrt((_BLOCKS - 1) / _BLOCKS * float(np.sum((without - without.mean()) ** 2)))
-    residual, gain = _fit(command, t, y, whole)
-    level = float(np.std(y - np.polyval(np.polyfit(t, y, 1), t)))
-    return Delay(whole, 2.36 * spread, gain, math.sqrt(residual / len(t)) / max(level, 1e-12))
+        return _NOTHING
+    dead_s = _coarse(command, t, y) - _LIKELY_LAG_S
+
+    def residuals(q: Array) -> Array:
+        return _follow(command, t, y, float(q[0]), float(q[1]))[0]
+
+    start = (dead_s, _LIKELY_LAG_S)
+    found = least_squares(residuals, start, bounds=(_LOWEST, _HIGHEST), x_scale=(0.01, 0.01))
+    dead_s, lag_s = map(float, found.x)
+    residual, (gain, *_), design = _follow(command, t, y, dead_s, lag_s)
+    later = _follow(command, t, y, dead_s + _STEP_S, lag_s)[2][:, 0]
+    slower = _follow(command, t, y, dead_s, lag_s + _STEP_S)[2][:, 0]
+    slopes = gain * (np.column_stack([later, slower]) - design[:, :1]) / _STEP_S
+    spread_s = _left_out(t, residual, np.column_stack([slopes, design]), np.array([1.0, 1.0, 0.0, 0.0, 0.0]))
+    return Delay(dead_s + lag_s, spread_s, float(gain), _misfit(t, y, residual))
 
 
-def _best(command: Command, t: Array, y: Array) -> float:
-    coarse = np.arange(_EARLIEST_S, _LATEST_S, 0.02)
-    start = float(coarse[np.argmin([_fit(command, t, y, tau)[0] for tau in coarse])])
-    found = minimize_scalar(
-        lambda tau: _fit(command, t, y, tau)[0], bounds=(start - 0.03, start + 0.03), method="bounded",
-        options={"xatol": 1e-6},
-    )  # fmt: skip
-    return float(found.x)
+def _coarse(command: Command, t: Array, y: Array) -> float:
+    """Delay on a grid, without a lag."""
+    delays = np.arange(_EARLIEST_S, _LATEST_S, 0.02)
+    errors = []
+    for delay_s in delays:
+        design = np.column_stack([command.way(t - delay_s), np.ones_like(t), t - t.mean()])
+        errors.append(float(np.sum((y - design @ np.linalg.lstsq(design, y, rcond=None)[0]) ** 2)))
+    return float(delays[np.argmin(errors)])
 
 
-def _fit(command: Command, t: Array, y: Array, tau_s: float) -> tuple[float, float]:
-    """(sum of squared errors, gain) with the best offset, drift and gain at a delay."""
-    middle = t.mean()
-    design = np.column_stack([command.way(t - tau_s), np.ones_like(t), t - middle])
+def _follow(command: Command, t: Array, y: Array, dead_s: float, lag_s: float) -> tuple[Array, Array, Array]:
+    """(residuals, (gain, offset, drift), design) with the best of these three."""
+    design = np.column_stack([command.lagged(t - dead_s, lag_s), np.ones_like(t), t - t.mean()])
     best = np.linalg.lstsq(design, y, rcond=None)[0]
-    return float(np.sum((y - design @ best) ** 2)), float(best[0])
+    return y - design @ best, best, design
+
+
+def _left_out(t: Array, residual: Array, slopes: Array, of: Array) -> float:
+    """Half of the 95 % interval of a sum of parameters: what leaving out each eighth of the time changes."""
+    part = np.minimum(((t - t[0]) / (t[-1] - t[0]) * _BLOCKS).astype(int), _BLOCKS - 1)
+    change = np.array(
+        [of @ np.linalg.lstsq(slopes[part != k], residual[part != k], rcond=None)[0] for k in range(_BLOCKS)]
+    )
+    return _STUDENT_7 * math.sqrt((_BLOCKS - 1) / _BLOCKS * float(np.sum((change - change.mean()) ** 2)))
+
+
+def _misfit(t: Array, y: Array, residual: Array) -> float:
+    level = float(np.std(y - np.polyval(np.polyfit(t, y, 1), t)))
+    return float(np.sqrt(np.mean(residual**2))) / max(level, 1e-12)
+
+
+def fit_response(t_s: Array, way: Array, seen: Array, longest_s: float) -> Delay:
+    """Mean delay of a signal behind another one of the same samples, whatever the shape of the response.
+
+    The response is fitted sample by sample up to its longest part; its first moment is the delay.
+
+    Args:
+        t_s: (n,) evenly spaced times, s.
+        way: (n,) way of the signal that is followed.
+        seen: (n,) way of the signal that follows.
+        longest_s: longest part of the response.
+    """
+    period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else math.inf
+    delays = np.arange(0.0, longest_s, period_s)
+    late = t_s >= t_s[0] + longest_s if len(t_s) else np.zeros(0, dtype=bool)
+    if late.sum() < 10 * _BLOCKS:
+        return _NOTHING
+    t, y = t_s[late], seen[late]
+    shifted = [np.interp(t - delay_s, t_s, way) for delay_s in delays]
+    design = np.column_stack([*shifted, np.ones_like(t), t - t.mean()])
+    best = np.linalg.lstsq(design, y, rcond=None)[0]
+    residual, response = y - design @ best, best[: len(delays)]
+    gain = float(response.sum())
+    delay_s = float(delays @ response) / gain
+    of = np.concatenate([(delays - delay_s) / gain, [0.0, 0.0]])
+    return Delay(delay_s, _left_out(t, residual, design, of), gain, _misfit(t, y, residual))
+
+
+def fit_driven(
+    t_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array, *, slack_rad: float, about_s: float
+) -> Delay:
+    """Delay of the angles of axes behind the angles that drive them through some play.
+
+    Only stretches count in which an axis is turning and has turned by `slack_rad` since it last stood:
+    there play is an offset by direction, free like the gain. NaN where there are too few of them.
+
+    Args:
+        t_s: (n,) when the driving angles were taken, s.
+        angle_rad: (n, 4) driving angles.
+        seen_s: (m,) when the driven angles were taken, s.
+        seen_rad: (m, 4) driven angles.
+        slack_rad: more than the play.
+        about_s: delay to start from.
+    """
+    spline = CubicSpline(t_s, angle_rad)
+    way = _ways(t_s, angle_rad, spline(t_s, 1), slack_rad)
+    found = Delay(about_s, math.nan, math.nan, math.nan)
+    for _ in range(_ROUNDS):
+        at = seen_s - found.delay_s
+        k = np.clip(np.searchsorted(t_s, at) - 1, 0, len(t_s) - 2)
+        driven = np.where(way[k] == way[k + 1], way[k], 0)
+        driven[(at < t_s[0]) | (at > t_s[-1])] = 0
+        row, axis = np.nonzero((driven != 0) & np.isfinite(seen_rad))
+        if len(row) < 10 * _BLOCKS:
+            return _NOTHING
+        kind = 2 * axis + (driven[row, axis] > 0)
+        angle, rate = spline(at)[row, axis], spline(at, 1)[row, axis]
+        design = np.hstack([angle[:, None] * (axis[:, None] == np.arange(4)), kind[:, None] == np.arange(8)])
+        step = _later(seen_s[row], seen_rad[row, axis], design, rate, axis)
+        found = replace(step, delay_s=found.delay_s + step.delay_s)
+    return found
+
+
+def _later(t: Array, y: Array, design: Array, rate: Array, axis: npt.NDArray[np.intp]) -> Delay:
+    """One step towards the delay; the design holds gains by axis, and offsets by axis and direction."""
+    best = np.linalg.lstsq(design, y, rcond=None)[0]
+    residual = y - design @ best
+    slopes = np.column_stack([-best[axis] * rate, design])
+    step_s = float(np.linalg.lstsq(slopes, residual, rcond=None)[0][0])
+    spread_s = _left_out(t, residual, slopes, np.eye(slopes.shape[1])[0])
+    return Delay(step_s, spread_s, float(best[:4].mean()), _misfit(t, y, residual))
+
+
+def _ways(t_s: Array, angle_rad: Array, rate_rad_s: Array, slack_rad: float) -> Array:
+    """(n, 4) direction in which each axis is driven: 1, -1, or 0 at rest and within the slack."""
+    way = np.where(np.abs(rate_rad_s) > _DRIVEN_RAD_S, np.sign(rate_rad_s), 0.0).astype(int)
+    for axis in range(way.shape[1]):
+        column, begin = way[:, axis], 0
+        for end in [*(np.flatnonzero(np.diff(column)) + 1), len(t_s)]:
+            turned = np.abs(angle_rad[begin:end, axis] - angle_rad[begin, axis])
+            column[begin:end][turned < slack_rad] = 0
+            begin = end
+    return way

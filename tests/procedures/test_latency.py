@@ -2,83 +2,55 @@
 
 import numpy as np
 import pytest
+from latency_truth import measured_and_true_ms
 from procedure_runs import assert_covered, run
 
-from hil.bench import open_bench
-from hil.clock import NS_PER_S
-from hil.fakes.plant.robot import STEP_NS
-from procedures.latency import Parameters, body_signals, turn
-from procedures.parts.latency_fit import Command, fit_delay, integrated
+from procedures.latency import Parameters
+from procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
 
 SHORT = {"reversals": 10}
-GRID_MS = 1e-6 * STEP_NS
 
 
-def hidden_late_s(seed):
-    return float(np.random.default_rng([seed, 8]).uniform(-0.012, 0.02))
-
-
-def true_delay_s(seed, overrides):
-    """Command to motion of the body itself, which no device has looked at."""
-    poses, times = [], []
-
-    class Probe:
-        def write(self, record):
-            poses.append(bench.truth().pose_body_in_wall[2])
-            times.append(bench.world.plant.t_ns)
-
-        def close(self):
-            pass
-
-    p = Parameters(**SHORT)
-    with open_bench("emulated", seed=seed, overrides=overrides) as bench:
-        bench.add_sink(Probe())
-        motion = turn(bench, p)
-        command, _ = body_signals(bench, motion, p)
-    origin_ns = motion.records[0].inputs.t_ns
-    t_s = (np.array(times, dtype=np.int64) - origin_ns) / NS_PER_S
-    return fit_delay(command, t_s[t_s >= 0], np.array(poses)[t_s >= 0]).delay_s
-
-
-def beyond_grid(error_ms, low, high):
-    """The emulated body moves in steps of 1 ms, so that a device sees it up to one step old."""
-    return error_ms - min(max(error_ms, low * GRID_MS), high * GRID_MS)
-
-
-def recover(seed, folder):
-    late_s = hidden_late_s(seed)
+def recover(seed):
+    """Errors over stated intervals by name; the camera is late by a hidden time, the rest by what it is."""
+    late_s = float(np.random.default_rng([seed, 8]).uniform(-0.012, 0.02))
     overrides = {"emulation.tracker": {"latency_s": 0.02 + late_s}}
-    done = run("latency", folder, SHORT, seed=seed, overrides=overrides)
-    values = done.values
-    assert set(done.failed) <= {"tracker.stamp_error"}, done.failed
-    done.assert_held()
-    body_ms = values["body.command_to_motion"] - 1e3 * true_delay_s(seed, overrides)
-    stamp_ms = values["tracker.stamp_error"] - 1e3 * late_s
-    return [
-        beyond_grid(body_ms, 0, 1) / values["body.command_to_motion_uncertainty"],
-        beyond_grid(stamp_ms, -1, 1) / values["tracker.stamp_error_uncertainty"],
-    ], done
+    measured, true = measured_and_true_ms(seed, Parameters(reversals=10), overrides)
+    assert len(true) == 4 + 5 + 5 + 3
+    assert true["tracker.stamp_error"] == pytest.approx(1e3 * late_s, abs=1.1)
+    return {name: (measured[name] - true[name]) / measured[f"{name}_uncertainty"] for name in true}, true
 
 
-@pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
-def test_delays_come_back(tmp_path, seed):
-    ratios, done = recover(seed, tmp_path / "run")
-    assert_covered(ratios, few=True)
-    assert done.values["servos.velocity_lag"] == pytest.approx(52.0, abs=3.0)
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_every_delay_comes_back(seed):
+    ratios, _ = recover(seed)
+    assert_covered(list(ratios.values()), few=True)
 
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
-def test_true_delays_lie_within_the_stated_intervals_over_twenty_seeds(tmp_path):
-    ratios = [r for seed in range(100, 120) for r in recover(seed, tmp_path / str(seed))[0]]
-    assert_covered(ratios, few=False)
+def test_true_delays_lie_within_the_stated_intervals_over_twenty_seeds():
+    runs = [recover(seed) for seed in range(100, 120)]
+    for name in runs[0][0]:
+        assert_covered([ratios[name] for ratios, _ in runs], few=False)
+    phases_ms = [true["imu.stamp_error"] for _, true in runs]
+    assert min(phases_ms) < -2.0
+    assert max(phases_ms) > 2.0
+
+
+def test_a_run_says_what_was_found_and_passes(tmp_path):
+    done = run("latency", tmp_path / "run", SHORT, seed=1)
+    assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
+    assert done.values["servos.velocity_lag"] == pytest.approx(52.0, abs=3.0)
+    assert done.values["imu.stamp_error_uncertainty"] < 1.0
+    done.assert_held()
 
 
 def test_devices_that_are_late_fail(tmp_path):
     faults = ("imu:delayed,delay_s=0.05", "encoders:delayed,delay_s=0.03")
     done = run("latency", tmp_path / "run", {"reversals": 8}, faults=faults)
     assert done.result.exit_code == 1
-    assert set(done.failed) == {"imu.stamp_error", "encoders.stamp_error"}
+    assert set(done.failed) == {"imu.stamp_error", "imu.age", "encoders.stamp_error"}
     done.assert_held()
 
 
@@ -102,12 +74,45 @@ def test_a_shifted_way_gives_its_shift(delay):
 
 
 def test_a_lag_counts_as_its_mean_delay():
-    """First-order lag of time constant T behind a dead time: the first moment is nearly their sum."""
+    """First-order lag of time constant T behind a dead time: the first moment is their sum."""
     t, lag, dead = np.arange(0.0, 30.0, 0.001), 0.03, 0.02
     rate = np.where(np.sin(4.0 * t + np.sin(0.7 * t)) > 0, 1.0, -1.0)
     filtered, state = np.empty_like(t), 0.0
-    for k, u in enumerate(np.interp(t - dead, t, rate)):
-        state += 0.001 / lag * (u - state)
+    for k, u in enumerate(np.concatenate([np.zeros(20), rate[:-20]])):
         filtered[k] = state
-    found = fit_delay(Command(t, rate), t[::10], integrated(t, filtered)[::10])
-    assert found.delay_s == pytest.approx(lag + dead, abs=0.1 * lag)
+        state += (1.0 - np.exp(-0.001 / lag)) * (u - state)
+    seen, way = t[::10], integrated(t, filtered)[::10]
+    found = fit_delay(Command(t, rate), seen, way)
+    assert found.delay_s == pytest.approx(lag + dead, abs=2e-5)
+    missing = np.sin(11.0 * seen) > -0.3
+    assert fit_delay(Command(t, rate), seen[missing], way[missing]).delay_s == pytest.approx(
+        found.delay_s, abs=1e-4
+    )
+
+
+def test_a_response_of_any_shape_has_its_mean_delay():
+    t = np.arange(0.0, 20.0, 0.01)
+    way = np.cumsum(np.where(np.sin(5.0 * t + np.sin(0.9 * t)) > 0, 0.01, -0.01))
+    smooth = np.convolve(way, np.full(5, 0.2))[: len(t)]
+    box = 0.5 * (np.interp(t - 0.03, t, smooth) + np.interp(t - 0.07, t, smooth))
+    found = fit_response(t, smooth, box + 0.1 * t, 0.12)
+    assert found.delay_s == pytest.approx(0.05, abs=1e-4)
+    assert found.gain == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize("delay", [-0.004, 0.0, 0.03])
+def test_play_is_not_taken_for_time(delay):
+    """Axes with different play, gain and zero behind the servo: only the time is found."""
+    fine = np.arange(0.0, 14.0, 0.001)
+    phase = 0.08 * np.sin(5.0 * fine + 0.5 * np.sin(fine))
+    servo = np.stack([phase, 0.9 * phase, phase, -phase], axis=1)
+    axes = np.empty_like(servo)
+    for axis, half in enumerate((0.001, 0.002, 0.003, 0.0025)):
+        angle = 0.0
+        for k, drive in enumerate(servo[:, axis]):
+            angle = min(max(angle, drive - half), drive + half)
+            axes[k, axis] = (1.0 + 0.01 * axis) * angle + 0.1 * axis
+    t, seen = fine[::10], np.arange(0.5, 13.5, 0.005)
+    shown = np.stack([np.interp(seen - delay, fine, axes[:, axis]) for axis in range(4)], axis=1)
+    found = fit_driven(t, servo[::10], seen, shown, slack_rad=0.017, about_s=delay + 0.002)
+    assert found.delay_s == pytest.approx(delay, abs=1e-4)
