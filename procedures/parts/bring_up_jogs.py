@@ -2,6 +2,7 @@
 
 A jog goes out and back. What the body does on the way out minus what it does on the way back leaves
 out what happens anyway (sag on a wall), so that a tenth of a millimetre is enough to see a direction.
+Every rest is looked at for longer than motion capture is silent for (0.2 s at most, as emulated).
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from hil.signals import WHEELS
 from procedures.parts.samples import Series, encoders, poses, wheels
 from procedures.parts.scripted import Stretch, play
 
-_OUT_S, _REST_S, _LOOK_S = 0.4, 0.35, 0.2
+_OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5
 
 
