@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 
 from hil.campaign.table import GOOD, Row
-from hil.errors import DataError
+from hil.files import write_text
 from hil.report.run_page import PAGE, environment, inline_svg
 from hil.report.run_plots import PALETTE, new_figure, style
 
@@ -41,11 +41,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
             reports=[_report(row) for row in shown],
         )
     )  # fmt: skip
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
-    return path
+    return write_text(path, page)
 
 
 def _report(row: Row) -> str:

@@ -16,6 +16,7 @@ import click
 from hil.cli.campaign_runs import Job, Setup, finished, lost, run_case
 from hil.cli.progress import reporting
 from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
+from hil.files import write_text
 
 if TYPE_CHECKING:
     from hil.campaign import Case, Row
@@ -193,7 +194,7 @@ def _write(
         "page": str(out / PAGE),
         "rows": [row.to_json() for row in rows],
     }
-    (out / TABLE).write_text(json.dumps(tree, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    write_text(out / TABLE, json.dumps(tree, indent=1, allow_nan=False) + "\n")
     write_csv(out / CSV, rows)
     write_campaign_page(out / PAGE, tree, rows)
     return tree

@@ -21,6 +21,7 @@ def command(
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json)."""
     from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
     from hil.errors import UsageError
+    from hil.files import write_text
     from hil.recording.plain_csv import write_plain
 
     names = [f"{m}_{k}" for m in MOTIONS for k in range(1, repetitions + 1)]
@@ -39,7 +40,7 @@ def command(
         "load": robot.load.tolist(),
         "contact": contact,
     }
-    (folder / "truth.json").write_text(json.dumps(truth, indent=1) + "\n", encoding="utf-8")
+    write_text(folder / "truth.json", json.dumps(truth, indent=1) + "\n")
     summary = {"folder": str(folder), "recordings": len(recordings), "seed": seed}
     click.echo(json.dumps(summary) if as_json else f"{len(recordings)} recordings in {folder}")
     return 0

@@ -31,6 +31,7 @@ def command(
     from hil.bench.discover import discover
     from hil.clock import MonotonicClock
     from hil.errors import UsageError
+    from hil.files import write_text
 
     if out is not None and out.exists():
         raise UsageError(f"{out} exists already", remedy="choose another name for --out")
@@ -43,7 +44,7 @@ def command(
     )
     text = found.to_toml()
     if out is not None:
-        out.write_text(text, encoding="utf-8")
+        write_text(out, text)
         click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
     if as_json:
         servos = [asdict(s) for s in found.servos]

@@ -13,6 +13,7 @@ import click
 
 from hil.cli.progress import reporting
 from hil.errors import DataError, UsageError
+from hil.files import write_text
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -105,10 +106,7 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
         tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")
     if "schema" in tree:
         validate(tree, str(out))
-    try:
-        out.write_text(tomli_w.dumps(tree), encoding="utf-8")
-    except OSError as error:
-        raise DataError(str(out), f"cannot be written ({error})") from None
+    write_text(out, tomli_w.dumps(tree))
 
 
 def _parsed(path: Path) -> dict[str, Any]:

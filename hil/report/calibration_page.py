@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate, track
 from hil.calibration.problem import PARAMETER_NAMES
+from hil.files import write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -193,6 +194,4 @@ def _write(
     page = environment.get_template("calibration.html").render(
         title=title, facts=facts, tables=tables, images=images
     )
-    path = folder / "index.html"
-    path.write_text(page, encoding="utf-8")
-    return path
+    return write_text(folder / "index.html", page)

@@ -6,7 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import DataError, UsageError
+from hil.errors import UsageError
+from hil.files import write_text
 from hil.report.run_page import environment, number, outcome_words, read_result
 
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
@@ -108,8 +109,4 @@ def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:
         DataError: it cannot be written.
     """
     page = environment().get_template("run_compare.html").render(table=table, change=_change)
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
-    return path
+    return write_text(path, page)

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.errors import DataError
 from hil.estimator.consistency import nees
+from hil.files import write_text
 from hil.geometry import wrap_array
 from hil.motion import Motion
 from hil.report.replay import consistency, errors
@@ -52,10 +52,7 @@ def write_replay_page(path: Path, title: str, motions: Mapping[str, Motion], fac
             _image(figure) for figure in (_paths(motions), _errors_over_time(motions), _confidence(motions))
         )
     )
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error})") from None
+    write_text(path, page)
 
 
 def _figures(motion: Motion) -> dict[str, float]:

@@ -16,6 +16,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from hil.errors import DataError
+from hil.files import write_text
 from hil.report.run_plots import PALETTE
 
 SCHEMA = 1
@@ -68,12 +69,7 @@ def write_run_page(folder: Path) -> Path:
             driven=duration(tree.get("bench_duration_s")),
         )
     )
-    path = folder / PAGE
-    try:
-        path.write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror})") from None
-    return path
+    return write_text(folder / PAGE, page)
 
 
 def environment() -> Environment:

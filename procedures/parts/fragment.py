@@ -8,6 +8,7 @@ from typing import Any
 
 import tomli_w
 
+from hil.files import write_text
 from hil.procedure import Context
 
 NAME = "bench_fragment.toml"
@@ -23,5 +24,4 @@ def write_fragment(ctx: Context, values: Mapping[str, Mapping[str, Any]], why: s
     """
     path = ctx.folder / NAME
     head = f"# {why}\n# From {ctx.source.config.name}, {ctx.started}: copy into the bench file.\n"
-    path.write_text(head + tomli_w.dumps(dict(values)), encoding="utf-8")
-    return ctx.attach("bench.toml fragment", path)
+    return ctx.attach("bench.toml fragment", write_text(path, head + tomli_w.dumps(dict(values))))

@@ -10,6 +10,7 @@ from pathlib import Path
 import tomli_w
 
 from hil.errors import DataError
+from hil.files import write_text
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -72,5 +73,5 @@ class ImuCalibration:
             raise DataError(str(path), f"not an IMU calibration ({error})", expected=_FORM) from None
 
     def save(self, path: str | Path) -> None:
-        """Write as TOML."""
-        Path(path).write_text(tomli_w.dumps(asdict(self)), encoding="utf-8")
+        """Write as TOML; raises `DataError` when that is impossible."""
+        write_text(Path(path), tomli_w.dumps(asdict(self)))
