@@ -16,6 +16,7 @@ from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
 from hil.drivers.imu.link import ExchangeError, Link
+from hil.drivers.stuck import StuckTest
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Sensor
 from hil.signals import ImuSample, Stamp, Status
@@ -52,7 +53,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._patience_ns = nanoseconds(config.reply_timeout_s)
         self._age_ns = nanoseconds(config.sample_age_s - _REQUEST_BITS / config.baud)
         self._check_ns = nanoseconds(config.check_period_s)
-        self._stuck_ns = nanoseconds(config.stuck_after_s)
+        self._stuck = StuckTest(config.stuck_after_s)
         self._sequence = 0
         self._length = burst.LENGTH
 
@@ -78,12 +79,12 @@ class Bno055Imu(Sensor[ImuSample]):
             raise
         self._identity = identity
         now_ns = self._clock.now_ns()
-        self._good_ns = self._changed_ns = now_ns
+        self._good_ns = now_ns
+        self._stuck.reset(now_ns)
         self._next_check_ns = now_ns + self._check_ns
         self._checked_ns = self._next_poll_ns = now_ns
         self._failures = self._system_error = 0
         self._was_reset = self._suspicious = False
-        self._last_data = b""
 
     def close(self) -> None:
         """Let go of the port; the chip goes on by itself. Idempotent."""
@@ -213,9 +214,7 @@ class Bno055Imu(Sensor[ImuSample]):
         return burst.sample(counts, self._stamp(now_ns, now_ns - link.asked_ns + self._age_ns), status)
 
     def _status(self, counts: burst.Counts, data: bytes, now_ns: int) -> Status:
-        measured = data[: burst.MEASURED]
-        if measured != self._last_data:
-            self._last_data, self._changed_ns = measured, now_ns
+        stuck = self._stuck.stuck(data[: burst.MEASURED], now_ns)
         if self._was_reset:
             self._was_reset = False
             return Status.RESET
@@ -224,6 +223,6 @@ class Bno055Imu(Sensor[ImuSample]):
         status = burst.judge(counts)
         if status is not Status.OK:
             self._suspicious = now_ns - self._checked_ns > _RECHECK_NS
-        elif now_ns - self._changed_ns > self._stuck_ns:
+        elif stuck:
             return Status.STALE
         return status

@@ -16,6 +16,7 @@ from hil.drivers.mocap.datagrams import DatagramFactory, udp_ports
 from hil.drivers.mocap.frames import BodyPose, Frame
 from hil.drivers.mocap.handshake import Handshake
 from hil.drivers.mocap.session import Session
+from hil.drivers.stuck import StuckTest
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.interfaces import Sensor
 from hil.signals import MocapSample, Stamp, Status
@@ -60,7 +61,7 @@ class NatNetMocap(Sensor[MocapSample]):
         self._reconnect_ns = nanoseconds(config.reconnect_after_s)
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
-        self._stuck_ns = nanoseconds(config.stuck_after_s)
+        self._stuck = StuckTest(config.stuck_after_s)
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -81,9 +82,9 @@ class NatNetMocap(Sensor[MocapSample]):
         self._jumps.reset()
         self._seq_base = 0
         self._number = -1
-        self._last_pose: tuple[float, ...] = ()
-        self._changed_ns = self._clock.now_ns()
-        deadline_ns = self._changed_ns + nanoseconds(self._config.open_timeout_s)
+        now_ns = self._clock.now_ns()
+        self._stuck.reset(now_ns)
+        deadline_ns = now_ns + nanoseconds(self._config.open_timeout_s)
         try:
             self._session = session = self._open_session()
             handshake = Handshake(session, self._config, self._clock, self.name, self._silent)
@@ -235,9 +236,7 @@ class NatNetMocap(Sensor[MocapSample]):
         norm = math.hypot(*pose[3:])
         if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
             return Status.IMPLAUSIBLE
-        if pose != self._last_pose:
-            self._last_pose, self._changed_ns = pose, stamp.host_ns
-        elif stamp.host_ns - self._changed_ns > self._stuck_ns:
+        if self._stuck.stuck(pose, stamp.host_ns):
             return Status.STALE
         if self._jumps.jumped(stamp.t_ns / NS_PER_S, pose[:3], pose[3:]):
             return Status.JUMP

@@ -20,6 +20,7 @@ from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.tracker import TrackerConfig
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
+from hil.drivers.stuck import StuckTest
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.library import (
     VENDOR_ERRORS,
@@ -83,7 +84,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._jumps = JumpTest.of(config)
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
-        self._stuck_ns = nanoseconds(config.stuck_after_s)
+        self._stuck = StuckTest(config.stuck_after_s)
         self.overflowed = self.repeated = self.malformed = 0
 
     def open(self) -> None:
@@ -153,8 +154,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._number = -1
         self._seq_base = 0
         self._timestamp_ms = -math.inf
-        self._changed_ns = self._clock.now_ns()
-        self._last_pose: tuple[float, ...] = ()
+        self._stuck.reset(self._clock.now_ns())
 
     def _choose(self) -> tuple[Pipeline, Any]:
         """The pipeline to run and the library whose names it understands."""
@@ -281,9 +281,7 @@ class T265Tracker(Sensor[TrackerSample]):
             return Status.IMPLAUSIBLE
         if confidence <= 0:
             return Status.NOT_TRACKED
-        if pose != self._last_pose:
-            self._last_pose, self._changed_ns = pose, int(raw[0])
-        elif int(raw[0]) - self._changed_ns > self._stuck_ns:
+        if self._stuck.stuck(pose, int(raw[0])):
             return Status.STALE
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
