@@ -51,7 +51,7 @@ GOOD_SHARE, RATE_SHARE = 0.98, 0.9
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
 GRAVITY_M_S2, GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 9.81, 0.5, 0.05
-LATE_SHARE, IDLE_SHARE = 0.01, 1.0 / 3.0
+LATE_SHARE, BUSY_SHARE, IDLE_SHARE = 0.01, 0.05, 1.0 / 3.0
 AGE_S = {"servos": 0.02, "encoders": 0.05, "imu": 0.1, "tracker": 0.2, "mocap": 0.3}
 HORN_RAD = 0.1
 
@@ -215,7 +215,14 @@ def test_the_estimate_stays_where_it_is(watched: Watch) -> None:
 def test_the_loop_keeps_its_rate(watched: Watch) -> None:
     """Hardly more cycles start late than in an idle loop; otherwise the bench's own work takes too long."""
     problem = too_late(watched.bench.statistics, watched.idle)
+    if problem and worst_share(watched.idle) > BUSY_SHARE:
+        pytest.skip(f"this computer is too busy to tell: {problem}")
     assert not problem, problem
+
+
+def worst_share(idle: tuple[LoopStatistics, ...]) -> float:
+    """Share of late cycles of the worst of some idle loops; 0 of none."""
+    return max((one.late / one.cycles for one in idle if one.cycles), default=0.0)
 
 
 def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> str:
@@ -226,8 +233,7 @@ def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> st
         idle: of idle loops around it; the worse one says what the computer's other work costs.
     """
     cycles = statistics.cycles
-    share = max((one.late / one.cycles for one in idle if one.cycles), default=0.0)
-    excess = statistics.late - share * cycles
+    excess = statistics.late - worst_share(idle) * cycles
     if excess <= max(1.0, LATE_SHARE * cycles):
         return ""
     beside = " and ".join(f"{one.late} of {one.cycles}" for one in idle) or "none"

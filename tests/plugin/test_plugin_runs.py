@@ -1,6 +1,7 @@
 """The pytest plugin as a user meets it: pytest in a process of its own, in a project of its own."""
 
 import re
+from contextlib import nullcontext
 from types import SimpleNamespace
 from xml.etree import ElementTree
 
@@ -11,6 +12,7 @@ from hil.clock import MonotonicClock
 from hil.config.bench import load_bench
 from hil.procedure.bench_source import BenchSource
 from hil.punctuality import LoopStatistics
+from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
 
 pytest_plugins = ["pytester"]
@@ -161,6 +163,21 @@ def test_late_cycles_are_held_against_an_idle_loop(late, before, after, problem)
         assert f"{late} of 1500 cycles were late" in said
         assert f"({before} of 500 and {after} of 500)" in said
         assert "work 5.0 ms, of it reading the devices 3.0 ms" in said
+
+
+@pytest.mark.parametrize(
+    ("late", "idle", "outcome"),
+    [(15, 0, "passed"), (60, 20, "passed"), (60, 5, "failed"), (300, 60, "skipped"), (170, 60, "passed")],
+)
+def test_a_computer_too_busy_to_tell_is_said_to_be(late, idle, outcome):
+    watch = SimpleNamespace(bench=SimpleNamespace(statistics=ran(1500, late)), idle=(ran(500, idle),))
+    expected = {
+        "passed": nullcontext(),
+        "failed": pytest.raises(AssertionError, match=f"{late} of 1500 cycles were late"),
+        "skipped": pytest.raises(pytest.skip.Exception, match="too busy to tell"),
+    }
+    with expected[outcome]:
+        selfcheck.test_the_loop_keeps_its_rate(watch)
 
 
 def test_virtual_time_is_held_against_nothing():
