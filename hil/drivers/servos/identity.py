@@ -6,6 +6,7 @@ from hil.clock import Clock
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.config.xh430 import (
     BAUD_RATES,
+    FAST_READ_FIRMWARE,
     MODE_NAMES,
     RAD_PER_COUNT,
     TABLE,
@@ -126,6 +127,13 @@ def _setup_problems(config: ServosConfig, joint: int, block: bytes) -> list[str]
         if raw != 0:
             problems.append(f"{who}: {name} {raw}, expected 0 ({why})")
     return problems
+
+
+def reads_fast(config: ServosConfig, blocks: list[bytes]) -> bool:
+    """Whether fast sync reads are to be used: as configured, or where every firmware has them."""
+    if config.fast_sync_read == "auto":
+        return min(reg.from_block(b, "firmware_version") for b in blocks) >= FAST_READ_FIRMWARE
+    return config.fast_sync_read
 
 
 def described(config: ServosConfig, blocks: list[bytes]) -> dict[str, str]:

@@ -20,7 +20,6 @@ from hil.clock import Clock, nanoseconds
 from hil.config.servos import ServosConfig
 from hil.config.xh430 import (
     A_PER_COUNT,
-    FAST_READ_FIRMWARE,
     RAD_PER_COUNT,
     RAD_S_PER_COUNT,
     ZERO_COUNTS,
@@ -99,10 +98,7 @@ class XH430Servos(Actuators):
         self._blocks = blocks = [a.data for a in answers]
         ident.check_setup(config, blocks, self.name)
         bus.port.return_delay_s = max(reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks)
-        firmware = [reg.from_block(b, "firmware_version") for b in blocks]
-        fast = config.fast_sync_read
-        if fast == "auto":
-            fast = min(firmware) >= FAST_READ_FIRMWARE
+        fast = ident.reads_fast(config, blocks)
         self._upkeep = Upkeep(bus, config, self.name, fast=fast)
         self._upkeep.prepare(blocks)
         self._cycle = CycleReader(bus, config, self._clock, fast=fast, mapped=self._upkeep.mapped)
