@@ -139,7 +139,6 @@ def calibrate(
     method: str = "lm",
     seed: int = 0,
     nominal: WheelGeometry | None = None,
-    prior: WheelGeometry | None = None,
     validate: bool = True,
     report: Report = lambda what, done, total: None,
 ) -> Calibration:
@@ -151,9 +150,8 @@ def calibrate(
         clock: for the reported compute time.
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: of the stochastic methods.
-        nominal: what the robot is on paper, and what errors before are counted from; CAD by default.
-        prior: prior mean and start where these are not `nominal`: parameters that have driven the
-            recordings and are to be improved by the smallest step that explains them.
+        nominal: what the robot is on paper: start, prior mean, and what errors before are counted from;
+            CAD by default.
         validate: whether to run the cross-validations.
         report: progress callback (what, done, total).
 
@@ -166,7 +164,7 @@ def calibrate(
     cad = nominal if nominal is not None else WheelGeometry.nominal()
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
     found = fit(
-        blocks, setting, cad if prior is None else prior, method=method, seed=seed,
+        blocks, setting, cad, method=method, seed=seed,
         progress=lambda done, total: report(f"{method} generations", done, total),
     )  # fmt: skip
     setting = found.problem.setting

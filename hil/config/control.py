@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
 Gain = tuple[float, float, float]
+NotNegative = Annotated[float, Field(ge=0)]
 
 
 class ControlConfig(BaseModel):
@@ -15,6 +16,8 @@ class ControlConfig(BaseModel):
     Attributes:
         law: `nonlinear` (model-based, per wheel) or `optimal` (time-varying LQR).
         gains: k_x, k_y, k_theta of the non-linear law, 1/s.
+        dead_zone: pose errors (m, m, rad) that are not corrected: below what wheels of 4096 steps a turn
+            resolve, a slow wheel would steer after noise, through the play of its gear.
         integral: whether the optimal law has integral action.
         state_weight, integral_weight, input_weight: LQR weights (diagonal, per axis alike).
         integral_clamp: bound of the integral states, m s and rad s.
@@ -31,6 +34,7 @@ class ControlConfig(BaseModel):
 
     law: Literal["nonlinear", "optimal"] = "nonlinear"
     gains: Gain = (4.0, 4.0, 3.0)
+    dead_zone: tuple[NotNegative, NotNegative, NotNegative] = (1e-4, 1e-4, 5e-4)
     integral: bool = True
     state_weight: float = Field(25.0, gt=0)
     integral_weight: float = Field(20.0, ge=0)

@@ -23,6 +23,11 @@ def pose_error(state: RobotState, reference: Reference) -> Array:
     return np.array([ahead[0], ahead[1], wrap(float(wanted[2] - pose[2]))])
 
 
+def beyond(error: Array, dead_zone: Array) -> Array:
+    """The part of an error (3,) that exceeds a dead zone (3,); zero inside, continuous at its edge."""
+    return np.asarray(error - np.minimum(np.maximum(error, -dead_zone), dead_zone), dtype=np.float64)
+
+
 class Law(Protocol):
     """A tracking law; may keep state between calls."""
 
@@ -38,7 +43,8 @@ class Law(Protocol):
 class NonlinearLaw(Law):
     """Model-based law t = t_d + K e, the body form of the authors' per-wheel law.
 
-    With V = |e|^2 / 2 it gives V' = -e' K e without slip; a slip velocity d leaves e = d / k.
+    With V = |e|^2 / 2 it gives V' = -e' K e without slip; a slip velocity d leaves e = d / k
+    (beyond the dead zone that the caller takes off).
     """
 
     def __init__(self, gains: tuple[float, float, float]) -> None:

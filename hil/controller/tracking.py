@@ -8,8 +8,9 @@ import numpy as np
 
 from hil.config.control import ControlConfig
 from hil.controller.allocation import ModuleLayer, ModuleLimits
-from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, pose_error
+from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, beyond, pose_error
 from hil.errors import SafetyStop
+from hil.geometry import ArrayLike
 from hil.interfaces import Controller
 from hil.kinematics import WheelGeometry
 from hil.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
@@ -20,9 +21,16 @@ class TrackingController(Controller):
     """Follows a reference; at the goal it holds, lest the modules be set against each other."""
 
     def __init__(
-        self, law: Law, modules: ModuleLayer, *, goal_position_m: float, goal_heading_rad: float
+        self,
+        law: Law,
+        modules: ModuleLayer,
+        *,
+        dead_zone: ArrayLike,
+        goal_position_m: float,
+        goal_heading_rad: float,
     ) -> None:
         self._law, self._modules = law, modules
+        self._dead_zone = np.array(dead_zone, dtype=np.float64)
         self._goal_position_m, self._goal_heading_rad = goal_position_m, goal_heading_rad
 
     def reset(self) -> None:
@@ -37,7 +45,7 @@ class TrackingController(Controller):
             SafetyStop: `not_finite` when state, reference or the law's output is not finite.
         """
         error = pose_error(state, reference)
-        twist = self._law.twist(error, reference)
+        twist = self._law.twist(beyond(error, self._dead_zone), reference)
         figures = (*error.tolist(), *twist.tolist(), *reference.pose_in_wall.tolist())
         if not all(map(math.isfinite, figures)):
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
@@ -80,6 +88,7 @@ def make_controller(
     return TrackingController(
         law,
         ModuleLayer(geometry, limits, dt_s),
+        dead_zone=config.dead_zone,
         goal_position_m=config.goal_position_m,
         goal_heading_rad=config.goal_heading_rad,
     )

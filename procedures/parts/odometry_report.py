@@ -20,7 +20,7 @@ def show(
     method: str, compared_methods: Sequence[str],
 ) -> None:  # fmt: skip
     """Everything that a person needs to judge the result."""
-    fitted = next(d for d in rounds if d.recordings[0] is result.recordings[0])
+    fitted = [d for d in rounds if any(d.recordings[0] is r for r in result.recordings)]
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
     for other in compared_methods:

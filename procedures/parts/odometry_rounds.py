@@ -71,16 +71,15 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
     return Odometry(found.geometry, found.model)
 
 
-def improve(ctx: Context, latest: Driven, setting: Setting, method: str) -> Calibration:
-    """Fit the latest round, starting from the parameters that drove it.
+def improve(ctx: Context, rounds: Sequence[Driven], setting: Setting, method: str) -> Calibration:
+    """Fit all recordings so far, with the prior at the robot as it is on paper.
 
-    The prior stands at those parameters: of all sets that explain what they did wrong the nearest is
-    taken. What the data cannot show stays as it was.
+    Rounds were driven with different parameters and each stands elsewhere in the play of its gears;
+    together they show more than the latest (`docs/decisions/0007`).
     """
-    nominal = geometry_of(ctx.source.config)
     return calibrate(
-        latest.recordings, setting, ctx.clock, method=method, seed=ctx.seed, nominal=nominal,
-        prior=nominal.with_vector(latest.odometry.geometry.vector()), validate=False, report=ctx.progress,
+        [r for d in rounds for r in d.recordings], setting, ctx.clock, method=method, seed=ctx.seed,
+        nominal=geometry_of(ctx.source.config), validate=False, report=ctx.progress,
     )  # fmt: skip
 
 
@@ -89,6 +88,17 @@ def improvement_bound(before: Array, after: Array, rng: np.random.Generator) -> 
     picks = rng.integers(0, len(before), (_BOOTSTRAP, len(before)))
     gains = 1.0 - after[picks].mean(axis=1) / before[picks].mean(axis=1)
     return float(np.percentile(gains, 2.5))
+
+
+def rise_beyond_chance(earlier: Array, later: Array, rng: np.random.Generator) -> float:
+    """How much the mean rose from one round's RMSE (n,) to a later one's, less what chance explains.
+
+    Lower end of the one-sided 97.5 % bootstrap interval over recordings paired by motion and repetition;
+    0 where the rise may be chance.
+    """
+    picks = rng.integers(0, len(earlier), (_BOOTSTRAP, len(earlier)))
+    rises = (later - earlier)[picks].mean(axis=1)
+    return max(0.0, float(np.percentile(rises, 2.5)))
 
 
 def worth_going_on(ctx: Context, before: Driven, after: Driven) -> bool:

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hil.config.control import ControlConfig
 from hil.controller import make_controller
 from hil.controller.allocation import ModuleLayer, ModuleLimits, desaturate, optimize
-from hil.controller.laws import NonlinearLaw, OptimalLaw, lag_model, pose_error, riccati_gains
+from hil.controller.laws import NonlinearLaw, OptimalLaw, beyond, lag_model, pose_error, riccati_gains
 from hil.errors import SafetyStop
 from hil.geometry import compose, se2_exp
 from hil.kinematics import WheelGeometry, forward, wheel_vectors
@@ -35,7 +35,15 @@ def wheels(steering):
     )
 
 
-def drive(law, trajectory, *, slip=(0.0, 0.0, 0.0), integral=True, feedback=lambda p: p):
+def drive(
+    law,
+    trajectory,
+    *,
+    slip=(0.0, 0.0, 0.0),
+    integral=True,
+    feedback=lambda p: p,
+    seen=lambda t_s, angles: None,
+):
     """Closed loop on a kinematic robot: first-order wheels, rate-limited steering, slip in wall axes."""
     controller = make_controller(ControlConfig(law=law, integral=integral), CAD, trajectory)
     controller.reset()
@@ -50,6 +58,7 @@ def drive(law, trajectory, *, slip=(0.0, 0.0, 0.0), integral=True, feedback=lamb
         pose = compose(pose, se2_exp(body * DT))
         pose[:2] += np.asarray(slip[:2]) * DT
         errors.append(wanted.pose_in_wall - pose)
+        seen(k * DT, steering)
     return np.array(errors)
 
 
@@ -158,12 +167,13 @@ def test_tracks_without_slip(law, trajectory):
 
 
 def test_integral_action_beats_the_proportional_law_under_sag():
-    """A slip velocity d leaves e = d / k under the non-linear law; integral action removes it."""
+    """A slip velocity d leaves e = d / k beyond the dead zone under the non-linear law; integral action
+    removes it."""
     trajectory = line(np.zeros(3), [0.0, 1.0, 0.0], duration_s=20.0)
     sag = (-2e-3, 0.0, 0.0)
     plain, optimal = drive("nonlinear", trajectory, slip=sag), drive("optimal", trajectory, slip=sag)
     moving = slice(200, 1900)
-    assert plain[moving, 0].mean() == pytest.approx(2e-3 / 4.0, rel=0.1)
+    assert plain[moving, 0].mean() == pytest.approx(2e-3 / 4.0 + ControlConfig().dead_zone[0], rel=0.1)
     rms = [np.sqrt(np.mean(e[:, 0] ** 2)) for e in (plain, optimal)]
     assert rms[1] <= 0.7 * rms[0]
 
@@ -171,6 +181,30 @@ def test_integral_action_beats_the_proportional_law_under_sag():
 def test_optimal_law_without_integral_still_tracks():
     errors = drive("optimal", line(np.zeros(3), [0.5, 0, 0]), integral=False)
     assert np.abs(errors[-1, :2]).max() < 2e-3
+
+
+@given(st.lists(st.floats(-1e-2, 1e-2), min_size=3, max_size=3))
+def test_the_dead_zone_is_continuous_and_never_overshoots(error):
+    error, zone = np.array(error), np.array([1e-4, 1e-4, 5e-4])
+    left = beyond(error, zone)
+    assert np.all(np.abs(error - left) <= zone + 1e-15)
+    assert np.all(left * error >= 0.0)
+    np.testing.assert_array_equal(left[np.abs(error) <= zone], 0.0)
+    np.testing.assert_allclose(beyond(error + 1e-9, zone), left, atol=1.001e-9)
+
+
+@pytest.mark.parametrize("law", ["nonlinear", "optimal"])
+def test_encoder_noise_does_not_steer_a_slow_wheel(law):
+    """Start of a line, millimetres per second: noise of one encoder step would swing wheels by degrees."""
+    rng = np.random.default_rng(3)
+    trajectory, steering = line(np.zeros(3), [0.5, 0, 0]), []
+
+    def noisy(pose):
+        return pose + rng.uniform(-4e-5, 4e-5, 3)
+
+    drive(law, trajectory, feedback=noisy, seen=lambda t_s, angles: steering.append((t_s, *angles)))
+    early = np.array([row[1:] for row in steering if row[0] < 1.0])
+    assert np.abs(early).max() < np.radians(0.1)
 
 
 def test_at_the_goal_the_robot_is_held():
