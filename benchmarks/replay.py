@@ -22,9 +22,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import hil
-from hil.cli.replay import _compared, _table
 from hil.live.playback import open_recording, verify_recording, without_collector
 from hil.recording.mcap_writer import McapRecorder
+from hil.report.replay import compare_run, table
 from hil.trajectories import scan
 
 TARGET = 20.0
@@ -55,8 +55,7 @@ def compared(path: Path) -> None:
     opened = open_recording(path)
     run = max(opened.runs, key=lambda r: len(r.records))
     with without_collector():
-        motions = _compared(path, opened.bench, run, ("odometry", "ekf", "ukf", "smoother"), foreign=False)
-    _table(motions)
+        table(compare_run(run, opened.bench))
 
 
 def ratios(work: Callable[[Path], None], path: Path, seconds: float, runs: int) -> dict[str, float]:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, DataError, UsageError
+from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
     from hil.bench.blueprint import Blueprint
@@ -64,7 +64,7 @@ def command(
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2.
     """
-    from hil.live.playback import open_recording, without_collector
+    from hil.live.playback import open_recording
 
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
     result: dict[str, Any] = {"recording": str(recording)}
@@ -76,9 +76,7 @@ def command(
         runs = list(opened.runs) if number is None else [opened.run(number)]
         result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
-        with without_collector():
-            motions = _compared(recording, opened.bench, run, estimators or _KINDS, foreign=opened.foreign)
-        result["estimators"] = _table(motions)
+        motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
         _show(opened.bench, motions, view)
         if page is not None:
             from hil.report.replay_page import write_replay_page
@@ -108,22 +106,14 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 
 
 def _compared(
-    recording: Path, bench: Blueprint, run: RecordedRun, kinds: tuple[str, ...], *, foreign: bool
-) -> dict[str, Motion]:
-    from hil.report.replay import compare, smoothed
+    opened: OpenedRecording, run: RecordedRun, kinds: tuple[str, ...]
+) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
+    from hil.live.playback import without_collector
+    from hil.report.replay import compare_run, table
 
-    if run.start is None:
-        raise DataError(str(recording), "does not say how its run began")
-    filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
-    motions = compare(run.records, filters, run.start.state)
-    if "smoother" in kinds:
-        config = bench.config
-        motions["smoother"] = smoothed(
-            run.records, config.estimator, bench.geometry, config.surface, run.start.state
-        )
-    if foreign:
-        del motions["recorded"]
-    return motions
+    with without_collector():
+        motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)
+        return motions, table(motions)
 
 
 def _show(bench: Blueprint, motions: dict[str, Motion], view: str | None) -> None:
@@ -137,18 +127,6 @@ def _show(bench: Blueprint, motions: dict[str, Motion], view: str | None) -> Non
     for record in beside(motions):
         monitor.write(record)
     monitor.close()
-
-
-def _table(motions: dict[str, Motion]) -> dict[str, dict[str, float | None]]:
-    from hil.report.replay import consistency, errors
-
-    return {
-        name: {
-            key: value if math.isfinite(value) else None
-            for key, value in (errors(motion) | consistency(motion)).items()
-        }
-        for name, motion in motions.items()
-    }
 
 
 def _text(result: dict[str, Any]) -> str:

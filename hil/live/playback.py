@@ -21,10 +21,11 @@ from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain, observed
 from hil.motion import Motion
+from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import read_header
 from hil.recording.rosbag import read_bag, read_topic_map
-from hil.recording.runs import RecordedRun, RunStart, read_cycles_of_runs, read_runs
+from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
 from hil.recording.sources import read_recordings
 from hil.report.replay import FIELDS, RecordedReferences, verify_cycle
 from hil.signals import CycleRecord
@@ -180,7 +181,7 @@ class RunCheck:
         self.told["verified"] = list(FIELDS)
         self._brain.reset(start.state)
 
-    def take(self, record: CycleRecord) -> None:
+    def take(self, record: CycleRecord | StoredCycle) -> None:
         """Hold the next cycle against what the brain makes of it; after a difference only count."""
         self.told["cycles"] += 1
         if self.told["difference"] is not None:
@@ -190,7 +191,7 @@ class RunCheck:
             return
         self._latest = record.cycle
         if isinstance(self._given, RecordedReferences):
-            self._given.add(record)
+            self._given.add(record.record if isinstance(record, StoredCycle) else record)
         found = verify_cycle(record, self._brain)
         if found is not None:
             self.told["difference"] = f"cycle {found.cycle}: {found.field}"
@@ -222,7 +223,7 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> list
         return [verify_run(opened.bench, run) for run in runs]
     told, check, latest, count = [], None, -1, 0
     with without_collector():
-        for k, start, record in read_cycles_of_runs(opened.path, opened.problems):
+        for k, start, record in read_stored_cycles(opened.path, opened.problems):
             count = k + 1
             if number is not None and k != number:
                 continue
@@ -236,12 +237,18 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> list
 
 @contextmanager
 def without_collector() -> Iterator[None]:
-    """Records hold no cycles of references: looking for garbage among them takes a fifth of the time."""
+    """Records hold no cycles of references: looking for garbage among them takes a fifth of the time.
+
+    What was made meanwhile counts as old afterwards, so that nobody looks through it at once either.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
+        if not gc.get_freeze_count():
+            gc.freeze()
+            gc.unfreeze()
         if was_enabled:
             gc.enable()
 

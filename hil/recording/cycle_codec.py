@@ -7,8 +7,10 @@ is that of `hil.recording.cycle_layout`, the way back is `hil.recording.cycle_de
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,6 +18,7 @@ import numpy as np
 from hil.recording.cycle_layout import (
     ARRAY_HEADS,
     BYTE,
+    CODES,
     COUNT,
     DTYPES,
     FLOAT,
@@ -29,6 +32,9 @@ from hil.signals import CycleRecord
 
 Put = Callable[[bytes], None]
 Encode = Callable[[Put, Any], None]
+
+DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events")
+"""Fields of a cycle record that the brain makes of its inputs; they follow `inputs` without a gap."""
 
 _FLAGS = (b"\x00", b"\x01")
 _CHARS = {dtype: char for char, dtype in DTYPES.items()}
@@ -45,13 +51,24 @@ def _known_text(value: str) -> bytes:
     return _text(value)
 
 
+@lru_cache(maxsize=256)
+def _array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
+    return ARRAY_HEADS[len(shape)].pack(_CHARS[dtype], len(shape), *shape)
+
+
+@lru_cache(maxsize=256)
+def _pairs(names: tuple[str, ...], code: str) -> tuple[struct.Struct, list[Any]]:
+    """Structure of numbers by name, and its values with the names filled in."""
+    raw = [_known_text(name) for name in names]
+    whole = struct.Struct("<I" + "".join(f"{len(r)}s{code}" for r in raw))
+    return whole, [len(raw), *chain.from_iterable((r, 0) for r in raw)]
+
+
 def _encode_array(put: Put, value: Any) -> None:
     array = np.asarray(value)
-    char = _CHARS.get(array.dtype)
-    if char is None:
+    if array.dtype not in _CHARS:
         array = array.astype(np.int64 if array.dtype.kind in "iu" else np.float64)
-        char = _CHARS[array.dtype]
-    put(ARRAY_HEADS[array.ndim].pack(char, array.ndim, *array.shape))
+    put(_array_head(array.dtype, array.shape))
     put(array.tobytes())
 
 
@@ -111,6 +128,18 @@ class CycleEncoder:
         self._root(parts.append, record)
         return b"".join(parts)
 
+    def decided(self, decision: Any) -> bytes:
+        """Bytes of the fields `DECIDED` of anything that has them, as they stand in a record.
+
+        Raises:
+            struct.error, AttributeError, TypeError: they do not follow their type hints.
+        """
+        parts: list[bytes] = []
+        for field, encode_field in self._classes[self._layout["root"]]:
+            if field in DECIDED:
+                encode_field(parts.append, getattr(decision, field))
+        return b"".join(parts)
+
     def _encoder(self, layout: Layout) -> Encode:
         if isinstance(layout, str):
             return _PRIMITIVE_ENCODERS[layout]
@@ -156,8 +185,15 @@ class CycleEncoder:
 
     def _mapping(self, layout: Layout) -> Encode:
         encode_value = self._encoder(layout)
+        code = CODES.get(layout) if isinstance(layout, str) else None
 
         def encode(put: Put, value: Any) -> None:
+            if code is not None:
+                whole, filled = _pairs(tuple(value), code)
+                values = filled.copy()
+                values[2::2] = value.values()
+                put(whole.pack(*values))
+                return
             put(COUNT.pack(len(value)))
             for key, item in value.items():
                 put(_known_text(key))

@@ -10,12 +10,14 @@ import dataclasses
 import enum
 import struct
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from itertools import groupby
 from typing import Any
 
-from hil.recording.cycle_layout import COUNT, FORMAT, MAGIC, Layout, record_types
+from hil.errors import DataError
+from hil.recording.cycle_codec import CycleEncoder
+from hil.recording.cycle_layout import CODES, COUNT, FORMAT, MAGIC, Layout, describe, record_types
 from hil.recording.value_decoders import (
-    CODES,
     PRIMITIVES,
     Decode,
     coded_tuple,
@@ -25,7 +27,45 @@ from hil.recording.value_decoders import (
     plain_mapping,
     plain_tuple,
 )
-from hil.signals import CycleRecord, Status
+from hil.signals import CycleRecord, Inputs, Status
+
+
+class StoredCycle:
+    """A recorded cycle of which only the inputs are read; the rest is when somebody asks.
+
+    Attributes:
+        cycle: its number.
+        inputs: what the devices delivered.
+    """
+
+    def __init__(self, cycle: int, inputs: Inputs, decoder: CycleDecoder, data: bytes, end: int) -> None:
+        self.cycle, self.inputs = cycle, inputs
+        self._decoder, self._data, self._end = decoder, data, end
+
+    @cached_property
+    def record(self) -> CycleRecord:
+        """All of it.
+
+        Raises:
+            DataError: the bytes do not follow the layout.
+        """
+        try:
+            return self._decoder.decode(self._data)
+        except ValueError as error:
+            raise DataError(f"cycle {self.cycle}", f"cannot be read ({error})") from None
+
+    def holds(self, decision: Any) -> bool:
+        """Whether exactly these bits were decided (fields `cycle_codec.DECIDED`).
+
+        False also for a recording of another layout: then only `record` can tell.
+        """
+        encoder = self._decoder.encoder
+        if encoder is None:
+            return False
+        try:
+            return self._data.startswith(encoder.decided(decision), self._end)
+        except (struct.error, AttributeError, TypeError):
+            return False
 
 
 class CycleDecoder:
@@ -33,6 +73,9 @@ class CycleDecoder:
 
     Args:
         description: what `describe` gave when the recording was written.
+
+    Attributes:
+        encoder: writes records as the recording's do; None where its layout is not today's.
 
     Raises:
         ValueError: the description is of a newer format, malformed, or lacks what a record needs.
@@ -49,8 +92,11 @@ class CycleDecoder:
             for name in self._layouts:
                 self._classes[name] = self._class_decoder(name)
             self._root = self._classes[root]
+            self._head = self._fields_until(root, "inputs")
         except (KeyError, TypeError) as error:
             raise ValueError(f"the layout of the cycle records is malformed ({error!r})") from None
+
+        self.encoder = CycleEncoder() if description == describe() else None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -63,15 +109,40 @@ class CycleDecoder:
         Raises:
             ValueError: the bytes do not follow the layout.
         """
-        if data[: len(MAGIC)] != MAGIC:
-            raise ValueError("not a cycle record (wrong first bytes)")
-        try:
-            record, end = self._root(data, len(MAGIC))
-        except (struct.error, IndexError, KeyError, TypeError, OverflowError) as error:
-            raise ValueError(f"malformed cycle record ({error})") from None
+        record, end = self._read(self._root, data)
         if end != len(data) or not isinstance(record, CycleRecord):
             raise ValueError(f"cycle record of {len(data)} bytes ends at {end}")
         return record
+
+    def begin(self, data: bytes) -> StoredCycle:
+        """One record, of which only what is needed to decide again is read.
+
+        Raises:
+            ValueError: the bytes do not follow the layout.
+        """
+        values, end = self._read(self._head, data)
+        return StoredCycle(values["cycle"], values["inputs"], self, data, end)
+
+    def _read(self, decode: Decode, data: bytes) -> tuple[Any, int]:
+        if data[: len(MAGIC)] != MAGIC:
+            raise ValueError("not a cycle record (wrong first bytes)")
+        try:
+            return decode(data, len(MAGIC))
+        except (struct.error, IndexError, KeyError, TypeError, OverflowError) as error:
+            raise ValueError(f"malformed cycle record ({error})") from None
+
+    def _fields_until(self, name: str, last: str) -> Decode:
+        """Reads the first fields of a class, by name, until one of them."""
+        fields = [(field, self._decoder(layout)) for field, layout in self._layouts[name]]
+        wanted = fields[: [field for field, _ in fields].index(last) + 1]
+
+        def decode(data: bytes, at: int) -> tuple[Any, int]:
+            values = {}
+            for field, decode_field in wanted:
+                values[field], at = decode_field(data, at)
+            return values, at
+
+        return decode
 
     def _decoder(self, layout: Layout) -> Decode:
         if isinstance(layout, str):

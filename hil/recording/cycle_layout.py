@@ -28,6 +28,7 @@ Layout = Any
 INT, FLOAT, COUNT, BYTE = struct.Struct("<q"), struct.Struct("<d"), struct.Struct("<I"), struct.Struct("<B")
 MAX_DIMENSIONS = 4
 ARRAY_HEADS = tuple(struct.Struct(f"<cB{n}I") for n in range(MAX_DIMENSIONS + 1))
+CODES = {"int": "q", "float": "d", "bool": "?"}
 DTYPES: dict[bytes, np.dtype[Any]] = {
     b"d": np.dtype("<f8"),
     b"f": np.dtype("<f4"),

@@ -9,12 +9,12 @@ from __future__ import annotations
 import io
 import json
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 from hil.errors import DataError
-from hil.recording.cycle_decoder import CycleDecoder
+from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.mcap_writer import METADATA
 from hil.recording.ros_messages import octets_of, text_of
 from hil.signals import CycleRecord
@@ -22,6 +22,8 @@ from hil.signals import CycleRecord
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 _RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
+
+Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
 
 
 class Note:
@@ -72,6 +74,13 @@ class RecordingReader:
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""
+        return self._items(self._decoder.decode)
+
+    def stored(self) -> Iterator[StoredCycle | Note]:
+        """As `items`, with no more of the cycles read than it takes to decide again."""
+        return self._items(self._decoder.begin)
+
+    def _items(self, cycle_of: Callable[[bytes], Cycle]) -> Iterator[Cycle | Note]:
         from mcap.exceptions import McapError
         from mcap.records import Chunk
 
@@ -86,24 +95,22 @@ class RecordingReader:
                 self.problems.append(f"a chunk after cycle {cycles} is damaged ({error})")
                 continue
             for topic, data in parts:
-                item = self._item(topic, data)
-                if item is not None:
-                    cycles += isinstance(item, CycleRecord)
-                    yield item
-
-    def _item(self, topic: str, data: bytes) -> CycleRecord | Note | None:
-        try:
-            if topic == _CYCLE:
-                return self._decoder.decode(octets_of(data))
-            note = json.loads(text_of(data))
-            return Note(note["kind"], note["data"])
-        except (ValueError, KeyError, TypeError) as error:
-            self.problems.append(f"a message on {topic} cannot be read ({error})")
-            return None
+                try:
+                    item = cycle_of(octets_of(data)) if topic == _CYCLE else _note(data)
+                except (ValueError, KeyError, TypeError) as error:
+                    self.problems.append(f"a message on {topic} cannot be read ({error})")
+                    continue
+                cycles += topic == _CYCLE
+                yield item
 
     def __iter__(self) -> Iterator[CycleRecord]:
         """Cycle records only."""
         return (item for item in self.items() if isinstance(item, CycleRecord))
+
+
+def _note(data: bytes) -> Note:
+    note = json.loads(text_of(data))
+    return Note(note["kind"], note["data"])
 
 
 def _ours(chunk: Any, topics: dict[int, str]) -> list[tuple[str, bytes]]:

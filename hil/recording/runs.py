@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from hil.errors import DataError
-from hil.recording.mcap_reader import Note, RecordingReader
+from hil.recording.cycle_decoder import StoredCycle
+from hil.recording.mcap_reader import Cycle, Note, RecordingReader
 from hil.signals import CycleRecord, RobotState
 
 RUN = "run"
@@ -106,13 +107,27 @@ def read_cycles_of_runs(
 ) -> Iterator[tuple[int, RunStart | None, CycleRecord]]:
     """Every cycle of a recording with the number of its run and how that began; see `read_runs`."""
     reader = RecordingReader(path)
+    return _of_runs(reader, reader.items(), problems)
+
+
+def read_stored_cycles(
+    path: str | Path, problems: list[str] | None = None
+) -> Iterator[tuple[int, RunStart | None, StoredCycle]]:
+    """As `read_cycles_of_runs`, with no more of the cycles read than it takes to decide again."""
+    reader = RecordingReader(path)
+    return _of_runs(reader, reader.stored(), problems)
+
+
+def _of_runs(
+    reader: RecordingReader, items: Iterator[Cycle | Note], problems: list[str] | None
+) -> Iterator[tuple[int, RunStart | None, Cycle]]:
     start: RunStart | None = None
     number, latest = 0, -1
-    for item in reader.items():
+    for item in items:
         begins = item.kind == RUN if isinstance(item, Note) else item.cycle <= latest
         if begins and latest >= 0:
             start, number, latest = None, number + 1, -1
-        if isinstance(item, CycleRecord):
+        if not isinstance(item, Note):
             latest = item.cycle
             yield number, start, item
         elif item.kind == RUN:
@@ -123,4 +138,6 @@ def read_cycles_of_runs(
     if problems is not None:
         problems += reader.problems
     elif reader.problems:
-        raise DataError(str(path), "; ".join(reader.problems), remedy="what was readable has been read")
+        raise DataError(
+            str(reader.path), "; ".join(reader.problems), remedy="what was readable has been read"
+        )

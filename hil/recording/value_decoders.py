@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.recording.cycle_layout import ARRAY_HEADS, COUNT, DTYPES, FLOAT, INT, Layout
+from hil.recording.cycle_layout import ARRAY_HEADS, CODES, COUNT, DTYPES, FLOAT, INT, Layout
 
 _KNOWN_KEYS = 4096
 
@@ -109,8 +109,6 @@ PRIMITIVES: dict[str, Decode] = {
     "array": decode_array,
     "any": decode_any,
 }
-
-CODES = {"int": "q", "float": "d", "bool": "?"}
 
 
 def packed(layouts: Sequence[Layout]) -> struct.Struct | None:

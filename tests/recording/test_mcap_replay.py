@@ -9,14 +9,27 @@ import pytest
 from mcap_cases import driving_record
 
 from hil.alignment import Alignment, AlignmentParameters
+from hil.bench.blueprint import Blueprint
+from hil.config.bench import load_bench
 from hil.errors import DataError, SafetyStop
 from hil.geometry import compose, se2_exp
 from hil.interfaces import Controller, Estimator
 from hil.kinematics import WheelGeometry, twist_of_vectors
 from hil.loop import Brain
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.runs import RunStart, read_runs
-from hil.report.replay import ESTIMATION, RecordedReferences, compare, errors, verify
+from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
+from hil.report.replay import (
+    ESTIMATION,
+    KINDS,
+    RecordedReferences,
+    compare,
+    compare_run,
+    consistency,
+    errors,
+    table,
+    verify,
+    verify_cycle,
+)
 from hil.report.replay_page import write_replay_page
 from hil.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 from hil.supervisor import SafetyLimits, Supervisor
@@ -183,6 +196,35 @@ def test_errors_are_those_of_the_known_truth():
     assert ramp["final_position_m"] == pytest.approx(0.0046, abs=3e-4)
     assert ramp["rmse_position_m"] == pytest.approx(0.0046 / np.sqrt(3), abs=3e-4)
     assert errors(motions["scaled"])["final_position_m"] < 3e-4
+
+
+def test_a_stored_run_names_the_first_difference_as_a_read_one_does(tmp_path):
+    path = recorded(tmp_path / "r", run(30, brain()))
+    right, wrong = brain(), brain(scale=np.nextafter(1.0, 2.0))
+    right.reset(START)
+    wrong.reset(START)
+    cycles = [cycle for _, _, cycle in read_stored_cycles(path)]
+    assert all(verify_cycle(cycle, right) is None for cycle in cycles)
+    (only,) = read_runs(path)
+    expected = verify(only.records, brain(scale=np.nextafter(1.0, 2.0)), START)
+    assert next(filter(None, (verify_cycle(cycle, wrong) for cycle in cycles))) == expected
+
+
+def test_a_run_is_compared_by_kind_and_tabulated():
+    start = dataclasses.replace(START, pose_body_in_wall=np.zeros(3))
+    only = RecordedRun(RunStart(start, "ekf"), tuple(moving(0.0254, k) for k in range(60)))
+    bench = Blueprint(load_bench("emulated_floor"), geometry=GEOMETRY)
+    motions = compare_run(only, bench)
+    assert list(motions) == ["recorded", *KINDS]
+    assert list(compare_run(only, bench, ("odometry",), recorded=False)) == ["odometry"]
+    figures = table(motions)
+    assert list(figures) == list(motions)
+    for name, motion in motions.items():
+        for key, value in (errors(motion) | consistency(motion)).items():
+            assert figures[name][key] == (value if np.isfinite(value) else None)
+    assert figures["odometry"]["rmse_position_m"] < 1e-3
+    with pytest.raises(DataError, match=r"bag.*does not say how its run began"):
+        compare_run(RecordedRun(None, only.records), bench, source="bag")
 
 
 def test_without_truth_errors_are_nan():
