@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError
 
 from hil.config.control import ControlConfig
 from hil.config.encoders import EncodersConfig
@@ -19,6 +19,14 @@ from hil.config.estimator import EstimatorConfig
 from hil.config.imu import ImuConfig
 from hil.config.mocap import MocapConfig
 from hil.config.robot import RobotConfig
+from hil.config.sections import (
+    AlignmentConfig,
+    EmulationConfig,
+    ExitConfig,
+    LoopConfig,
+    SafetyConfig,
+    Strict,
+)
 from hil.config.servos import ServosConfig
 from hil.config.tracker import TrackerConfig
 from hil.errors import ConfigError
@@ -30,118 +38,6 @@ else:
 
 _PATHS = ("calibration", "imu.calibration_file", "encoders.dbc", "emulation.replay")
 DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
-
-
-class Strict(BaseModel):
-    """Base of the models here: unknown keys rejected, values frozen."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class LoopConfig(Strict):
-    """Rate and real-time behaviour of the control loop.
-
-    Attributes:
-        rate_hz: cycles per second.
-        late_after_s: a cycle that starts later than this after its deadline counts as late.
-        fifo_priority: priority under SCHED_FIFO, where the system allows it; none leaves the scheduler alone.
-        cpu: number of the core that the loop is bound to; none leaves it to the system.
-    """
-
-    rate_hz: float = Field(100.0, gt=0, le=1000)
-    late_after_s: float = Field(0.001, gt=0)
-    fifo_priority: int | None = Field(None, ge=1, le=99)
-    cpu: int | None = Field(None, ge=0)
-
-
-class SafetyConfig(Strict):
-    """When the supervisor stops the robot, and where it may be sent.
-
-    Attributes:
-        servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
-        wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
-        heading_limit_rad: on a wall; beyond it the thrust no longer points up.
-        tracking_error_limit_m: distance from the reference.
-        body_speed_limit_m_s: speed that the camera may see: faster is a slide.
-        adhesion_limit_m_s2: specific force below which the robot counts as falling.
-        x_range_m, y_range_m: usable surface; references that leave it are refused.
-    """
-
-    servo_stale_s: float = Field(0.1, gt=0)
-    imu_stale_s: float = Field(0.5, gt=0)
-    tracker_stale_s: float = Field(2.0, gt=0)
-    wheel_rate_limit_rad_s: float = Field(4.9, gt=0)
-    steering_limit_rad: float = Field(2.0944, gt=0)
-    heading_limit_rad: float = Field(0.2618, gt=0)
-    tracking_error_limit_m: float = Field(0.5, gt=0)
-    body_speed_limit_m_s: float = Field(0.5, gt=0)
-    adhesion_limit_m_s2: float = Field(5.0, ge=0, lt=9.8)
-    x_range_m: tuple[float, float] | None = None
-    y_range_m: tuple[float, float] | None = None
-
-
-class AlignmentConfig(Strict):
-    """Signs and zeros between servo angles and body angles, wheel order FL, BL, BR, FR.
-
-    Attributes:
-        drive_sign, steer_sign: 1, or -1 where the servo is mounted the other way round.
-        steer_zero_rad: servo angle at which the wheel points along body x (`procedures/steering_zero.py`).
-    """
-
-    drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    steer_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
-
-    @model_validator(mode="after")
-    def _signs(self) -> AlignmentConfig:
-        for name in ("drive_sign", "steer_sign"):
-            if any(s not in (-1, 1) for s in getattr(self, name)):
-                raise ValueError(f"{name} must hold only 1 and -1")
-        return self
-
-
-class EmulationConfig(Strict):
-    """The emulated world: only read when at least one device is emulated.
-
-    Attributes:
-        surface: what the robot stands on: `floor`, `concrete`, `melamine` or `patchy`.
-        tilt_rad: of the surface: 0 floor, pi/2 wall.
-        start_pose: (x m, y m, theta rad) in the wall frame.
-        faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
-        randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
-        geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
-            robot as delivered, less is what a calibration would have left of them.
-        replay: recording (of this project, a public pair, or plain CSV) whose motion the robot repeats,
-            whatever it is commanded; without it the robot is simulated.
-        replay_after_s: world time at which that motion begins; before it the robot stands.
-        servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
-            in `ServoBusOptions`, `EncoderTruthOptions`, `ImuTruthOptions`, `TrackerTruthOptions` and
-            `MocapTruthOptions` of `hil.fakes`.
-    """
-
-    surface: str = "melamine"
-    tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
-    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    randomise_truth: bool = True
-    geometry_share: float = Field(1.0, ge=0.0, le=1.0)
-    faults: tuple[str, ...] = ()
-    replay: str | None = None
-    replay_after_s: float = Field(4.0, ge=0.0)
-    servos: dict[str, Any] = {}
-    encoders: dict[str, Any] = {}
-    imu: dict[str, Any] = {}
-    tracker: dict[str, Any] = {}
-    mocap: dict[str, Any] = {}
-
-
-class ExitConfig(Strict):
-    """What happens to the robot when the work ends.
-
-    Attributes:
-        policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
-    """
-
-    policy: Literal["hold", "release"] = "hold"
 
 
 class BenchConfig(Strict):
