@@ -13,7 +13,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
-from procedures.parts.odometry_rounds import improvement_bound
+from procedures.parts.odometry_rounds import improvement_bound, rise_beyond_chance
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
@@ -144,23 +144,54 @@ def test_the_stop_rule_wants_more_than_chance():
     assert improvement_bound(before, 2.0 * before, rng) == pytest.approx(-1.0)
 
 
+def test_a_rise_counts_only_as_far_as_chance_does_not_explain_it():
+    rng = np.random.default_rng(4)
+    earlier = rng.uniform(2e-3, 4e-3, 30)
+    assert rise_beyond_chance(earlier, earlier + 1e-3, rng) == pytest.approx(1e-3)
+    assert rise_beyond_chance(earlier, earlier - 1e-3, rng) == 0.0
+    assert rise_beyond_chance(earlier, rng.permutation(earlier), rng) == 0.0
+    noisy = rise_beyond_chance(earlier, earlier + 1e-3 + 1e-3 * rng.standard_normal(30), rng)
+    assert 0.0 < noisy < 1e-3
+
+
+def calibrated(folder, seed, parameters):
+    """Run the procedure in a world; returns its measurements and how far parameters are from the truth.
+
+    The latter (16,) in standard errors, as the calibration that it wrote states them.
+    """
+    source = plain_source().changed(seed=seed)
+    options = RunOptions(
+        folder, MonotonicClock(), "2026-01-01T00:00:00", {"compared_methods": "", **parameters},
+        operator=Nobody(),
+    )  # fmt: skip
+    result = run_procedure(load_procedure("odometry_calibration"), source, options)
+    assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)
+    file = read_calibration(folder / "calibration.toml")
+    with source.open() as bench:
+        truth = bench.world.plant.parameters.geometry().vector()
+    std = np.concatenate([file.std[k] for k in ("x_w_m", "y_w_m", "r_m", "delta0_rad")])
+    found = {m["name"]: m["value"] for m in result.measurements}
+    return found, (file.geometry.vector() - truth) / std
+
+
 @pytest.mark.long
 @pytest.mark.timeout(7200)
 def test_over_ten_seeds_of_hidden_truth_the_error_falls_eightfold(tmp_path):
     """Full motions and repetitions. A robot that hardly errs before cannot improve eightfold."""
-    parameters = {"compared_methods": "", "processes": 2}
-    found = []
-    for seed in range(10):
-        options = RunOptions(
-            tmp_path / str(seed), MonotonicClock(), "2026-01-01T00:00:00", parameters, operator=Nobody()
-        )
-        source = plain_source().changed(seed=seed)
-        result = run_procedure(load_procedure("odometry_calibration"), source, options)
-        found.append({m["name"]: m["value"] for m in result.measurements})
-        assert result.verdict.value in ("PASS", "MARGINAL"), (seed, result.measurements)
+    found = [calibrated(tmp_path / str(seed), seed, {})[0] for seed in range(10)]
     before, after = (np.array([f[f"position_rmse_{k}"] for f in found]) for k in ("before", "after"))
     assert after.max() <= 4.0, after
     assert before.mean() / after.mean() >= 8.0
     wrong = before >= 30.0
     assert wrong.any()
     assert (before[wrong] / after[wrong]).min() >= 8.0
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+def test_over_twenty_seeds_the_injected_geometry_lies_within_the_stated_errors(tmp_path):
+    """Wheel positions, radii and zeros against the truth that drove the plant: z scores are standard."""
+    brief = {"repetitions": 2, "validation_repetitions": 1, "max_rounds": 2}
+    scores = np.array([calibrated(tmp_path / str(seed), seed, brief)[1] for seed in range(20)])
+    assert np.sqrt(np.mean(scores**2)) < 1.3
+    assert np.mean(np.abs(scores) < 2.0) >= 0.88
