@@ -8,6 +8,7 @@ nothing is fitted to, driven with the best parameters, decides whether the resul
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -43,7 +44,9 @@ _SIMILAR_MM = 0.5
 class Parameters(BaseModel):
     """How much to drive, how to fit, and when to stop.
 
-    `install` names a calibration.toml that takes the result, as its next version, if validation passes.
+    `steering_play_rad` is the play of a steering gear to each side (`facts/plant_and_control.md`), which
+    standard errors allow for. `install` names a calibration.toml that takes the result, as its next version,
+    if validation passes.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -54,6 +57,7 @@ class Parameters(BaseModel):
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0)
+    steering_play_rad: float = Field(math.radians(0.125), ge=0, le=0.05)
     min_rounds: int = Field(2, ge=1)
     max_rounds: int = Field(4, ge=1)
     method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
@@ -106,7 +110,9 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = replace(make_setting("recommended", model="creep"), by_motion=True)
+    setting = replace(
+        make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=p.steering_play_rad
+    )
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]

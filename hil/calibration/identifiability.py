@@ -98,7 +98,7 @@ def _in_words(direction: Array, unit: Array) -> str:
 
 @dataclass(frozen=True)
 class Jackknife:
-    """Standard errors (delete-one-recording and the prior's pull) and the t quantile for 95 % intervals."""
+    """Standard errors (delete-one-recording, prior, play) and the t quantile for 95 % intervals."""
 
     std: Array
     twist_std: Array
@@ -129,27 +129,63 @@ def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
     factor = (count - 1) / count
     variance = factor * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
     twist_variance = factor * ((twists - twists.mean(axis=0)) ** 2).sum(axis=0)
-    pull, twist_pull = _prior_pull(problem, total, z, nominal)
+    systematic = _prior_pull(problem, total) + _play(problem, total, jj)
+    slopes = _twist_slopes(problem, z, nominal)
     return Jackknife(
-        np.sqrt(variance + pull),
-        np.sqrt(twist_variance + twist_pull),
+        np.sqrt(variance + np.diag(systematic)),
+        np.sqrt(twist_variance + np.einsum("aij,ab,bij->ij", slopes, systematic, slopes)),
         float(stats.t.ppf(0.975, min(count - 1, _DEGREES_OF_FREEDOM))),
     )
 
 
-def _prior_pull(problem: Problem, total: Array, z: Array, nominal: WheelGeometry) -> tuple[Array, Array]:
-    """Variance that the prior's own uncertainty leaves in z (m,) and in C (3, 3).
+def _prior_pull(problem: Problem, total: Array) -> Array:
+    """Covariance (m, m) that the prior's own uncertainty leaves in z.
 
     The estimate is drawn towards the prior mean by A^-1 L (z0 - z), with prior precision L and total
     information A; z0 - z has covariance L^-1, which leaves A^-1 L A^-1.
     """
     inverse = np.linalg.pinv(total)
-    covariance = inverse @ np.diag(problem.prior_precision()) @ inverse
+    return np.asarray(inverse @ np.diag(problem.prior_precision()) @ inverse, dtype=np.float64)
+
+
+def play_shift(problem: Problem, inverse: Array, information: Array, own: Array) -> Array:
+    """How z (m,) moves per radian that each steering angle is off in some recordings, shape (m, 4).
+
+    Args:
+        problem: weights of the recordings.
+        inverse: (m, m) inverse of the total information.
+        information: (R, m, m) of each recording, unweighted.
+        own: (R,) which recordings.
+    """
+    share = np.einsum("r,rab->ab", problem.weights[own], information[own])
+    return np.asarray(inverse @ share[:, 12:16], dtype=np.float64)
+
+
+def _play(problem: Problem, total: Array, information: Array) -> Array:
+    """Covariance (m, m) of wheels that stand anywhere in their play, but alike in a motion's recordings.
+
+    A steering angle that is off by d in one motion acts there like a zero that is off by d; d is uniform in
+    the play.
+    """
+    size = len(total)
+    covariance = np.zeros((size, size))
+    play_rad = problem.setting.steering_play_rad
+    if play_rad == 0.0 or size < 16:
+        return covariance
+    inverse: Array = np.linalg.pinv(total).astype(np.float64)
+    motions = np.array(problem.blocks.motions)
+    for motion in dict.fromkeys(problem.blocks.motions):
+        shift = play_shift(problem, inverse, information, motions == motion)
+        covariance += play_rad**2 / 3.0 * shift @ shift.T
+    return covariance
+
+
+def _twist_slopes(problem: Problem, z: Array, nominal: WheelGeometry) -> Array:
+    """Derivative (m, 3, 3) of the twist correction by each parameter."""
     step = 1e-3 * problem.prior_std
-    slopes = np.array(
+    return np.array(
         [
             (twist_correction(z + h, nominal) - twist_correction(z - h, nominal)) / (2 * h[k])
             for k, h in enumerate(np.diag(step))
         ]
     )
-    return np.diag(covariance), np.einsum("aij,ab,bij->ij", slopes, covariance, slopes)

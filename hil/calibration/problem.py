@@ -41,6 +41,8 @@ class Setting:
         robust: Cauchy weight per recording.
         by_motion: a recording stands out only if it differs from the others of its motion; a motion that
             the model explains badly as a whole is kept.
+        steering_play_rad: play of a steering gear to each side. A wheel may stand on one side of it in all
+            recordings of a motion; standard errors allow for that.
         choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
     """
 
@@ -57,6 +59,7 @@ class Setting:
     robust: bool
     choose_model: bool = False
     by_motion: bool = False
+    steering_play_rad: float = 0.0
 
 
 PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
@@ -222,7 +225,7 @@ def make_setting(
     """A named setting, with the parts that a user overrides."""
     base = SETTINGS[name]
     if model is not None:
-        block_s = base.block_s if model == base.model else (0.3 if model == "dry-friction" else 0.1)
+        block_s = 0.1 if model in ("exact", "paper") else RECOMMENDED.block_s
         base = replace(base, model=model, block_s=block_s, choose_model=False)
     if signal is not None:
         base = replace(base, signal=signal)

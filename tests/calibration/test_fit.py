@@ -7,9 +7,9 @@ import pytest
 
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
-from hil.calibration.evaluation import evaluate, track
+from hil.calibration.evaluation import evaluate, track, truth_window
 from hil.calibration.fitting import fit, twist_correction
-from hil.calibration.identifiability import identifiability
+from hil.calibration.identifiability import identifiability, play_shift
 from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
 from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
@@ -71,6 +71,32 @@ def test_all_four_methods_meet(recordings, setting):
         assert np.all(z <= result.problem.upper + 1e-12)
         polished = result.solution.objective_before_polish is not None
         assert polished == (method in ("ga", "pso"))
+
+
+def test_a_steering_angle_off_in_one_motion_shifts_the_result_as_foreseen(recordings):
+    """Play: re-fitting recordings whose second wheel steers 0.1 mrad beside what it reports.
+
+    The truth is what the model itself makes of the wheels, so that no misfit bends the cost.
+    """
+    setting, off_rad = replace(RECOMMENDED, model="exact", robust=False, choose_model=False), 1e-4
+    runs = [track(r, WheelGeometry.from_vector(some_z()), "exact") for r in recordings]
+    fitting = [
+        replace(r, truth_t_s=truth_window(r)[0], truth_pose=run.odometry)
+        for r, run in zip(recordings, runs, strict=True)
+    ]
+    moved = [
+        replace(r, steering_rad=r.steering_rad + off_rad * np.eye(4)[1]) if r.motion == "line_x" else r
+        for r in fitting
+    ]
+    first, second = (fit(reduce_recordings(rs, 0.1), setting, CAD) for rs in (fitting, moved))
+    _, _, information = first.problem.normal_terms(first.solution.z)
+    total = information.sum(axis=0) + np.diag(first.problem.prior_precision())
+    own = np.array(first.problem.blocks.motions) == "line_x"
+    foreseen = off_rad * play_shift(first.problem, np.linalg.inv(total), information, own)[:, 1]
+    found = second.solution.z - first.solution.z
+    scale = first.problem.prior_std
+    assert np.linalg.norm(found / scale) > 0.01 * off_rad / scale[13]
+    assert np.linalg.norm((found - foreseen) / scale) < 0.05 * np.linalg.norm(found / scale)
 
 
 @pytest.mark.long
