@@ -85,7 +85,15 @@ class WheelGeometry:
 
     def with_vector(self, z: ArrayLike) -> WheelGeometry:
         """Another parameter vector (12,) or (16,) on the same tyres under the same load."""
-        return replace(self.from_vector(z), load=self.load, creep_ratio=self.creep_ratio)
+        return self.from_vector(z).with_tyres(self.load, self.creep_ratio)
+
+    def with_tyres(self, load: ArrayLike, creep_ratio: float) -> WheelGeometry:
+        """The same wheels under other loads (4,), on other tyres."""
+        return replace(self, load=_four(load), creep_ratio=creep_ratio)
+
+    def tyres(self) -> dict[str, object]:
+        """Loads and creep ratio as plain data, as files keep them and `with_tyres` takes them."""
+        return {"load": self.load.tolist(), "creep_ratio": self.creep_ratio}
 
     def vector(self) -> Array:
         """Parameter vector (16,): x, y, radius, steering zero."""

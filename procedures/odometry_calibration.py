@@ -1,7 +1,7 @@
 """The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
 
 A round is every motion several times, driven with the parameters found so far; the fit that follows
-improves these. Rounds go on while one is driven better than the best before it. A last round that
+takes all rounds together. Rounds go on while one is driven better than the best before it. A last round that
 nothing is fitted to, driven with the best parameters, decides whether the result may be used.
 `docs/procedures.md` tells how to run and read it.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
@@ -64,6 +64,12 @@ class Parameters(BaseModel):
     compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = ("interior-point", "ga", "pso")
     processes: int = Field(2, ge=1, le=8)
     install: str = ""
+
+    @model_validator(mode="after")
+    def _rounds(self) -> Parameters:
+        if self.min_rounds > self.max_rounds:
+            raise ValueError(f"min_rounds = {self.min_rounds} exceeds max_rounds = {self.max_rounds}")
+        return self
 
     @property
     def sizes(self) -> Sizes:
@@ -126,7 +132,8 @@ def run(ctx: Context) -> None:
         if number == p.max_rounds or (number >= p.min_rounds and not going_on):
             break
         with ctx.step(f"fit {number}"):
-            results.append(improve(ctx, rounds, setting, p.method))
+            driven = [r for d in rounds for r in d.recordings]
+            results.append(improve(ctx, driven, setting, p.method))
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):

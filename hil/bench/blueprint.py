@@ -57,7 +57,7 @@ class Blueprint:
         return {
             "config": self.config.model_dump(mode="json", by_alias=True, exclude_none=True),
             "geometry": self.geometry.vector().tolist(),
-            "tyres": {"load": self.geometry.load.tolist(), "creep_ratio": self.geometry.creep_ratio},
+            "tyres": self.geometry.tyres(),
             "calibration": self.calibration,
             "seed": self.seed,
             "versions": self.versions(),

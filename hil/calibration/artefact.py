@@ -11,7 +11,6 @@ import os
 import re
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -124,9 +123,7 @@ class CalibrationFile(BaseModel):
 
 def _geometry(p: Parameters, tyres: Tyres | None) -> WheelGeometry:
     wheels = WheelGeometry.from_vector([*p.x_w_m, *p.y_w_m, *p.r_m, *p.delta0_rad])
-    if tyres is None:
-        return wheels
-    return replace(wheels, load=np.array(tyres.load), creep_ratio=tyres.creep_ratio)
+    return wheels if tyres is None else wheels.with_tyres(tyres.load, tyres.creep_ratio)
 
 
 def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
@@ -197,7 +194,7 @@ def calibration_file(
         "made_for": made_for,
     }
     if result.setting.model == "creep":
-        tree["tyres"] = {"load": result.geometry.load.tolist(), "creep_ratio": result.geometry.creep_ratio}
+        tree["tyres"] = result.geometry.tyres()
     return CalibrationFile.model_validate(tree)
 
 

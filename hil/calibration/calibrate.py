@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -163,10 +164,8 @@ def calibrate(
     begin_ns = clock.now_ns()
     cad = nominal if nominal is not None else WheelGeometry.nominal()
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
-    found = fit(
-        blocks, setting, cad, method=method, seed=seed,
-        progress=lambda done, total: report(f"{method} generations", done, total),
-    )  # fmt: skip
+    progress = partial(report, f"{method} generations")
+    found = fit(blocks, setting, cad, method=method, seed=seed, progress=progress)
     setting = found.problem.setting
     evaluations = found.problem.evaluations
     spectrum = identifiability(found)

@@ -102,14 +102,7 @@ class CreepModel(MotionModel):
         if len(z) == 16:
             qx, qy = uy - ey, ex - ux
             moves.append((wxx * qx + wxy * qy + fy, wxy * qx + wyy * qy - fx))
-        pull = np.empty((len(u), 3, len(z)))
-        for k, (mx, my) in enumerate(moves):
-            columns = slice(4 * k, 4 * k + 4)
-            pull[:, 0, columns], pull[:, 1, columns] = mx, my
-            pull[:, 2, columns] = -z[4:8] * mx + z[0:4] * my
-        pull[:, 2, 0:4] += fy
-        pull[:, 2, 4:8] -= fx
-        return b, np.matmul(inverse, pull)
+        return b, np.matmul(inverse, _wrench_derivative(z, moves, fx, fy))
 
 
 class DryFrictionModel(MotionModel):
@@ -169,14 +162,27 @@ def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array, pow
     ]
     if len(z) == 16:
         slips.append(np.stack([-u[..., 1], u[..., 0]], axis=-1))
-    out = np.empty((len(b), 3, len(z)))
-    for k, slip in enumerate(slips):
-        moved = np.einsum("niab,nib->nia", curvature, slip)
+    moved = [np.einsum("niab,nib->nia", curvature, slip) for slip in slips]
+    moves = [(m[..., 0], m[..., 1]) for m in moved]
+    return _wrench_derivative(z, moves, force[..., 0], force[..., 1])
+
+
+def _wrench_derivative(z: Array, moves: list[tuple[Array, Array]], fx: Array, fy: Array) -> Array:
+    """Derivative (n, 3, len(z)) of the contacts' total force and torque by z.
+
+    Args:
+        z: parameter vector; its x and y are the levers.
+        moves: change of each contact's force (n, 4), (n, 4) by x, y, r and the zeros, in turn.
+        fx: (n, 4) forces themselves, whose levers x and y change, and
+        fy: (n, 4).
+    """
+    out = np.empty((len(fx), 3, len(z)))
+    for k, (mx, my) in enumerate(moves):
         columns = slice(4 * k, 4 * k + 4)
-        out[:, 0, columns], out[:, 1, columns] = moved[..., 0], moved[..., 1]
-        out[:, 2, columns] = -z[4:8] * moved[..., 0] + z[0:4] * moved[..., 1]
-    out[:, 2, 0:4] += force[..., 1]
-    out[:, 2, 4:8] -= force[..., 0]
+        out[:, 0, columns], out[:, 1, columns] = mx, my
+        out[:, 2, columns] = -z[4:8] * mx + z[0:4] * my
+    out[:, 2, 0:4] += fy
+    out[:, 2, 4:8] -= fx
     return out
 
 

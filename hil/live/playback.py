@@ -106,8 +106,8 @@ def open_recording(
         )
     given = header.get("geometry")
     geometry = None if given is None else WheelGeometry.from_vector(np.array(given, dtype=np.float64))
-    if geometry is not None:
-        geometry = replace(geometry, **header.get("tyres", {}))
+    if geometry is not None and "tyres" in header:
+        geometry = geometry.with_tyres(**header["tyres"])
     return OpenedRecording(
         path, _bench(config, geometry, calibration, header, recorded=bench is None), header, False, problems,
         lambda: read_runs(path, problems),

@@ -20,11 +20,10 @@ def show(
     method: str, compared_methods: Sequence[str],
 ) -> None:  # fmt: skip
     """Everything that a person needs to judge the result."""
-    fitted = [d for d in rounds if any(d.recordings[0] is r for r in result.recordings)]
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
     for other in compared_methods:
-        columns[other] = Odometry(improve(ctx, fitted, setting, other).geometry, model)
+        columns[other] = Odometry(improve(ctx, result.recordings, setting, other).geometry, model)
     parameter_table(ctx, columns, result)
     before, after = rounds[0].tracks(), fresh.tracks()
     error_table(ctx, "Table II: errors before calibration", evaluate(before))

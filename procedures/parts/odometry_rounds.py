@@ -71,14 +71,14 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
     return Odometry(found.geometry, found.model)
 
 
-def improve(ctx: Context, rounds: Sequence[Driven], setting: Setting, method: str) -> Calibration:
-    """Fit all recordings so far, with the prior at the robot as it is on paper.
+def improve(ctx: Context, recordings: Sequence[Recording], setting: Setting, method: str) -> Calibration:
+    """Fit the recordings of all rounds so far, with the prior at the robot as it is on paper.
 
     Rounds were driven with different parameters and each stands elsewhere in the play of its gears;
     together they show more than the latest (`docs/decisions/0007`).
     """
     return calibrate(
-        [r for d in rounds for r in d.recordings], setting, ctx.clock, method=method, seed=ctx.seed,
+        recordings, setting, ctx.clock, method=method, seed=ctx.seed,
         nominal=geometry_of(ctx.source.config), validate=False, report=ctx.progress,
     )  # fmt: skip
 

@@ -13,6 +13,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
+from procedures.odometry_calibration import Parameters
 from procedures.parts.odometry_rounds import improvement_bound, rise_beyond_chance
 
 SMALL = {
@@ -132,6 +133,11 @@ def plain_source():
     from hil.procedure import BenchSource
 
     return BenchSource("emulated_floor")
+
+
+def test_more_rounds_than_allowed_are_refused():
+    with pytest.raises(ValueError, match="min_rounds = 3 exceeds max_rounds = 2"):
+        Parameters(min_rounds=3, max_rounds=2)
 
 
 def test_the_stop_rule_wants_more_than_chance():
