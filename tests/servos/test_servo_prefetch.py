@@ -100,6 +100,26 @@ def test_an_answer_that_was_lost_is_asked_for_again(ahead):
     assert len({s.stamp.t_ns for s in samples}) == len(samples)
 
 
+def test_an_answer_that_is_late_is_listened_for_from_the_read_on(ahead):
+    """Due 2.5 ms and the slack after the request, it is here 1 ms into a read 5 ms after that."""
+    bench = ahead("servo.1:slow@0.5+0.005,answer_s=0.003", config={"reply_slack_s": 0.0021})
+    bench.driver.enable()
+    samples, took_ns, _ = cycles(bench, 200)
+    assert all(s.ok for s in samples)
+    waited_ns = [t for t in took_ns[3:] if t]
+    assert len(waited_ns) == 1
+    assert 500_000 < waited_ns[0] < 2_100_000
+
+
+@pytest.mark.parametrize("servo", [1, 4, 8])
+def test_a_silent_servo_costs_the_others_no_sample(ahead, servo):
+    bench = ahead(f"servo.{servo}:off@0.5+1", config={"fail_after_s": 60.0})
+    bench.driver.enable()
+    samples, _, _ = cycles(bench, 400)
+    assert all(s.status[j] is Status.OK for s in samples for j in range(8) if j != servo - 1)
+    assert sum(s.status[servo - 1] is Status.OK for s in samples) > 100
+
+
 def test_a_dead_servo_takes_nobody_with_it_and_comes_back(ahead):
     bench = ahead("servo.3:off@1+1", config={"fail_after_s": 60.0, "health_period_s": 0.2})
     bench.driver.enable()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 from dynamixel_sdk import (
@@ -159,8 +159,15 @@ class Bus:
             return False
         return True
 
-    def answered(self) -> Exchange:
-        """What was asked for with `ask`, waited for."""
+    def answered(self, patience_ns: int = 0) -> Exchange:
+        """What was asked for with `ask`, waited for until its deadline and at least `patience_ns` from now.
+
+        Whoever asked ahead may have been kept from listening until the deadline was over; the answer
+        is then about to be handed over by a computer that had the same to do.
+        """
+        if self._asked is not None:
+            deadline_ns = max(self._asked.deadline_ns, self._clock.now_ns() + patience_ns)
+            self._asked = replace(self._asked, deadline_ns=deadline_ns)
         self._settle()
         found, self._ahead = self._ahead, None
         assert found is not None

@@ -70,6 +70,12 @@ def _led_by_another(order: tuple[int, ...]) -> tuple[int, ...]:
     return order[1:] + order[:1]
 
 
+def _silent_last(order: tuple[int, ...], answers: dict[int, Answer]) -> tuple[int, ...]:
+    """The same joints, the first silent one last: at it the chain breaks off."""
+    silent = next((j for j in order if answers[j].status is Status.TIMEOUT), None)
+    return order if silent is None else (*(j for j in order if j != silent), silent)
+
+
 class CycleReader:
     """Reads current, velocity and position of the eight servos.
 
@@ -104,31 +110,34 @@ class CycleReader:
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
         """Send the request of the next `read`, behind a packet that nobody answers."""
-        self._kind, self._asked = self._full if full else _CYCLE, tuple(self._order)
-        if self._asked:
-            self._bus.ask(*self._group(self._kind, self._asked), after)
+        self._ask(self._full if full else _CYCLE, tuple(self._order), after)
+
+    def _ask(self, kind: _Kind, joints: tuple[int, ...], after: bytes = b"") -> None:
+        self._kind, self._asked = kind, joints
+        if joints:
+            self._bus.ask(*self._group(kind, joints), after)
         elif after:
             self._bus.send(after)
 
     def read(self) -> Reading:
         """The answer to what was asked; a second exchange for what is missing where the budget allows it.
 
-        When something is missing of what was asked a while ago, everything is asked again: the parts would
-        be of different times.
+        When something is missing of what was asked a while ago, everything is asked again, the first silent
+        servo last: the parts would be of different times.
         """
         kind, order, began_ns = self._kind, self._asked, self._clock.now_ns()
         if not order:
             nothing = Exchange(b"", began_ns, began_ns, began_ns)
             return self._poll_dead(kind, nothing, dict.fromkeys(_ALL, NO_ANSWER))
         group, timeout_s = self._group(kind, order)
-        exchange = self._bus.answered()
+        exchange = self._bus.answered(self._slack_ns)
         reading = self._quick(kind, group, exchange, order)
         if reading is not None:
             return reading
         answers = self._by_joint(group, exchange, order)
         missing = [j for j in order if answers[j].status is not Status.OK]
         if missing and began_ns - exchange.sent_ns > _AGE_NS:
-            self.ask(full=kind is not _CYCLE)
+            self._ask(kind, _silent_last(order, answers))
             return self.read()
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
