@@ -208,7 +208,8 @@ def _records(path: Path, problems: list[str]) -> Iterator[Any]:
                     return
                 except (McapError, ValueError, EOFError, MemoryError) as error:
                     if count == 0:
-                        raise DataError(str(path), f"is not a readable MCAP file ({error})") from None
+                        why = str(error) or "it is empty or ends within its first record"
+                        raise DataError(str(path), f"is not a readable MCAP file ({why})") from None
                     problems.append(_ended(stream.tell(), error))
                     return
                 count += 1
@@ -218,7 +219,8 @@ def _records(path: Path, problems: list[str]) -> Iterator[Any]:
 
 
 def _ended(at: int, error: Exception) -> str:
-    return f"ends early at byte {at} (writer killed or disk full): {error or type(error).__name__}"
+    why = f": {error}" if str(error) else ""
+    return f"ends early at byte {at} (writer killed or disk full){why}"
 
 
 def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:
