@@ -101,3 +101,11 @@ def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
     turn = (b2 - l20 * b0 - l21 * y1) / (a22 - l20 * a02 - l21 * l21 * d1)
     left = y1 / d1 - l21 * turn
     return np.array([b0 / a00 - l10 * left - l20 * turn, left, turn])
+
+
+@compiled
+def windowed_twist(u: Array, window: Array, decay: float, wheels: Array, creeping: bool) -> Array:
+    """Displacement (3,) of the newest step by either law; `window` (8,) fades by `decay` and takes it."""
+    for i in range(8):
+        window[i] = decay * window[i] + u[i]
+    return creep_twist(u, window, wheels) if creeping else friction_twist(u, window, wheels)

@@ -21,7 +21,7 @@ import numpy as np
 
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
-from hil.estimator.friction import creep_twist, friction_twist
+from hil.estimator.friction import windowed_twist
 from hil.estimator.process import sinc, sinc_slope
 from hil.geometry import Array
 
@@ -116,11 +116,7 @@ def body_rows(
         return 0
     if par[L.FRICTION_S] > 0.0:
         decay = math.exp(-dt / par[L.FRICTION_S])
-        window = m[L.WINDOW : L.WINDOW + 8]
-        for i in range(8):
-            window[i] = decay * window[i] + u[i]
-        creeping = par[L.CREEP] > 0.0
-        b = creep_twist(u, window, wheels) if creeping else friction_twist(u, window, wheels)
+        b = windowed_twist(u, m[L.WINDOW : L.WINDOW + 8], decay, wheels, par[L.CREEP] > 0.0)
         for j in range(3):
             z[j] = b[j]
     for j in range(3):

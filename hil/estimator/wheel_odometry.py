@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import creep_twist, friction_twist
+from hil.estimator.friction import windowed_twist
 from hil.estimator.fusion import check_state
 from hil.estimator.layout import contacts
 from hil.geometry import Array, compose, se2_exp
@@ -61,7 +61,8 @@ class OdometryEstimator(Estimator):
         )
 
     def _take(self, sample: WheelMeasurement) -> None:
-        if np.shape(sample.wheel_angle_rad) != (4,) or np.shape(sample.steering_rad) != (4,):
+        angles = (sample.wheel_angle_rad, sample.steering_rad)
+        if any(np.shape(a) != (4,) for a in angles) or len(sample.valid) != 4:
             self._rejected += 1
             return
         usable = _usable(sample)
@@ -92,10 +93,8 @@ class OdometryEstimator(Estimator):
         u = wheel_vectors(turned * self._geometry.radius_m, heading)
         if all(usable):
             if self._model in ("dry-friction", "creep"):
-                self._window *= np.exp(-dt / self._noise.friction_window_s)
-                self._window += u
-                law = creep_twist if self._model == "creep" else friction_twist
-                return law(u, self._window, self._contacts)
+                decay = math.exp(-dt / self._noise.friction_window_s)
+                return windowed_twist(u, self._window, decay, self._contacts, self._model == "creep")
             return np.asarray(self._forward @ u, dtype=np.float64)
         rows = np.repeat(usable, 2)
         return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)

@@ -57,7 +57,7 @@ class Command:
 
     Args:
         t_s: (n,) when each command was handed to the bus.
-        value: (n,) what it was, the rate of the way; for positions give their own steps with `as_way`.
+        value: (n,) what it was; the way is its integral, of an angle as well as of a rate.
     """
 
     def __init__(self, t_s: Array, value: Array) -> None:

@@ -93,7 +93,8 @@ def test_bad_input_is_counted_and_never_makes_nan(kind):
             Measurements(
                 k, t,
                 (WheelMeasurement(stamp, np.full(4, value), np.zeros(4), np.zeros(4), (True,) * 4),
-                 WheelMeasurement(stamp, np.zeros(3), np.zeros(4), np.zeros(4), (True,) * 4)),
+                 WheelMeasurement(stamp, np.zeros(3), np.zeros(4), np.zeros(4), (True,) * 4),
+                 WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 3)),
                 (GyroMeasurement(stamp, value, value, np.array([value, 0.0])),),
                 (PoseMeasurement(stamp, "tracker", np.array([value, 0.0, 0.0]), 3, True),
                  PoseMeasurement(Stamp(t + 10**12, t, k), "tracker", np.zeros(3), 3, True),
@@ -105,11 +106,11 @@ def test_bad_input_is_counted_and_never_makes_nan(kind):
     found = state.diagnostics
     if kind != "odometry":
         assert found["rejected_not_finite"] == 6
-        assert found["rejected_shape"] == 3
+        assert found["rejected_shape"] == 6
         assert found["rejected_future"] == 3
         assert found["rejected_late"] == 3
     else:
-        assert found["rejected_wheels"] == 5
+        assert found["rejected_wheels"] == 8
 
 
 def test_two_free_scales_and_bad_starts_are_refused_by_name():
