@@ -29,10 +29,15 @@ _SENSOR_COLOURS = {
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
 
-def line_colours(names: Sequence[str]) -> list[Colour]:
-    """Colour per column; what belongs to one sensor has one colour, its gate a paler one."""
+def line_colours(names: Sequence[str], before: int = 0) -> list[Colour]:
+    """Colour per column; what belongs to one sensor has one colour, its gate a paler one.
+
+    Args:
+        names: of the columns.
+        before: columns of the same plot that have their colours already.
+    """
     found = []
-    for k, name in enumerate(names):
+    for k, name in enumerate(names, before):
         sensor = next((s for s in _SENSOR_COLOURS if s in name), None)
         colour = _PALETTE[(k if sensor is None else _SENSOR_COLOURS[sensor]) % len(_PALETTE)]
         found.append(_paler(colour) if name.startswith("gate_") else colour)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,20 +40,26 @@ class Series:
         t_s: (n,) seconds since the first cycle.
         cycles: (n,) cycle numbers.
         values: (n, len(names)); NaN where a cycle had no such figure.
+        before: how many columns the same plot has that came earlier.
     """
 
     names: tuple[str, ...]
     t_s: Array
     cycles: list[int]
     values: Array
+    before: int = 0
 
 
 class SeriesCollector:
-    """Collects the rows of every plot between two sends; few plots of many columns, because each costs."""
+    """Collects the rows of every plot between two sends; few plots of many columns, because each costs.
+
+    Rerun counts the columns of an entity once: figures that come later get an entity of their own below it.
+    """
 
     def __init__(self) -> None:
         self._start_ns: int | None = None
         self._names: dict[str, list[str]] = {}
+        self._bounds: dict[str, list[int]] = {}
         self._rows: dict[str, list[tuple[float, int, Figures]]] = {}
         self._seen_ns: dict[str, int] = {}
         self._slow_s = -math.inf
@@ -79,14 +86,16 @@ class SeriesCollector:
 
     def take(self) -> list[tuple[str, Series]]:
         """Everything since the last call, by entity."""
-        taken = [(entity, self._series(entity, rows)) for entity, rows in self._rows.items()]
+        taken = []
+        for entity, rows in self._rows.items():
+            names, bounds = self._names[entity], self._bounds.setdefault(entity, [0])
+            if bounds[-1] < len(names):
+                bounds.append(len(names))
+            for k, (low, high) in enumerate(pairwise(bounds)):
+                series = _series(tuple(names[low:high]), rows, low)
+                taken.append((f"{entity}/later_{k}" if k else entity, series))
         self._rows = {}
         return taken
-
-    def _series(self, entity: str, rows: Sequence[tuple[float, int, Figures]]) -> Series:
-        names = tuple(self._names[entity])
-        values = np.array([[figures.get(n, math.nan) for n in names] for _, _, figures in rows])
-        return Series(names, np.array([t_s for t_s, _, _ in rows]), [cycle for _, cycle, _ in rows], values)
 
     def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
         inputs, state = record.inputs, record.state
@@ -117,6 +126,12 @@ class SeriesCollector:
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
         return {name: (record.inputs.t_ns - t_ns) / 1e6 for name, t_ns in self._seen_ns.items()}
+
+
+def _series(names: tuple[str, ...], rows: Sequence[tuple[float, int, Figures]], before: int) -> Series:
+    values = np.array([[figures.get(n, math.nan) for n in names] for _, _, figures in rows])
+    t_s, cycles = np.array([t_s for t_s, _, _ in rows]), [cycle for _, cycle, _ in rows]
+    return Series(names, t_s, cycles, values, before)
 
 
 def _named(names: Sequence[str], values: Array) -> Figures:

@@ -183,7 +183,8 @@ class RerunStream:
         rr = self._rr
         if self._named.get(entity) != series.names:
             self._named[entity] = series.names
-            lines = rr.SeriesLines(names=list(series.names), colors=line_colours(series.names))
+            colours = line_colours(series.names, series.before)
+            lines = rr.SeriesLines(names=list(series.names), colors=colours)
             self._stream.log(entity, lines, static=True)
         times = [rr.TimeColumn("time", duration=series.t_s), rr.TimeColumn("cycle", sequence=series.cycles)]
         values = series.values

@@ -102,6 +102,23 @@ def test_a_figure_that_comes_later_gets_a_column_and_nothing_before():
     np.testing.assert_array_equal(found.values, [[0.1, np.nan], [0.1, np.nan], [np.nan, 0.5]])
 
 
+def test_columns_of_an_entity_never_change_and_what_comes_later_stands_below_it():
+    """Rerun draws as many lines of an entity as its first piece has columns."""
+    collector, seen = SeriesCollector(), []
+    for k, diagnostics in enumerate(
+        [{"nis_wheels": 0.1}, {"nis_wheels": 0.2, "nis_gyro": 0.5}, {"nis_gyro": 0.7}]
+    ):
+        collector.add(replace(shown(k), state=replace(shown(k).state, diagnostics=diagnostics)))
+        seen.append(dict(collector.take()))
+    entity, later = "innovations/normalised", "innovations/normalised/later_1"
+    assert [s[entity].names for s in seen] == [("nis_wheels",)] * 3
+    assert later not in seen[0]
+    assert [s[later].names for s in seen[1:]] == [("nis_gyro",)] * 2
+    assert [float(s[later].values[0, 0]) for s in seen[1:]] == [0.5, 0.7]
+    assert seen[2][later].before == 1
+    assert line_colours(("a",), 1) == line_colours(("b", "a"))[1:]
+
+
 def test_a_sensor_and_its_gate_share_a_colour_and_neighbours_do_not():
     names = ("nis_wheels", "gate_wheels", "nis_tracker", "gate_tracker")
     wheels, wheel_gate, tracker, tracker_gate = line_colours(names)
