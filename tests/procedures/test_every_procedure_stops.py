@@ -24,7 +24,7 @@ SHORT = {
         "turns": 0.1, "max_rounds": 2, "compared_methods": "", "processes": 1,
     },
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
-    "surface_identification": {"length_m": 0.2, "repetitions": 3, "hold_step_deg": 2.0},
+    "surface_identification": {"length_m": 0.2, "repetitions": 4, "hold_step_deg": 2.0},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},
     "wall_tracking": {
         "cases": "y_line", "feedbacks": "odometry", "optimal": False, "length_m": 0.1, "duration_s": 3.0,
