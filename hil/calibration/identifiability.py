@@ -129,7 +129,8 @@ def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
     factor = (count - 1) / count
     variance = factor * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
     twist_variance = factor * ((twists - twists.mean(axis=0)) ** 2).sum(axis=0)
-    systematic = _prior_pull(problem, total) + _play(problem, total, jj)
+    inverse = np.asarray(np.linalg.pinv(total), dtype=np.float64)
+    systematic = _prior_pull(problem, inverse) + _play(problem, inverse, jj)
     slopes = _twist_slopes(problem, z, nominal)
     return Jackknife(
         np.sqrt(variance + np.diag(systematic)),
@@ -138,13 +139,12 @@ def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
     )
 
 
-def _prior_pull(problem: Problem, total: Array) -> Array:
+def _prior_pull(problem: Problem, inverse: Array) -> Array:
     """Covariance (m, m) that the prior's own uncertainty leaves in z.
 
     The estimate is drawn towards the prior mean by A^-1 L (z0 - z), with prior precision L and total
     information A; z0 - z has covariance L^-1, which leaves A^-1 L A^-1.
     """
-    inverse = np.linalg.pinv(total)
     return np.asarray(inverse @ np.diag(problem.prior_precision()) @ inverse, dtype=np.float64)
 
 
@@ -161,18 +161,17 @@ def play_shift(problem: Problem, inverse: Array, information: Array, own: Array)
     return np.asarray(inverse @ share[:, 12:16], dtype=np.float64)
 
 
-def _play(problem: Problem, total: Array, information: Array) -> Array:
+def _play(problem: Problem, inverse: Array, information: Array) -> Array:
     """Covariance (m, m) of wheels that stand anywhere in their play, but alike in a motion's recordings.
 
     A steering angle that is off by d in one motion acts there like a zero that is off by d; d is uniform in
     the play.
     """
-    size = len(total)
+    size = len(inverse)
     covariance = np.zeros((size, size))
     play_rad = problem.setting.steering_play_rad
     if play_rad == 0.0 or size < 16:
         return covariance
-    inverse: Array = np.linalg.pinv(total).astype(np.float64)
     motions = np.array(problem.blocks.motions)
     for motion in dict.fromkeys(problem.blocks.motions):
         shift = play_shift(problem, inverse, information, motions == motion)

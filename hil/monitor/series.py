@@ -47,7 +47,7 @@ class Series:
     t_s: Array
     cycles: list[int]
     values: Array
-    before: int = 0
+    before: int
 
 
 class SeriesCollector:
@@ -91,8 +91,11 @@ class SeriesCollector:
             names, bounds = self._names[entity], self._bounds.setdefault(entity, [0])
             if bounds[-1] < len(names):
                 bounds.append(len(names))
+            t_s, cycles = np.array([t_s for t_s, _, _ in rows]), [cycle for _, cycle, _ in rows]
             for k, (low, high) in enumerate(pairwise(bounds)):
-                series = _series(tuple(names[low:high]), rows, low)
+                own = tuple(names[low:high])
+                values = np.array([[figures.get(n, math.nan) for n in own] for _, _, figures in rows])
+                series = Series(own, t_s, cycles, values, low)
                 taken.append((f"{entity}/later_{k}" if k else entity, series))
         self._rows = {}
         return taken
@@ -126,12 +129,6 @@ class SeriesCollector:
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
         return {name: (record.inputs.t_ns - t_ns) / 1e6 for name, t_ns in self._seen_ns.items()}
-
-
-def _series(names: tuple[str, ...], rows: Sequence[tuple[float, int, Figures]], before: int) -> Series:
-    values = np.array([[figures.get(n, math.nan) for n in names] for _, _, figures in rows])
-    t_s, cycles = np.array([t_s for t_s, _, _ in rows]), [cycle for _, cycle, _ in rows]
-    return Series(names, t_s, cycles, values, before)
 
 
 def _named(names: Sequence[str], values: Array) -> Figures:

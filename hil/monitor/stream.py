@@ -60,7 +60,7 @@ class RerunStream:
         self._extent: tuple[Array, Array] | None = None
         self._collector = SeriesCollector()
         self._trails: dict[str, shapes.Trail] = {}
-        self._named: dict[str, tuple[str, ...]] = {}
+        self._named: set[str] = set()
         self._conditions: dict[str, str] = {}
         self._latest: CycleRecord | None = None
         self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
@@ -181,8 +181,8 @@ class RerunStream:
 
     def _send_series(self, entity: str, series: Series) -> None:
         rr = self._rr
-        if self._named.get(entity) != series.names:
-            self._named[entity] = series.names
+        if entity not in self._named:
+            self._named.add(entity)
             colours = line_colours(series.names, series.before)
             lines = rr.SeriesLines(names=list(series.names), colors=colours)
             self._stream.log(entity, lines, static=True)

@@ -159,7 +159,7 @@ class Bus:
             return False
         return True
 
-    def answered(self, patience_ns: int = 0) -> Exchange:
+    def answered(self, patience_ns: int) -> Exchange:
         """What was asked for with `ask`, waited for until its deadline and at least `patience_ns` from now.
 
         Whoever asked ahead may have been kept from listening until the deadline was over; the answer

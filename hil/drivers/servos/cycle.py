@@ -66,14 +66,8 @@ _DIRECT = _Kind(reg.TORQUE, reg.DIRECT_FULL_LENGTH, reg.DIRECT_FULL_FIELDS)
 _NO_ALERT = (False,) * 8
 
 
-def _led_by_another(order: tuple[int, ...]) -> tuple[int, ...]:
-    return order[1:] + order[:1]
-
-
-def _silent_last(order: tuple[int, ...], answers: dict[int, Answer]) -> tuple[int, ...]:
-    """The same joints, the first silent one last: at it the chain breaks off."""
-    silent = next((j for j in order if answers[j].status is Status.TIMEOUT), None)
-    return order if silent is None else (*(j for j in order if j != silent), silent)
+def _with_last(order: tuple[int, ...], joint: int) -> tuple[int, ...]:
+    return (*(j for j in order if j != joint), joint)
 
 
 class CycleReader:
@@ -137,7 +131,8 @@ class CycleReader:
         answers = self._by_joint(group, exchange, order)
         missing = [j for j in order if answers[j].status is not Status.OK]
         if missing and began_ns - exchange.sent_ns > _AGE_NS:
-            self._ask(kind, _silent_last(order, answers))
+            silent = [j for j in missing if answers[j].status is Status.TIMEOUT]
+            self._ask(kind, _with_last(order, silent[0]) if silent else order)
             return self.read()
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
@@ -183,7 +178,7 @@ class CycleReader:
     ) -> dict[int, Answer]:
         """Ask once more, without the servo at which the answer broke off, if there is time."""
         if len(missing) == len(order):
-            joints = _led_by_another(order)
+            joints = _with_last(order, order[0])
         else:
             suspect = missing[0]
             joints = tuple(j for j in missing if j != suspect or answers[j].status is not Status.TIMEOUT)
@@ -206,7 +201,7 @@ class CycleReader:
                 self._order = list(_ALL)
             return
         if len(silent) == len(order) > 1:
-            self._order = list(_led_by_another(order))
+            self._order = list(_with_last(order, order[0]))
             return
         suspect = silent[0]
         self._missed[suspect] += 1
