@@ -8,12 +8,18 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import threading
 import time
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
 NS_PER_S = 1_000_000_000
 _PR_SET_TIMERSLACK = 29
+
+
+Task = Callable[[int], int]
+"""Takes the time at which it is called, and returns when it wants to be called again, ns."""
 
 
 class Clock(Protocol):
@@ -27,6 +33,16 @@ class Clock(Protocol):
     def sleep_until_ns(self, t_ns: int) -> None:
         """Return at `t_ns` or at once if that has passed."""
 
+    @abstractmethod
+    def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
+        """Have something done beside the caller's work, at `due_ns` and whenever it says from then on.
+
+        In real time it runs in a thread of its own; in virtual time while somebody sleeps.
+
+        Returns:
+            Ends it; a call that is under way is not waited for. May be called twice.
+        """
+
 
 class MonotonicClock(Clock):
     """The host's monotonic clock."""
@@ -39,6 +55,18 @@ class MonotonicClock(Clock):
         """Sleep to an absolute deadline."""
         while (left_ns := t_ns - time.monotonic_ns()) > 0:
             time.sleep(left_ns / NS_PER_S)
+
+    def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
+        """Run `task` in a daemon thread; what it raises ends the thread, so it should not."""
+        ended = threading.Event()
+
+        def work() -> None:
+            next_ns = due_ns
+            while not ended.wait(max(0, next_ns - time.monotonic_ns()) / NS_PER_S):
+                next_ns = task(time.monotonic_ns())
+
+        threading.Thread(target=work, name="scheduled", daemon=True).start()
+        return ended.set
 
 
 def sleep_punctually(on: bool = True) -> None:

@@ -119,16 +119,16 @@ class SafetyStop(HilError, RuntimeError):
 
 
 class Aborted(HilError, RuntimeError):
-    """The operator or a signal ended the work; the robot is held."""
+    """The operator or a signal ended the work; the robot is stopped on the way out."""
 
     exit_code = EXIT_ABORTED
 
 
 class StepTimeoutError(HilError, TimeoutError):
-    """A step or a teardown took longer than it may; the robot is held."""
+    """A step or a teardown took longer than it may; the robot is stopped on the way out."""
 
     exit_code = EXIT_DEVICE
 
     def __init__(self, what: str, limit_s: float) -> None:
         self.what, self.limit_s = what, limit_s
-        super().__init__(f"{what} took longer than {limit_s:g} s", remedy="the robot is held")
+        super().__init__(f"{what} took longer than {limit_s:g} s")

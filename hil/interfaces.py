@@ -17,6 +17,7 @@ from hil.signals import (
     Reference,
     RobotState,
     ServoHealth,
+    ServoHold,
     ServoSample,
     ServoSetpoint,
     WheelMeasurement,
@@ -77,7 +78,7 @@ class Actuators(Device, Protocol):
 
     @abstractmethod
     def enable(self) -> None:
-        """Goal := present, watchdog armed, torque on."""
+        """Goal := present, watchdog armed, torque on; looked after from now on, even if this fails."""
 
     @abstractmethod
     def command(self, setpoint: ServoSetpoint) -> None:
@@ -86,6 +87,13 @@ class Actuators(Device, Protocol):
     @abstractmethod
     def stop(self) -> None:
         """Wheels at rest, steering held, torque stays on. Never raises."""
+
+    @abstractmethod
+    def look_after(self) -> ServoHold:
+        """Wheels at rest; what a servo has lost (torque, goals, watchdog) is put right. Never raises.
+
+        From `enable` until `release` or `close` the driver does so by itself when nobody else talks to it.
+        """
 
     @abstractmethod
     def release(self) -> None:

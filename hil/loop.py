@@ -188,7 +188,7 @@ class ControlLoop:
         self._cycle = self._sinks_ns = 0
 
     def run(self, until: Callable[[CycleRecord], bool]) -> None:
-        """Cycle until `until(record)` says so; always leaves the robot held."""
+        """Cycle until `until(record)` says so; always asks the robot to stop."""
         deadline_ns = self.clock.now_ns()
         try:
             while True:

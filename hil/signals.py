@@ -90,6 +90,24 @@ class ServoHealth:
 
 
 @dataclass(frozen=True)
+class ServoHold:
+    """What the servos say about holding the robot, when they were last looked after.
+
+    Attributes:
+        t_ns: when that was.
+        position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
+        trouble: what keeps a servo from holding, by its name in `SERVOS`; empty when all eight have torque
+            and a watchdog that waits.
+        wanted: whether they are to hold at all: from `enable` until `release`.
+    """
+
+    t_ns: int
+    position_rad: Array
+    wanted: bool
+    trouble: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class EncoderSample:
     """External steering encoders (AS5045), shape (4,), rad in [-pi, pi), NaN where not OK."""
 

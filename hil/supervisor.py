@@ -1,7 +1,7 @@
 """Safety: judges data before they are used and setpoints before they are sent.
 
 Stale, implausible or faulty data are reported as events; a condition under which the robot must not
-go on raises `SafetyStop`, which the loop answers with `stop()` (held, torque on). Deterministic:
+go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). Deterministic:
 depends on the inputs seen since `reset` and on nothing else.
 """
 

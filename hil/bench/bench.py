@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from types import TracebackType
@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
+from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
 from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
@@ -22,7 +23,7 @@ from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
 from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.runs import RUN, RunStart
+from hil.recording.runs import HELD, RUN, RunStart
 from hil.rig import Rig
 from hil.signals import CycleRecord, RobotState
 from hil.trajectories import Trajectory
@@ -42,6 +43,7 @@ class Bench(Blueprint):
         world: the emulated world where it lives in this process, else None.
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
+        held: how the robot was left; known from `close` on.
     """
 
     def __init__(
@@ -63,6 +65,14 @@ class Bench(Blueprint):
         self.clock, self.rig, self.world = clock, rig, world
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
+        self.held: Held | None = None
+        self._hold = HoldWatch(
+            rig,
+            clock,
+            radius_m=float(np.mean(geometry.radius_m)),
+            on_wall=self.on_wall,
+            lightest_m_s2=config.safety.adhesion_limit_m_s2,
+        )
         self._sinks = list(sinks)
         self._stack = ExitStack()
         self._before_opening: list[Callable[[], object]] = []
@@ -71,10 +81,17 @@ class Bench(Blueprint):
         try:
             self.begin()
             self.rig.open()
-        except BaseException:
+        except BaseException as error:
+            self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
             self._let_go()
             raise
         self._stack.callback(self.rig.close)
+        try:
+            if self.on_wall and self.rig.servos is not None:
+                self.rig.servos.enable()
+        except BaseException:
+            self.close()
+            raise
         return self
 
     def __exit__(
@@ -83,12 +100,19 @@ class Bench(Blueprint):
         self.close()
 
     def close(self) -> None:
-        """Hold the robot (or release it, as configured), close sinks and devices. Idempotent."""
+        """Hold the robot and look until that is true (or release it, as configured); close everything.
+
+        Whatever `held` says then is in the recordings too. Idempotent.
+        """
         try:
             if self.rig.servos is not None and self.rig.servos.identity():
+                self.held = self._hold.unseen("ended before anybody had looked")
                 self.rig.servos.stop()
+                self.held = self._hold.look(self.config.exit.look_after_s)
                 if self.config.exit.policy == "release":
                     self.rig.servos.release()
+                    self.held = self._hold.released()
+                self._note(self.clock.now_ns(), HELD, self.held.to_json())
         finally:
             self._let_go()
 
@@ -183,7 +207,7 @@ class Bench(Blueprint):
             on_cycle: called with every record (progress).
 
         Raises:
-            TrajectoryError, SafetyStop, DeviceError: in each case the robot is held.
+            TrajectoryError, SafetyStop, DeviceError: in each case the robot is stopped.
         """
         self.check(trajectory)
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
@@ -220,7 +244,7 @@ class Bench(Blueprint):
     def run(
         self, brain: Brain, start: RunStart, until: Callable[[CycleRecord], bool], *, drop_old: bool = True
     ) -> None:
-        """Run a brain from a known state until `until(record)` says so; the robot is held at the end.
+        """Run a brain from a known state until `until(record)` says so; the robot is stopped at the end.
 
         Everything is compiled and loaded before the first cycle.
 
@@ -239,7 +263,10 @@ class Bench(Blueprint):
             loop = self.make_loop(brain, start)
             if self.real_time is not None:
                 loop.idle = self.real_time.idle
-            loop.run(until)
+            try:
+                loop.run(until)
+            finally:
+                self._hold.stopped()
 
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
@@ -253,9 +280,7 @@ class Bench(Blueprint):
         """
         begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
         brain.reset(begun.state)
-        for sink in self._sinks:
-            if isinstance(sink, McapRecorder):
-                sink.note(begun.state.t_ns, RUN, begun.note())
+        self._note(begun.state.t_ns, RUN, begun.note())
         config = self.config.loop
         loop = ControlLoop(
             self.rig,
@@ -263,13 +288,32 @@ class Bench(Blueprint):
             brain,
             rate_hz=config.rate_hz,
             late_after_s=config.late_after_s,
-            sinks=tuple(self._sinks),
+            sinks=(*self._sinks, self._hold),
         )
         self.statistics = loop.statistics
         return loop
 
+    def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Tell the recorders something that belongs between two cycles."""
+        for sink in self._sinks:
+            if isinstance(sink, McapRecorder):
+                sink.note(t_ns, kind, data)
+
+    @property
+    def on_wall(self) -> bool:
+        """Whether gravity pulls along the surface: the robot has to be held."""
+        return self.config.surface == "wall"
+
+    def unseen(self) -> Held:
+        """What can be said of a robot that nobody has looked at."""
+        return self._hold.unseen("nobody has looked")
+
+    def look(self, limit_s: float = 0.5) -> Held:
+        """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""
+        return self._hold.look(limit_s)
+
     def stop(self) -> None:
-        """Hold the robot: wheels at rest, steering held, torque on."""
+        """Ask for wheels at rest, steering held, torque on; `look` says whether that has come true."""
         self.rig.actuators().stop()
 
     def release(self) -> None:

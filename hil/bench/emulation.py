@@ -63,6 +63,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         randomise_truth=emulation.randomise_truth,
         geometry_share=emulation.geometry_share,
         faults=plan,
+        by_hand=emulation.tilt_rad > 0.0,
     )
     return World(plant, seed=seed, faults=plan)
 

@@ -80,8 +80,10 @@ def command(
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
 
-    Without --trajectory and --command it only watches: nothing is commanded, torque is left alone.
-    SIGINT and SIGTERM hold the robot, print the summary and end with exit code 4.
+    Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
+    that the robot is held; on the floor it is left as it is.
+    SIGINT, SIGTERM and SIGHUP stop the robot, look after it until it is held, print the summary and end
+    with exit code 4.
     """
     from hil.bench import open_bench
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
@@ -107,6 +109,7 @@ def command(
         session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)
         try:
             with opened:
+                click.echo(f"at the start {opened.look()}", err=True)
                 session.run()
         finally:
             opened.close()
@@ -166,4 +169,6 @@ def _text(summary: dict[str, Any]) -> str:
     for name in ("recording", "monitor", "commands"):
         if name in summary:
             lines.append(f"{name:10} " + ", ".join(f"{k} {v}" for k, v in summary[name].items() if v != ""))
+    held = summary["held"]
+    lines.append(f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}")
     return "\n".join(lines)

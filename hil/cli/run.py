@@ -130,5 +130,7 @@ def _text(result: Result) -> str:
     for problem in (result.error, *result.teardown_errors):
         if problem is not None:
             lines.append(f"{problem.kind} in {problem.step!r}: {problem.message}")
+    held = result.facts["held"]
+    lines.append(f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}")
     lines.append(f"{result.verdict.value}: {result.procedure}, results in {result.folder}")
     return "\n".join(lines)

@@ -114,6 +114,8 @@ class ExitConfig(Strict):
 
     Attributes:
         policy: `hold` keeps torque on, `release` drops it: on a wall the robot then slides.
+        look_after_s: how long a bench that closes goes on looking after a robot that is not held yet.
     """
 
     policy: Literal["hold", "release"] = "hold"
+    look_after_s: float = Field(5.0, ge=0.5, le=3600.0)

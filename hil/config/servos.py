@@ -70,7 +70,7 @@ class ServosConfig(BaseModel):
     retry_budget_s: float = Field(0.003, ge=0, le=0.1)
     dead_poll_s: float = Field(0.25, gt=0)
     fail_after_s: float = Field(2.0, gt=0)
-    watchdog_s: float = Field(0.2, ge=0, le=2.54)
+    watchdog_s: float = Field(0.08, ge=0, le=2.54)
     health_period_s: float = Field(1.0, gt=0)
     model_number: int = Field(MODEL_NUMBER, ge=0, le=0xFFFF)
     min_firmware: int = Field(38, ge=0, le=255)

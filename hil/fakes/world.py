@@ -10,11 +10,13 @@ from __future__ import annotations
 
 import zlib
 from abc import abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
-from hil.clock import Clock
+from hil.clock import Clock, Task
 from hil.errors import UsageError
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import Plant
@@ -90,18 +92,57 @@ def random_stream(seed: int, name: str) -> np.random.Generator:
     return np.random.default_rng([seed, zlib.crc32(name.encode())])
 
 
+@dataclass(eq=False)
+class _Planned:
+    """Something to be done while others sleep."""
+
+    task: Task
+    due_ns: int
+
+
 class VirtualClock(Clock):
     """Time that moves only when somebody waits; waiting advances the world."""
 
     def __init__(self, world: World) -> None:
         self._world = world
+        self._planned: list[_Planned] = []
+        self._acting = False
 
     def now_ns(self) -> int:
         """World time, ns."""
         return self._world.now_ns
 
     def sleep_until_ns(self, t_ns: int) -> None:
-        """Advance the world to `t_ns` at once."""
+        """Advance the world to `t_ns` at once, with what was scheduled on the way."""
         if t_ns >= NEVER_NS:
             raise UsageError("the virtual clock was asked to sleep for ever")
+        if self._planned and not self._acting:
+            self._act(t_ns)
         self._world.advance_to(t_ns)
+
+    def schedule(self, task: Task, due_ns: int) -> Callable[[], None]:
+        """Call `task` while somebody sleeps beyond its time; it may sleep itself, alone."""
+        planned = _Planned(task, due_ns)
+        self._planned.append(planned)
+
+        def end() -> None:
+            planned.due_ns = NEVER_NS
+            if planned in self._planned:
+                self._planned.remove(planned)
+
+        return end
+
+    def _act(self, t_ns: int) -> None:
+        world = self._world
+        while self._planned:
+            first = min(self._planned, key=lambda planned: planned.due_ns)
+            if first.due_ns > t_ns:
+                return
+            world.advance_to(first.due_ns)
+            self._acting = True
+            try:
+                next_ns = first.task(world.now_ns)
+            finally:
+                self._acting = False
+            if first.due_ns < NEVER_NS:
+                first.due_ns = max(next_ns, world.now_ns + 1)

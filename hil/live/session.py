@@ -1,6 +1,6 @@
 """One session of the live loop: settle, follow or obey, until it is done or somebody ends it.
 
-Whatever ends it, the robot is held and the summary is complete.
+Whatever ends it, the robot is stopped, and the summary says whether it is held.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class LiveSession:
 
         Raises:
             Aborted: a signal ended it.
-            SafetyStop, DeviceError, TrajectoryError: as the loop raised them; the robot is held.
+            SafetyStop, DeviceError, TrajectoryError: as the loop raised them; the robot is stopped.
         """
         with handled_by(self._take):
             try:
@@ -116,6 +116,7 @@ class LiveSession:
             "timing": bench.statistics.summary(),
             "samples": self._samples.to_json(),
             "pose": pose,
+            "held": (bench.held or bench.unseen()).to_json(),
         }
         if bench.real_time is not None:
             found["real_time"] = {
@@ -134,7 +135,7 @@ class LiveSession:
 
     def _run(self) -> None:
         bench, plan = self.bench, self.plan
-        if self._moving:
+        if self._moving or (bench.on_wall and bench.rig.servos is not None):
             bench.rig.actuators().enable()
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
         pose = self.bench.measured_pose(rest.mocap)
@@ -184,7 +185,7 @@ class LiveSession:
         start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
         bench.run(brain, start, self._is_over(trajectory))
         if self._signal is not None:
-            raise Aborted(f"ended by {self._signal}; the robot is held")
+            raise Aborted(f"ended by {self._signal}")
 
     def _is_over(self, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
         """The condition that ends the loop; notes the latest record and why it ended."""

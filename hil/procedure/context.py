@@ -20,6 +20,7 @@ from hil.procedure.operator import Operator
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.bench.holding import Held
 
 Report = Callable[[str, int, int], None]
 STEP_LIMIT_S = 1800.0
@@ -33,6 +34,7 @@ class Context(Notebook):
         source: which bench, to open it again (`reopen`) or in another process.
         clock: for how long computing takes; the bench has its own.
         started: date and time at which the run began, ISO 8601.
+        held: how the bench that was closed last left the robot; None before that.
     """
 
     def __init__(
@@ -59,6 +61,7 @@ class Context(Notebook):
         self._past = dict(past)
         self._seen: set[str] = set()
         self._bench: Bench | None = None
+        self.held: Held | None = None
         self._teardown: list[tuple[str, Callable[[], None]]] = []
 
     @property
@@ -108,6 +111,7 @@ class Context(Notebook):
             bench.__enter__()
         except BaseException:
             bench.close()
+            self.held = bench.held
             raise
         self._bench = bench
         return bench
@@ -116,7 +120,10 @@ class Context(Notebook):
         """Hold the robot and close the bench, if it is open."""
         bench, self._bench = self._bench, None
         if bench is not None:
-            bench.__exit__(None, None, None)
+            try:
+                bench.__exit__(None, None, None)
+            finally:
+                self.held = bench.held
 
     def _recorder(self, header: Mapping[str, object], label: str, *, lossless: bool) -> RunRecorder:
         stem = f"recording_{slug(label)}" if label else "recording"

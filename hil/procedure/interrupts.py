@@ -1,7 +1,7 @@
 """Signals during a run: finish the step, or stop now.
 
-SIGINT once asks for an orderly end at the next step; SIGINT again, or SIGTERM, ends the work at
-once: `Aborted` is raised in the main thread, on whose way out the robot is held. Inside `deferred()`
+SIGINT once asks for an orderly end at the next step; SIGINT again, SIGTERM or SIGHUP ends the work at
+once: `Aborted` is raised in the main thread, on whose way out the robot is stopped. Inside `deferred()`
 (writing a record, tearing down) a signal waits for the end of the block.
 """
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.clock import NS_PER_S, Clock
-from hil.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, ConfigError, HilError
+from hil.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, ConfigError, HilError
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.context import Context, Report
 from hil.procedure.declaration import Procedure
@@ -78,6 +78,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
             error, late, statistics = _execute(proc, context, interrupts)
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
         facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics}
+        late += _not_held(context, error or next(iter(late), None))
         result = conclude(proc, context, declared, error, late, facts)
         write_result(result)
         journal.add("end", {"verdict": result.verdict.value})
@@ -151,6 +152,14 @@ def _attempt(
         context.guard.pop_limit()
 
 
+def _not_held(context: Context, known: Failure | None) -> list[Failure]:
+    """A robot that should be held and is not is an error of a run that knows of no other."""
+    held = context.held
+    if known is not None or held is None or held.state != "NOT HELD" or not held.wanted:
+        return []
+    return [Failure("NotHeld", held.why, "closing the bench", EXIT_DEVICE)]
+
+
 def _failure(problem: BaseException, context: Context, where: str = "") -> Failure:
     step = where or _failed_step(context)
     if isinstance(problem, HilError):
@@ -214,4 +223,12 @@ def _facts(
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "notes": findings.notes,
+        "held": _held(context, source),
     }
+
+
+def _held(context: Context, source: BenchSource) -> dict[str, object]:
+    if context.held is not None:
+        return context.held.to_json()
+    state = "NOT HELD" if source.config.surface == "wall" else "not needed"
+    return {"state": state, "moved_m": 0.0, "why": "the procedure opened no bench: nobody has looked"}

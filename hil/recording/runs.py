@@ -21,6 +21,8 @@ from hil.recording.mcap_reader import Cycle, Note, RecordingReader
 from hil.signals import CycleRecord, RobotState
 
 RUN = "run"
+HELD = "held"
+"""Kinds of notes: how a run begins, and how the bench left the robot."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Drives the joints by a script instead of a trajectory, through the same loop, supervisor and sinks.
 
 What a procedure needs that looks at single joints (turn one steering servo, roll one wheel) or that
-wants to know exactly what was commanded when. The robot is held before and after.
+wants to know exactly what was commanded when. The robot stands before and after.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def play(bench: Bench, stretches: Sequence[Stretch], start_pose: ArrayLike, stee
         steering_rad: (4,) where the steering stands.
 
     Raises:
-        SafetyStop, DeviceError: in each case the robot is held.
+        SafetyStop, DeviceError: in each case the robot is stopped.
     """
     script = JointScript(stretches, start_pose, steering_rad)
     bench.rig.actuators().enable()

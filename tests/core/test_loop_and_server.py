@@ -15,7 +15,16 @@ from hil.interfaces import Actuators, Controller, Estimator, Sensor, Sink
 from hil.loop import Brain, ControlLoop
 from hil.motion import Motion
 from hil.rig import Rig
-from hil.signals import MocapSample, Reference, RobotState, ServoSample, Stamp, Status, WheelSetpoint
+from hil.signals import (
+    MocapSample,
+    Reference,
+    RobotState,
+    ServoHold,
+    ServoSample,
+    Stamp,
+    Status,
+    WheelSetpoint,
+)
 from hil.supervisor import SafetyLimits, Supervisor
 
 
@@ -67,6 +76,10 @@ class Servos(Actuators):
 
     def stop(self):
         self.held = True
+
+    def look_after(self):
+        self.held = True
+        return ServoHold(self.clock.now_ns(), np.zeros(8), True)
 
     def release(self):
         self.held = False

@@ -28,6 +28,9 @@ class Hand(Clock):
     def sleep_until_ns(self, t_ns):
         self.t_ns = max(self.t_ns, t_ns)
 
+    def schedule(self, task, due_ns):
+        raise NotImplementedError
+
 
 @given(st.lists(st.integers(1, 10**10), min_size=1, max_size=300), st.floats(0.01, 1.0))
 def test_quantiles_agree_with_sorting_to_one_percent(values, share):

@@ -32,5 +32,5 @@ def test_a_section_that_cannot_be_meant_is_refused(values, message):
 def test_defaults_are_those_of_the_robot():
     config = ServosConfig()
     assert config.ids == tuple(range(1, 9))
-    assert config.watchdog_count == 10
+    assert config.watchdog_count == 4
     assert ServosConfig(steer_mode="extended", steer_limit_rad=7.0).steer_limit_rad == 7.0

@@ -163,7 +163,7 @@ def test_ram_registers_of_the_bench_file_are_written_and_restored_after_a_restar
         bench.driver.read_health()
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
     assert gain.get("velocity_p_gain") == 123
-    assert gain.get("bus_watchdog") == 10
+    assert gain.get("bus_watchdog") == 4
     assert gain.get("torque_enable") == 1
 
 

@@ -92,6 +92,7 @@ class CycleReader:
         self._full = _MAPPED if mapped else _DIRECT
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
         self._kind, self._asked = _CYCLE, _ALL[:0]
+        self._thorough = False
 
     @property
     def live_ids(self) -> tuple[int, ...]:
@@ -105,6 +106,17 @@ class CycleReader:
     def ask(self, *, full: bool, after: bytes = b"") -> None:
         """Send the request of the next `read`, behind a packet that nobody answers."""
         self._ask(self._full if full else _CYCLE, tuple(self._order), after)
+
+    def look(self) -> Reading:
+        """A full look at everybody, those that have been given up too, in the time that it takes."""
+        if self.asked():
+            self.read()
+        self._ask(self._full, tuple(self._order))
+        self._thorough = True
+        try:
+            return self.read()
+        finally:
+            self._thorough = False
 
     def _ask(self, kind: _Kind, joints: tuple[int, ...], after: bytes = b"") -> None:
         self._kind, self._asked = kind, joints
@@ -212,18 +224,19 @@ class CycleReader:
             self._order.append(suspect)
 
     def _poll_dead(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
-        """Ask one of the dead if its time has come, then make a reading of everything."""
+        """Ask one of the dead if its time has come (all of them in a look), then make a reading."""
         revived = []
         now_ns = self._clock.now_ns()
         for j, due_ns in self._dead.items():
-            if now_ns >= due_ns:
+            if self._thorough or now_ns >= due_ns:
                 group, timeout_s = self._group(kind, (j,))
                 answer = self._by_joint(group, self._bus.exchange(group, timeout_s), (j,))[j]
                 self._dead[j] = now_ns + self._poll_ns
                 if answer.status is Status.OK:
                     answers[j] = answer
                     revived.append(j)
-                break
+                if not self._thorough:
+                    break
         for j in revived:
             del self._dead[j]
             self._missed[j] = 0

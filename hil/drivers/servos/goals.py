@@ -80,6 +80,11 @@ class Goals:
         """Take the goals at which nothing moves."""
         self._raw = self.still(registers)
 
+    def keep(self, joints: Sequence[int], goals: np.ndarray) -> None:
+        """Take some joints' goals out of (8,) raw ones."""
+        for j in joints:
+            self._raw[j] = goals[j]
+
     def still(self, registers: np.ndarray) -> np.ndarray:
         """(8,) goals at which nothing moves, from the position registers (8,)."""
         present = registers[4:]

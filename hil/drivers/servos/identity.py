@@ -21,18 +21,23 @@ from hil.errors import DeviceError, DeviceTimeoutError
 from hil.finding import Finding
 from hil.signals import SERVOS, Status
 
-_SECOND_CHANCE_NS = 250_000_000
+_PAUSE_NS = 100_000_000
+_PATIENCE_NS = 1_500_000_000
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
-    """Registers 0..147 of the eight servos; whoever is silent is asked again after a while. Raises nothing.
+    """Registers 0..147 of the eight servos; whoever is silent is asked again for a while. Raises nothing.
 
-    A servo that is starting up, or a bus on a host that is busy starting programs, is not a missing one.
+    A servo that is starting up after a dip of its supply, or a bus on a host that is busy starting programs,
+    is not a missing one.
     """
     answers = [bus.read(i, 0, reg.BLOCK_LENGTH) for i in config.ids]
-    silent = [k for k, answer in enumerate(answers) if answer.status is Status.TIMEOUT]
-    if silent:
-        clock.sleep_until_ns(clock.now_ns() + _SECOND_CHANCE_NS)
+    end_ns = clock.now_ns() + _PATIENCE_NS
+    while clock.now_ns() < end_ns:
+        silent = [k for k, answer in enumerate(answers) if answer.status is Status.TIMEOUT]
+        if not silent:
+            break
+        clock.sleep_until_ns(clock.now_ns() + _PAUSE_NS)
         for k in silent:
             answers[k] = bus.read(config.ids[k], 0, reg.BLOCK_LENGTH)
     return answers

@@ -30,6 +30,16 @@ class OutageWatch:
         """Time in which nobody asked does not count: nobody failed to answer."""
         self._good_ns = [good_ns + silence_ns for good_ns in self._good_ns]
 
+    def saw(self, status: tuple[Status, ...], now_ns: int) -> bool:
+        """Remember who was usable at `now_ns`; whether all were."""
+        if status is ALL_OK:
+            self._good_ns = [now_ns] * 8
+            return True
+        for j, one in enumerate(status):
+            if one is Status.OK:
+                self._good_ns[j] = now_ns
+        return False
+
     def note(self, status: tuple[Status, ...], alert: Sequence[int], now_ns: int) -> None:
         """Take the outcome of a read.
 
@@ -42,12 +52,8 @@ class OutageWatch:
             DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.
             DeviceError: a servo has reported a hardware error for `fail_after_s`.
         """
-        if status is ALL_OK:
-            self._good_ns = [now_ns] * 8
+        if self.saw(status, now_ns):
             return
-        for j, one in enumerate(status):
-            if one is Status.OK:
-                self._good_ns[j] = now_ns
         late = [j for j in range(8) if now_ns - self._good_ns[j] > self._limit_ns]
         if late:
             raise self._failure(late, status, alert)

@@ -7,6 +7,7 @@ blocks in the serial read, and computes its time-outs from baud rate, bytes, ret
 
 from __future__ import annotations
 
+import errno
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -20,6 +21,8 @@ _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4
 _TIMEOUT_STEP_S = 5e-4
 _PATIENCE_S = 0.02
+_GONE = (errno.EIO, errno.ENODEV, errno.ENOENT, errno.ENXIO)
+_COMES_BACK_NS, _PAUSE_NS = nanoseconds(1.5), nanoseconds(0.1)
 
 
 class PortLost(Exception):
@@ -55,16 +58,27 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         self._timeout_s = -1.0
 
     def open(self, device: str) -> None:
-        """Open the port; raises `DeviceError` that says what can be done about it."""
-        try:
-            self.ser = open_serial(
-                self.port_name, baud=self.baudrate, timeout_s=_SMALLEST_TIMEOUT_S, write_timeout_s=1.0
-            )
-            self.is_open = True
-            self.ser.reset_input_buffer()
-        except PORT_ERRORS as error:
-            expected = "a DYNAMIXEL bus at a serial port or pyserial URL"
-            raise cannot_open(device, self.port_name, error, expected=expected) from None
+        """Open the port; one that is gone is waited for: a pulled adapter may come back.
+
+        Raises:
+            DeviceError: says what can be done about it.
+        """
+        end_ns = self._clock.now_ns() + _COMES_BACK_NS
+        while True:
+            try:
+                self.ser = open_serial(
+                    self.port_name, baud=self.baudrate, timeout_s=_SMALLEST_TIMEOUT_S, write_timeout_s=1.0
+                )
+                self.is_open = True
+                self.ser.reset_input_buffer()
+                return
+            except PORT_ERRORS as error:
+                self.closePort()
+                now_ns = self._clock.now_ns()
+                if getattr(error, "errno", None) not in _GONE or now_ns >= end_ns:
+                    expected = "a DYNAMIXEL bus at a serial port or pyserial URL"
+                    raise cannot_open(device, self.port_name, error, expected=expected) from None
+            self._clock.sleep_until_ns(now_ns + _PAUSE_NS)
 
     def setBaudRate(self, baudrate: int) -> bool:
         """Another rate on the open port; raises `PortLost`."""

@@ -24,6 +24,8 @@ _LOG = logging.getLogger(__name__)
 
 _FULL_LEVEL = 2
 _ATTEMPTS = 3
+_ATTEMPTS_ON = 12
+"""A computer that is busy starting programs may be deaf for a quarter of a second."""
 
 
 class Upkeep:
@@ -96,17 +98,18 @@ class Upkeep:
         """
         count = bytes((self._config.watchdog_count,))
         self.torque = True
-        for _ in range(_ATTEMPTS):
+        for _ in range(_ATTEMPTS_ON):
             self._bus.send(hold)
             self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
             self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
             state = self.audit(ids)
-            missing = [SERVOS[j] for j in range(len(SERVOS)) if not state.get(j, (0, 0))[0]]
-            if not missing:
+            off = [SERVOS[j] for j, (torque, _) in state.items() if not torque]
+            off += [f"{name} (no answer)" for j, name in enumerate(SERVOS) if j not in state]
+            if not off:
                 return
         raise DeviceError(
             self._device,
-            "torque did not come on: " + ", ".join(missing),
+            "torque did not come on: " + ", ".join(off),
             port=self._config.port,
             expected="Torque Enable 1",
             remedy="look for hardware errors with `hil doctor`",
@@ -185,24 +188,47 @@ class Upkeep:
         if not self.torque:
             return ()
         armed = self._config.watchdog_count
-        repaired = []
+        repaired, tripped, restarted = [], [], []
         for joint, (torque, watchdog) in state.items():
             if torque and watchdog == armed:
                 continue
             if self.hardware_error[joint]:
                 continue
             if torque:
-                level = logging.DEBUG if paused else logging.WARNING
-                _LOG.log(level, "%s: bus watchdog of %s tripped: armed again", self._device, SERVOS[joint])
+                tripped.append(SERVOS[joint])
             else:
+                restarted.append(SERVOS[joint])
                 self.restore(joint)
             self._resume(joint, goals[joint])
             repaired.append(joint)
+        if tripped:
+            level = logging.DEBUG if paused else logging.WARNING
+            _LOG.log(level, "%s: bus watchdogs tripped, armed again: %s", self._device, ", ".join(tripped))
+        if restarted:
+            _LOG.warning("%s: restarted, set up again: %s", self._device, ", ".join(restarted))
         return tuple(repaired)
+
+    def trouble(self, reading: Reading) -> dict[str, str]:
+        """What keeps a servo from holding, by name, from a full look that `judge` has seen."""
+        armed, found = self._config.watchdog_count, {}
+        for joint, status in enumerate(reading.status):
+            row, reason = reading.registers[joint], ""
+            if status is Status.RESET:
+                reason = "restarted, torque is off"
+            elif status is not Status.OK:
+                reason = status.value
+            elif self.hardware_error[joint]:
+                reason = f"hardware error: {hardware_error_text(self.hardware_error[joint])}"
+            elif not row["torque"]:
+                reason = "torque is off"
+            elif row["watchdog"] != armed:
+                reason = "its bus watchdog has tripped"
+            if reason:
+                found[SERVOS[joint]] = f"ID {self._ids[joint]}: {reason}"
+        return found
 
     def restore(self, joint: int) -> None:
         """Write map and registers again into a servo that has restarted; torque and watchdog stay off."""
-        _LOG.warning("%s: %s has restarted: set up again", self._device, SERVOS[joint])
         servo_id = self._ids[joint]
         if self.mapped:
             wanted = reg.indirect_map(self._goal_addresses[joint])

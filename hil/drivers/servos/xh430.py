@@ -12,40 +12,32 @@ what the goals are in `goals`, what RAM must hold in `upkeep`, when a fault beco
 from __future__ import annotations
 
 import logging
+import threading
 from collections.abc import Mapping
 
 import numpy as np
 
 from hil.clock import Clock, nanoseconds
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import (
-    A_PER_COUNT,
-    RAD_PER_COUNT,
-    RAD_S_PER_COUNT,
-    ZERO_COUNTS,
-    hardware_error_text,
-)
 from hil.drivers.servos import identity as ident
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
-from hil.drivers.servos.cycle import ALL_OK, CycleReader, Reading
+from hil.drivers.servos.caretaker import Caretaker
+from hil.drivers.servos.cycle import CycleReader, Reading
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
 from hil.drivers.servos.outage import OutageWatch
 from hil.drivers.servos.port import ServoPort
-from hil.drivers.servos.turns import TurnCounter
+from hil.drivers.servos.samples import Samples
 from hil.drivers.servos.upkeep import Upkeep
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.finding import Finding
 from hil.interfaces import Actuators
-from hil.signals import SERVOS, ServoHealth, ServoSample, ServoSetpoint, Stamp, Status
+from hil.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
 
 _LOG = logging.getLogger(__name__)
 
 _PAUSE_NS = 200_000_000
-_NO_ALERT: tuple[int, ...] = (0,) * 8
-_ALL_SEEN = np.ones(8, dtype=bool)
-_SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
 _READ_ATTEMPTS = 3
 
 
@@ -64,7 +56,8 @@ class XH430Servos(Actuators):
         self._bus: Bus | None = None
         self._identity: dict[str, str] = {}
         self._watchdog_ns = nanoseconds(config.watchdog_s)
-        self._sequence = 0
+        self._talking = threading.Lock()
+        self._caretaker = Caretaker(clock, self._talking, self._visit, watchdog_s=config.watchdog_s)
 
     def open(self) -> None:
         """Open the port, check who is there and how they are set up, write RAM. Torque is left as it is.
@@ -105,21 +98,21 @@ class XH430Servos(Actuators):
         self._health = HealthWatch(config, self._clock)
         self._outage = OutageWatch(config, self.name, self._clock.now_ns())
         self._goals = Goals(config, blocks, self._upkeep.goal_write(), self.name)
-        self._turns = TurnCounter()
-        self._registers = np.array([reg.from_block(b, "present_position") for b in blocks], dtype=np.int64)
-        self._alert = [0] * 8
+        self._samples = Samples(blocks, self._upkeep, self._clock, self.name)
         self._doubtful = self._commanded = self._paused = False
         self._identity = ident.described(config, blocks)
 
     def close(self) -> None:
         """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
-        if self._bus is None:
-            return
-        if self._identity and self._upkeep.torque:
-            self.stop()
-        self._identity = {}
-        self._bus.close()
-        self._bus = None
+        self._caretaker.end()
+        with self._talking:
+            if self._bus is None:
+                return
+            if self._identity and self._upkeep.torque:
+                self._rest(self._bus)
+            self._identity = {}
+            self._bus.close()
+            self._bus = None
 
     def identity(self) -> Mapping[str, str]:
         """Models, firmware, IDs and port; empty while closed."""
@@ -134,14 +127,21 @@ class XH430Servos(Actuators):
 
     def ask(self) -> None:
         """Send the request of the next `read`, unless that has been done right after a command."""
-        bus = self._opened()
+        with self._talking:
+            self._ask(self._opened())
+
+    def _ask(self, bus: Bus) -> None:
         if self._cycle.asked():
             return
         silence_ns = self._clock.now_ns() - bus.traffic_ns
         if silence_ns > _PAUSE_NS:
             self._outage.excuse(silence_ns)
-        self._paused = self._upkeep.torque and silence_ns > self._watchdog_ns > 0
+        self._paused = self._tripped_by(silence_ns)
         self._cycle.ask(full=self._paused or self._look_closely())
+
+    def _tripped_by(self, silence_ns: int) -> bool:
+        """Whether the watchdogs must have tripped because nobody talked to the servos."""
+        return self._upkeep.torque and silence_ns > self._watchdog_ns > 0
 
     def read(self) -> tuple[ServoSample, ...]:
         """One group read as one sample.
@@ -150,7 +150,11 @@ class XH430Servos(Actuators):
             DeviceTimeoutError: a servo has not answered usably for `fail_after_s`.
             DeviceError: a servo has reported a hardware error for `fail_after_s`.
         """
-        self.ask()
+        with self._talking:
+            return (self._read(self._opened()),)
+
+    def _read(self, bus: Bus) -> ServoSample:
+        self._ask(bus)
         reading = self._cycle.read()
         restarted: tuple[int, ...] = ()
         if reading.full:
@@ -158,73 +162,33 @@ class XH430Servos(Actuators):
             self._health.note(reading)
             restarted = self._audit(reading)
         self._paused = False
-        self._doubtful |= bool(reading.revived)
-        sample = self._sample(reading, restarted)
+        sample = self._samples.sample(reading, restarted)
+        self._doubtful |= self._samples.doubtful
+        self._outage.note(sample.status, sample.alert, sample.stamp.host_ns)
         if self._config.prefetch and not self._commanded:
             self._cycle.ask(full=self._look_closely())
         self._commanded = False
-        return (sample,)
+        self._caretaker.attended(sample.stamp.host_ns)
+        return sample
 
     def _look_closely(self) -> bool:
         """Whether the next read should show torque, watchdogs and health as well."""
         return self._doubtful or self._health.due()
 
-    def _sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
-        self._sequence += 1
-        t_ns = reading.taken_ns
-        stamp = Stamp(t_ns=t_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
-        rows = reading.registers
-        velocity = rows["velocity"].astype(np.float64)
-        clean = reading.status is ALL_OK
-        seen = _ALL_SEEN if clean else np.array([s is Status.OK for s in reading.status])
-        raw = rows["position"].astype(np.int64)
-        self._registers = raw if clean else np.where(seen, raw, self._registers)
-        counts, jumped = self._turns.follow(raw, velocity * _SPEED_COUNTS, seen, t_ns)
-        position = (counts - ZERO_COUNTS) * RAD_PER_COUNT
-        velocity *= RAD_S_PER_COUNT
-        current = rows["current"] * A_PER_COUNT
-        status = reading.status
-        alert = _NO_ALERT
-        if not clean or restarted or jumped.any() or any(self._alert):
-            status, alert = self._judge(reading, restarted, jumped)
-            bad = np.array([s is not Status.OK for s in status])
-            position[bad] = velocity[bad] = current[bad] = np.nan
-        self._outage.note(status, self._alert, stamp.host_ns)
-        return ServoSample(stamp, position, velocity, current, status, alert)
-
-    def _judge(
-        self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray
-    ) -> tuple[tuple[Status, ...], tuple[int, ...]]:
-        """Status and alert byte per servo, with restarts and hardware errors looked into."""
-        status = list(reading.status)
-        for j, flag in enumerate(reading.alert):
-            if status[j] is not Status.OK:
-                continue
-            if not flag:
-                self._alert[j] = 0
-            elif not self._alert[j]:
-                self._alert[j] = self._upkeep.read_hardware_error(j) or 0x80
-                _LOG.warning("%s: %s: %s", self.name, SERVOS[j], hardware_error_text(self._alert[j]))
-            if flag:
-                status[j] = Status.HARDWARE_ERROR
-            elif jumped[j] or j in restarted or j in reading.revived:
-                status[j] = Status.RESET
-                self._doubtful = self._doubtful or bool(jumped[j])
-        return tuple(status), tuple(self._alert)
-
     def _audit(self, reading: Reading) -> tuple[int, ...]:
         """Judge by a full look whether torque and watchdogs are as they should be; repair, holding still."""
         state = self._upkeep.judge(reading)
-        held = self._goals.still(self._registers)
+        held = self._goals.still(self._samples.registers(reading))
         lost = [j for j, status in enumerate(reading.status) if status is Status.RESET]
         if not self._upkeep.torque:
             for j in lost:
                 self._upkeep.restore(j)
-                self._turns.restarted(j)
+                self._samples.turns.restarted(j)
         repaired = self._upkeep.repair(state, held.tolist(), paused=self._paused)
+        self._goals.keep(repaired, held)
         for j in repaired:
             if state[j][0] == 0:
-                self._turns.restarted(j)
+                self._samples.turns.restarted(j)
         return repaired
 
     def read_health(self) -> tuple[ServoHealth, ...]:
@@ -238,10 +202,16 @@ class XH430Servos(Actuators):
         Raises:
             DeviceError: a servo does not answer, has a hardware error or did not take its torque.
         """
-        self._opened()
+        with self._talking:
+            bus = self._opened()
+            self._upkeep.torque = True
+            self._caretaker.begin()
+            self._enable(bus)
+
+    def _enable(self, bus: Bus) -> None:
         answering = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
         for _ in range(_READ_ATTEMPTS):
-            sample = self.read()[0]
+            sample = self._read(bus)
             if all(s in answering for s in sample.status):
                 break
         else:
@@ -256,9 +226,9 @@ class XH430Servos(Actuators):
             )  # fmt: skip
         self._upkeep.audit(self._cycle.live_ids)
         self._upkeep.refuse_hardware_errors()
-        self._goals.hold(self._registers)
+        self._goals.hold(self._samples.registers())
         self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
-        self.read()
+        self._read(bus)
 
     def command(self, setpoint: ServoSetpoint) -> None:
         """One write of the eight goals, clipped to the limits of bench and servos.
@@ -266,23 +236,52 @@ class XH430Servos(Actuators):
         Raises:
             UsageError: a goal is not a number.
         """
-        bus = self._opened()
-        self._goals.follow(setpoint, self._turns.offset)
-        self._commanded = True
-        packet = self._goals.packet()
-        if self._config.prefetch:
-            self._cycle.ask(full=self._look_closely(), after=packet)
-        else:
-            bus.send(packet)
+        with self._talking:
+            bus = self._opened()
+            self._goals.follow(setpoint, self._samples.turns.offset)
+            self._commanded = True
+            packet = self._goals.packet()
+            if self._config.prefetch:
+                self._cycle.ask(full=self._look_closely(), after=packet)
+            else:
+                bus.send(packet)
+            self._caretaker.attended(self._clock.now_ns())
 
     def stop(self) -> None:
         """Wheels at rest, steering held at its goals, torque stays on. Sent twice; never raises."""
-        if self._bus is None or not self._identity:
-            return
+        with self._talking:
+            if self._bus is not None and self._identity:
+                self._rest(self._bus)
+
+    def _rest(self, bus: Bus) -> None:
         self._goals.rest()
         packet = self._goals.packet()
         for _ in range(2):
-            self._bus.send(packet)
+            bus.send(packet)
+
+    def look_after(self) -> ServoHold:
+        """One look at all eight, those that had fallen silent too; what they have lost is put right."""
+        with self._talking:
+            if self._bus is None or not self._identity:
+                nothing = np.full(8, np.nan)
+                return ServoHold(self._clock.now_ns(), nothing, False, dict.fromkeys(SERVOS, "closed"))
+            return self._look(self._bus)
+
+    def _visit(self) -> bool:
+        return self._bus is None or not self._identity or not self._look(self._bus).trouble
+
+    def _look(self, bus: Bus) -> ServoHold:
+        self._paused = self._tripped_by(self._clock.now_ns() - bus.traffic_ns)
+        self._goals.rest()
+        bus.send(self._goals.packet())
+        reading = self._cycle.look()
+        self._health.note(reading)
+        self._audit(reading)
+        position = self._samples.position(reading)
+        now_ns = self._clock.now_ns()
+        self._outage.saw(reading.status, now_ns)
+        self._caretaker.attended(now_ns)
+        return ServoHold(now_ns, position, self._upkeep.torque, self._upkeep.trouble(reading))
 
     def release(self) -> None:
         """Torque off, checked: on a wall the robot slides.
@@ -290,8 +289,10 @@ class XH430Servos(Actuators):
         Raises:
             DeviceError: a servo still has torque on, or does not say.
         """
-        self._opened()
-        self._upkeep.switch_off(self._cycle.live_ids)
+        with self._talking:
+            self._opened()
+            self._caretaker.end()
+            self._upkeep.switch_off(self._cycle.live_ids)
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""

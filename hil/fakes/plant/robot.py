@@ -45,6 +45,7 @@ class WallRobot(Plant):
         faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left.
         step_ns: internal step.
         compiled: force the compiled (True) or the interpreted (False) physics.
+        by_hand: somebody holds the robot until the first motor has torque; nothing moves before.
     """
 
     def __init__(
@@ -57,8 +58,9 @@ class WallRobot(Plant):
         faults: FaultPlan | None = None,
         step_ns: int = STEP_NS,
         compiled: bool | None = None,
+        by_hand: bool = False,
     ) -> None:
-        self.parameters = parameters
+        self.parameters, self._by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
         self._faults = faults if faults is not None else FaultPlan()
         self._faults.declare("plant", ("adhesion_loss",))
@@ -70,6 +72,7 @@ class WallRobot(Plant):
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
         self._commands[k.DUTY_LIMIT :] = 1.0
         self._truth: PlantState | None = None
+        self._advance(0, 1.0, self._constants, self._state, self._commands)  # loads the compiled code now
         self._views = tuple(_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
 
     @property
@@ -89,6 +92,7 @@ class WallRobot(Plant):
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )
         q, mode = self._commands, _MODES[command.mode]
+        self._by_hand = self._by_hand and mode == k.MODE_OFF
         if mode != q[k.MODE + joint]:
             self._state[k.INTEGRAL + joint] = 0.0
         q[k.MODE + joint] = mode
@@ -99,6 +103,8 @@ class WallRobot(Plant):
     def advance(self, t_ns: int) -> None:
         """Integrate up to `t_ns`: whole internal steps; the remainder waits."""
         end = t_ns // self._step_ns
+        if self._by_hand:
+            self._steps = max(self._steps, end)
         while self._steps < end:
             n, factor = self._stretch(end)
             self._advance(n, factor, self._constants, self._state, self._commands)
@@ -249,6 +255,7 @@ def make_plant(
     faults: FaultPlan | None = None,
     step_ns: int = STEP_NS,
     compiled: bool | None = None,
+    by_hand: bool = False,
 ) -> WallRobot:
     """The robot of a configuration on a surface.
 
@@ -263,6 +270,7 @@ def make_plant(
         faults: see `WallRobot`.
         step_ns: see `WallRobot`.
         compiled: see `WallRobot`.
+        by_hand: see `WallRobot`.
 
     Raises:
         UsageError: unknown surface or impossible pose.
@@ -279,4 +287,5 @@ def make_plant(
         faults=faults,
         step_ns=step_ns,
         compiled=compiled,
+        by_hand=by_hand,
     )

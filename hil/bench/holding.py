@@ -1,0 +1,253 @@
+"""Whether the robot is held: somebody looks after every stop, until it is true or time is up.
+
+"Held" is a claim about the world, not about what was sent: all eight servos say that they have torque and
+that their watchdogs wait, the wheels rest, and nothing that can see the robot sees it move. Until then the
+servos go on being looked after.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from hil.clock import Clock, nanoseconds
+from hil.errors import HilError
+from hil.geometry import Array
+from hil.interfaces import Sensor, Sink
+from hil.rig import Rig
+from hil.signals import SERVOS, CycleRecord, MocapSample, ServoHold, Status, TrackerSample
+
+_LOOK_NS = nanoseconds(0.02)
+_WINDOW_NS = nanoseconds(0.2)
+_LEAST = 4
+_PLACES = ("servos", "tracker", "mocap")
+_FRESH_NS = nanoseconds(0.05)
+_MEAN_OF = 5
+"""Sightings that are averaged against a camera's noise: 25 ms of it."""
+_STILL = {"servos": 0.01, "tracker": 0.001, "mocap": 0.0005, "imu": 0.2}
+"""What a robot at rest may seem to change within a window: rad of a joint, m of a camera and of motion
+capture, m/s^2 of gravity in the IMU's axes.
+
+A servo holds its place within three counts (0.005 rad); a camera's noise of half a millimetre leaves a fifth
+of one in the mean of a quarter of a window; the IMU's gravity turns with the robot, 0.2 m/s^2 for a degree.
+"""
+_NAMES = {"servos": "servo positions", "tracker": "camera", "mocap": "motion capture", "imu": "IMU"}
+
+S = TypeVar("S")
+State = Literal["HELD", "NOT HELD", "not needed"]
+
+
+@dataclass(frozen=True)
+class Held:
+    """How a run left the robot.
+
+    Attributes:
+        state: `not needed` where gravity does not pull along the surface.
+        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped.
+        why: what confirms it; or what is missing, and what is left to do.
+        wanted: whether the servos were asked to hold it, and not told to let go.
+    """
+
+    state: State
+    moved_m: float
+    why: str
+    wanted: bool = True
+
+    def to_json(self) -> dict[str, object]:
+        """As in `result.json` and the summary of the live loop."""
+        return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
+
+    def __str__(self) -> str:
+        return f"{self.state}: moved {1e3 * self.moved_m:.1f} mm since the stop; {self.why}"
+
+
+class _Trail:
+    """Where one witness has seen the robot within the latest window."""
+
+    def __init__(self) -> None:
+        self._seen: deque[tuple[int, Array]] = deque()
+
+    def add(self, t_ns: int, place: Array) -> None:
+        """Take a sighting."""
+        self._seen.append((t_ns, place))
+
+    def forget(self, before_ns: int) -> None:
+        """Drop what is older, but for the last of it: the window is to be full."""
+        while len(self._seen) > 1 and self._seen[1][0] <= before_ns:
+            self._seen.popleft()
+
+    def full(self, now_ns: int) -> bool:
+        """Whether it reaches back for a window, and is not out of date."""
+        seen = self._seen
+        return (
+            len(seen) >= _LEAST
+            and seen[0][0] <= now_ns - _WINDOW_NS
+            and seen[-1][0] >= now_ns - _WINDOW_NS // 2
+        )
+
+    def change(self) -> Array:
+        """How the place has changed, from the mean of the first quarter to that of the last."""
+        places = np.array([place for _, place in self._seen])
+        quarter = max(1, len(places) // 4)
+        change: Array = places[-quarter:].mean(axis=0) - places[:quarter].mean(axis=0)
+        return change
+
+
+class HoldWatch(Sink):
+    """Sees the robot's cycles go by, so that it knows where the robot stood when it was stopped.
+
+    Args:
+        rig: devices of the bench.
+        clock: the bench clock.
+        radius_m: of the wheels, to turn their angles into a way.
+        on_wall: whether the robot has to be held at all.
+        lightest_m_s2: specific force below which it is falling.
+    """
+
+    def __init__(
+        self, rig: Rig, clock: Clock, *, radius_m: float, on_wall: bool, lightest_m_s2: float
+    ) -> None:
+        self._lightest_m_s2, self._falls = lightest_m_s2, False
+        self._rig, self._clock = rig, clock
+        self._radius_m, self._on_wall = radius_m, on_wall
+        self._latest: dict[str, deque[tuple[int, Array]]] = {n: deque(maxlen=_MEAN_OF) for n in _PLACES}
+        self._stopped_at: dict[str, Array] = {}
+        self._moved_m = 0.0
+
+    def write(self, record: CycleRecord) -> None:
+        """Remember where the robot was seen last."""
+        inputs = record.inputs
+        for sample in inputs.servos:
+            if sample.ok:
+                self._latest["servos"].append((inputs.t_ns, sample.position_rad))
+        for name, place in _places(inputs.tracker, inputs.mocap):
+            self._latest[name].append((inputs.t_ns, place))
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    def stopped(self) -> None:
+        """The robot has been stopped: what it moves from here on counts, by whoever has just seen it."""
+        fresh_ns = self._clock.now_ns() - _FRESH_NS
+        latest = self._latest.items()
+        self._stopped_at = {name: _mean(seen) for name, seen in latest if seen and seen[-1][0] >= fresh_ns}
+        for seen in self._latest.values():
+            seen.clear()
+        self._moved_m = 0.0
+
+    def look(self, limit_s: float) -> Held:
+        """Look after the robot until it is held, for `limit_s` at the most.
+
+        Never raises for what a device does: a sensor that fails is a witness less.
+        """
+        servos = self._rig.servos
+        if servos is None or not servos.identity():
+            return self._verdict("NOT HELD", "no servos are open", wanted=False)
+        end_ns = self._clock.now_ns() + nanoseconds(limit_s)
+        trails = {name: _Trail() for name in _STILL}
+        while True:
+            hold = servos.look_after()
+            self._see(hold, trails)
+            doubt = self._doubt(hold, trails)
+            if not hold.wanted:
+                return self._verdict("NOT HELD", "torque was never switched on", wanted=False)
+            if not doubt:
+                return self._verdict("HELD", "torque on, at rest by " + _witnesses(trails, hold.t_ns))
+            if self._clock.now_ns() >= end_ns:
+                return self._verdict("NOT HELD", doubt)
+            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+
+    def _verdict(self, state: State, why: str, *, wanted: bool = True) -> Held:
+        if not self._on_wall:
+            state, why = "not needed", f"on the floor; {why}"
+        return Held(state, self._moved_m, why, wanted)
+
+    def released(self) -> Held:
+        """The robot has been let go of on purpose."""
+        return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
+
+    def unseen(self, why: str) -> Held:
+        """Nobody could look, or has not yet."""
+        return self._verdict("NOT HELD", why)
+
+    def _see(self, hold: ServoHold, trails: dict[str, _Trail]) -> None:
+        """Take what servos and sensors say now."""
+        now_ns = hold.t_ns
+        seen = _places(_drained(self._rig.tracker), _drained(self._rig.mocap))
+        if np.isfinite(hold.position_rad).all():
+            seen.append(("servos", hold.position_rad))
+        for name, place in seen:
+            trails[name].add(now_ns, place)
+            self._latest[name].append((now_ns, place))
+            self._measure(name)
+        for sample in _drained(self._rig.imu):
+            if sample.status is Status.OK:
+                force = sample.gravity_m_s2 + sample.linear_acceleration_m_s2
+                self._falls = float(np.linalg.norm(force)) < self._lightest_m_s2
+                trails["imu"].add(now_ns, sample.gravity_m_s2)
+        for trail in trails.values():
+            trail.forget(now_ns - _WINDOW_NS)
+
+    def _measure(self, name: str) -> None:
+        """How far a witness says that the robot is from where it was stopped."""
+        here = _mean(self._latest[name])
+        moved = here - self._stopped_at.setdefault(name, here)
+        if name == "servos":
+            moved_m = self._radius_m * float(np.median(np.abs(moved[:4])))
+        else:
+            moved_m = float(np.linalg.norm(moved))
+        self._moved_m = max(self._moved_m, moved_m)
+
+    def _doubt(self, hold: ServoHold, trails: dict[str, _Trail]) -> str:
+        """What speaks against calling the robot held; empty when nothing does."""
+        if hold.trouble:
+            return _in_words(hold)
+        if self._falls:
+            return "torque is on, but the accelerometer feels less than the weight: adhesion is lost"
+        seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
+        if "servos" not in seen:
+            return "torque is on, but the servos have not been seen at rest for long enough"
+        for name in seen:
+            change = float(np.abs(trails[name].change()).max())
+            if change > _STILL[name]:
+                return f"torque is on, but the robot still moves by its {_NAMES[name]}"
+        others = (self._rig.tracker, self._rig.mocap, self._rig.imu)
+        if len(seen) == 1 and any(sensor is not None for sensor in others):
+            return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
+        return ""
+
+
+def _mean(seen: deque[tuple[int, Array]]) -> Array:
+    place: Array = np.mean([place for _, place in seen], axis=0)
+    return place
+
+
+def _witnesses(trails: dict[str, _Trail], now_ns: int) -> str:
+    return ", ".join(_NAMES[name] for name, trail in trails.items() if trail.full(now_ns))
+
+
+def _drained(sensor: Sensor[S] | None) -> tuple[S, ...]:
+    """What a sensor has, nothing where it fails."""
+    try:
+        return sensor.read() if sensor is not None else ()
+    except HilError:
+        return ()
+
+
+def _places(tracker: tuple[TrackerSample, ...], mocap: tuple[MocapSample, ...]) -> list[tuple[str, Array]]:
+    """Usable positions (3,) m with the name of who saw them."""
+    seen = [("tracker", s.position_m) for s in tracker if s.status is Status.OK]
+    return seen + [("mocap", s.position_m) for s in mocap if s.status is Status.OK and s.tracking_valid]
+
+
+def _in_words(hold: ServoHold) -> str:
+    """What the servos lack, and what is left to do about it."""
+    silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
+    if len(silent) == len(SERVOS):
+        found = "no servo answers: check the servos' supply, the bus and its adapter"
+    else:
+        found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())
+    return f"{found}; torque comes back with the servos only while this program runs: secure the robot"

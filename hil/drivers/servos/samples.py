@@ -1,0 +1,119 @@
+"""From a read of the bus to a sample: positions that count on, restarts and hardware errors looked into."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+import numpy as np
+
+from hil.clock import Clock
+from hil.config.xh430 import (
+    A_PER_COUNT,
+    RAD_PER_COUNT,
+    RAD_S_PER_COUNT,
+    ZERO_COUNTS,
+    hardware_error_text,
+)
+from hil.drivers.servos import registers as reg
+from hil.drivers.servos.cycle import ALL_OK, Reading
+from hil.drivers.servos.turns import TurnCounter
+from hil.drivers.servos.upkeep import Upkeep
+from hil.geometry import Array
+from hil.signals import SERVOS, ServoSample, Stamp, Status
+
+_LOG = logging.getLogger(__name__)
+
+_NO_ALERT: tuple[int, ...] = (0,) * 8
+_ALL_SEEN = np.ones(8, dtype=bool)
+_SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
+
+
+class Samples:
+    """Makes samples out of readings, and remembers what they have in common.
+
+    Args:
+        blocks: registers of the eight servos as read at open.
+        upkeep: knows the hardware errors.
+        clock: for the time at which a sample had arrived.
+        device: name in logs.
+
+    Attributes:
+        turns: positions across restarts.
+        doubtful: whether the latest sample wants a closer look: a servo has started over, or is back.
+    """
+
+    def __init__(self, blocks: Sequence[bytes], upkeep: Upkeep, clock: Clock, device: str) -> None:
+        self._upkeep, self._clock, self._device = upkeep, clock, device
+        self.turns, self.doubtful = TurnCounter(), False
+        self._registers = np.array([reg.from_block(b, "present_position") for b in blocks], dtype=np.int64)
+        self._alert = [0] * 8
+        self._sequence = 0
+
+    def registers(self, reading: Reading | None = None) -> np.ndarray:
+        """(8,) position registers as last known, with those of a reading that is not yet sampled."""
+        if reading is None:
+            return self._registers
+        return np.where(_seen(reading), reading.registers["position"].astype(np.int64), self._registers)
+
+    def sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
+        """The sample of a reading.
+
+        Args:
+            reading: of the bus.
+            restarted: joints that were found to have started over, and have been set up again.
+        """
+        self._sequence += 1
+        stamp = Stamp(t_ns=reading.taken_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
+        rows = reading.registers
+        velocity = rows["velocity"] * RAD_S_PER_COUNT
+        current = rows["current"] * A_PER_COUNT
+        position, jumped = self._follow(reading)
+        status, alert = reading.status, _NO_ALERT
+        self.doubtful = bool(reading.revived)
+        if status is not ALL_OK or restarted or jumped.any() or any(self._alert):
+            status, alert = self._judge(reading, restarted, jumped)
+            bad = np.array([s is not Status.OK for s in status])
+            position[bad] = velocity[bad] = current[bad] = np.nan
+        return ServoSample(stamp, position, velocity, current, status, alert)
+
+    def position(self, reading: Reading) -> Array:
+        """(8,) rad of a reading that becomes no sample; NaN where a servo did not answer."""
+        position, _ = self._follow(reading)
+        position[~_seen(reading)] = np.nan
+        return position
+
+    def _follow(self, reading: Reading) -> tuple[Array, np.ndarray]:
+        """Positions (8,) rad that count on, and which servos have started over."""
+        self._registers = self.registers(reading)
+        raw = reading.registers["position"].astype(np.int64)
+        speed = reading.registers["velocity"] * _SPEED_COUNTS
+        counts, jumped = self.turns.follow(raw, speed, _seen(reading), reading.taken_ns)
+        return (counts - ZERO_COUNTS) * RAD_PER_COUNT, jumped
+
+    def _judge(
+        self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray
+    ) -> tuple[tuple[Status, ...], tuple[int, ...]]:
+        """Status and alert byte per servo, with restarts and hardware errors looked into."""
+        status = list(reading.status)
+        for j, flag in enumerate(reading.alert):
+            if status[j] is not Status.OK:
+                continue
+            if not flag:
+                self._alert[j] = 0
+            elif not self._alert[j]:
+                self._alert[j] = self._upkeep.read_hardware_error(j) or 0x80
+                _LOG.warning("%s: %s: %s", self._device, SERVOS[j], hardware_error_text(self._alert[j]))
+            if flag:
+                status[j] = Status.HARDWARE_ERROR
+            elif jumped[j] or j in restarted or j in reading.revived:
+                status[j] = Status.RESET
+                self.doubtful |= bool(jumped[j])
+        return tuple(status), tuple(self._alert)
+
+
+def _seen(reading: Reading) -> np.ndarray:
+    """(8,) who answered."""
+    if reading.status is ALL_OK:
+        return _ALL_SEEN
+    return np.array([s is Status.OK for s in reading.status])

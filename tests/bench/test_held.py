@@ -1,0 +1,185 @@
+"""After every stop somebody looks: servos that restart are caught, and "held" is said only where it is true."""
+
+import numpy as np
+import pytest
+
+import hil
+from hil.errors import HilError, SafetyStop
+from hil.fakes.faults import parse_fault
+from hil.signals import SERVOS
+from hil.trajectories import line
+
+SECOND = 1_000_000_000
+CLIMB = line((0, 0, 0), (0.15, 0, 0), duration_s=4.0)
+MOVING_S, STOPPED_S = 2.5, 8.0
+REST_RAD_S = 0.1  # 2.5 mm/s
+
+
+def place(bench):
+    return bench.truth().pose_body_in_wall[:2].copy()
+
+
+def wait(bench, duration_s):
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + round(duration_s * SECOND))
+
+
+def moved_from(bench, duration_s):
+    """How far the robot gets in a time in which nobody calls anything, mm."""
+    start, farthest = place(bench), 0.0
+    for _ in range(round(duration_s / 0.05)):
+        wait(bench, 0.05)
+        farthest = max(farthest, float(np.linalg.norm(place(bench) - start)))
+    return 1e3 * farthest
+
+
+def climb(bench):
+    """Drive, whatever becomes of it; the stop that ended it."""
+    try:
+        bench.drive(CLIMB)
+    except SafetyStop as stop:
+        return stop
+    return None
+
+
+LOSSES = [
+    ("servos:brownout", 0.05), ("servos:brownout", 0.3), ("servos:brownout", 1.0), ("servos:reset", 0.0),
+    ("servos:unplug", 1.0), ("servo.drive_FL:brownout", 0.3), ("servo.steer_BR:reset", 0.0),
+    ("servo.drive_BL:off", 1.0),
+]  # fmt: skip
+
+
+def fault(kind, at_s, duration_s):
+    return f"{kind}@{at_s}" + (f"+{duration_s}" if duration_s else "")
+
+
+@pytest.mark.parametrize(("kind", "duration_s"), LOSSES)
+@pytest.mark.parametrize("at_s", [MOVING_S, STOPPED_S], ids=["in motion", "after the stop"])
+def test_whoever_loses_servos_has_them_back_without_calling_anything(kind, duration_s, at_s):
+    with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
+        stop = climb(bench)
+        assert (stop is None) == (at_s > MOVING_S)
+        back_s = at_s + duration_s
+        wait(bench, max(0.0, back_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert moved_from(bench, 1.0) < 2.0
+        assert bench.look().state == "HELD"
+    assert bench.held.state == "HELD"
+    assert bench.held.moved_m < 0.03
+
+
+@pytest.mark.parametrize("kind", ["servos:brownout", "servos:unplug", "servo.steer_FL:brownout"])
+def test_a_loss_while_the_bench_opens(kind):
+    with hil.open_bench("emulated", seed=3, faults=[f"{kind}@0.1+0.8"]) as bench:
+        assert bench.look().state == "HELD"
+        assert moved_from(bench, 1.0) < 0.3
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("at_s", [0.1, MOVING_S, STOPPED_S])
+@pytest.mark.parametrize(
+    ("kind", "duration_s"), [*LOSSES, ("servos:brownout", 0.6), ("servo.steer_FL:off", 0.5)]
+)
+def test_whoever_loses_servos_has_them_back_in_five_worlds(kind, duration_s, at_s, seed):
+    with hil.open_bench("emulated", seed=seed, faults=[fault(kind, at_s, duration_s)]) as bench:
+        climb(bench)
+        wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert moved_from(bench, 1.0) < 2.0
+    assert bench.held.state == "HELD"
+
+
+def test_while_the_servos_are_away_it_says_so_and_why():
+    bench = hil.open_bench(
+        "emulated", seed=1, faults=["servos:off@2.5"], overrides={"exit.look_after_s": 1.0}
+    )
+    with bench:
+        assert climb(bench) is not None
+        now = bench.look()
+        assert now.state == "NOT HELD"
+        assert "no servo answers" in now.why
+        started = place(bench)
+    slid_m = float(np.linalg.norm(place(bench) - started))
+    assert bench.held.state == "NOT HELD"
+    assert bench.held.moved_m == pytest.approx(slid_m, abs=0.02)
+    assert slid_m > 0.01
+
+
+def test_one_dead_servo_is_named_with_its_id():
+    with hil.open_bench(
+        "emulated", seed=1, faults=["servo.drive_BR:off@2.5"], overrides={"exit.look_after_s": 0.5}
+    ) as bench:
+        climb(bench)
+    assert bench.held.state == "NOT HELD"
+    assert "drive_BR (ID 3: timeout)" in bench.held.why
+
+
+def test_a_robot_that_came_off_is_not_held_though_every_servo_has_torque():
+    bench = hil.open_bench("emulated", seed=1, faults=["plant:adhesion_loss@8"])
+    with bench:
+        climb(bench)
+        wait(bench, 8.5 - bench.clock.now_ns() / SECOND)
+        assert not bench.rig.servos.look_after().trouble
+    assert bench.held.state == "NOT HELD"
+    assert "adhesion is lost" in bench.held.why
+    assert bench.held.moved_m > 0.1
+
+
+def test_hardware_errors_are_told():
+    with hil.open_bench("emulated", seed=1, overrides={"exit.look_after_s": 0.5}) as bench:
+        climb(bench)
+        servos = bench.world._parts[0].servos
+        servos[SERVOS.index("steer_BL")].raise_error(0x20)
+    assert bench.held.state == "NOT HELD"
+    assert "steer_BL (ID 6: hardware error: overload" in bench.held.why
+
+
+def test_the_floor_needs_nobody():
+    with hil.open_bench("emulated_floor", seed=1) as bench:
+        bench.drive(line((0, 0, 0), (0.1, 0, 0), duration_s=3.0))
+    assert bench.held.state == "not needed"
+    assert bench.held.moved_m < 0.002
+
+
+def test_a_wall_starts_held_and_release_is_told():
+    with hil.open_bench("emulated", seed=1, overrides={"exit.policy": "release"}) as bench:
+        assert moved_from(bench, 1.0) < 0.3
+    assert bench.held.state == "NOT HELD"
+    assert not bench.held.wanted
+    assert "released" in bench.held.why
+
+
+@pytest.mark.parametrize("kind", ["unplug", "baud_mismatch"])
+def test_with_the_bus_away_the_wheels_rest_within_200_ms(kind):
+    at_s = 3.0
+    with hil.open_bench("emulated", seed=2, faults=[f"servos:{kind}@{at_s}"]) as bench:
+        rates = []
+
+        def note(record):
+            rates.append(bench.truth().joint_velocity_rad_s[:4].copy())
+
+        with pytest.raises(SafetyStop):
+            bench.drive(CLIMB, on_cycle=note)
+        assert np.abs(rates[-1]).max() > 0.5
+        bench.clock.sleep_until_ns(max(bench.clock.now_ns(), round((at_s + 0.2) * SECOND)))
+        assert np.abs(bench.truth().joint_velocity_rad_s[:4]).max() < REST_RAD_S
+
+
+def test_wheels_that_a_program_forgot_come_to_rest_and_stay_looked_after():
+    with hil.open_bench("emulated", seed=1) as bench:
+        steering = np.zeros(4)
+        bench.rig.servos.command(hil.signals.ServoSetpoint(np.full(4, 1.0), steering))
+        wait(bench, 0.05)
+        assert bench.truth().joint_velocity_rad_s[:4].min() > 0.3
+        wait(bench, 0.25)
+        assert np.abs(bench.truth().joint_velocity_rad_s[:4]).max() < 0.02
+        assert not bench.rig.servos.look_after().trouble
+
+
+def test_an_enable_that_fails_is_made_good_when_the_servos_come_back():
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.world.faults.add(parse_fault(f"servos:brownout@{bench.clock.now_ns() / SECOND}+0.4"))
+        wait(bench, 0.01)
+        with pytest.raises(HilError):
+            bench.rig.servos.enable()
+        wait(bench, 0.7)
+        assert moved_from(bench, 0.5) < 2.0
+        assert bench.look().state == "HELD"
