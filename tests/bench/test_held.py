@@ -1,4 +1,4 @@
-"""After every stop somebody looks: servos that restart are caught, and "held" is said only where it is true."""
+"""After every stop somebody looks: servos that restart are caught, and "held" is said only if it is true."""
 
 import numpy as np
 import pytest

@@ -108,7 +108,7 @@ class TestStuck:
     @pytest.mark.fault("can", "off", at=0.6)
     def test_and_one_of_the_test(self, bench):
         records = bench.observe(1.0).records
-        assert records[0].inputs.encoders
+        assert any(r.inputs.encoders for r in records[:5])
         assert not records[-1].inputs.encoders
 
 def test_no_fault_without_a_marker(bench):
