@@ -125,17 +125,22 @@ def _moved(path):
     return bool(found) and found[-1].reference.pose_in_wall[0] > found[0].reference.pose_in_wall[0] + 0.015
 
 
-def test_a_signal_holds_the_robot_and_tells_all(tmp_path):
-    """Only watching; SIGTERM ends it with the summary and exit code 4."""
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
+    """Only watching; a signal ends it with the summary and exit code 4."""
     process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
     while process.poll() is None and not _some(tmp_path / "run.mcap"):
         with contextlib.suppress(subprocess.TimeoutExpired):
             process.wait(0.1)
-    os.kill(process.pid, signal.SIGTERM)
+    os.kill(process.pid, getattr(signal, name))
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 4, err
     summary = json.loads(out)
-    assert summary["ended"] == "SIGTERM"
+    assert summary["ended"] == name
+    assert summary["held"]["state"] == "HELD"
+    assert summary["held"]["moved_m"] < 0.005
+    assert abs(summary["pose"][0]) < 0.01
+    assert "at the start HELD" in err
     assert summary["timing"]["cycles"] > 0
     records = list(read_cycles(tmp_path / "run.mcap"))
     assert all(r.reference is None for r in records)

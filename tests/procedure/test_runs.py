@@ -180,7 +180,8 @@ def three_steps(ctx):
 
 
 @pytest.mark.parametrize(
-    ("signals", "finished"), [("SIGINT", True), ("SIGINT SIGINT", False), ("SIGTERM", False)]
+    ("signals", "finished"),
+    [("SIGINT", True), ("SIGINT SIGINT", False), ("SIGTERM", False), ("SIGHUP", False)],
 )
 def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signals, finished):
     before = signal.getsignal(signal.SIGINT)
@@ -192,6 +193,17 @@ def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signal
     assert ("finished the step" in tree["notes"]) == finished
     assert [s["title"] for s in tree["steps"]] == ["one", "two"]
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_a_closed_terminal_ends_nothing_under_nohup(run_small, tmp_path):
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        answers = tmp_path / "answers.txt"
+        answers.write_text("signals: SIGHUP\n")
+        assert run_small(three_steps, operator=Answers(answers)).exit_code == 0
+        assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_signal_waits_for_the_end_of_what_must_be_whole():
