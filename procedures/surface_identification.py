@@ -23,6 +23,7 @@ from procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
 from procedures.parts.tracking import stand
 
 DIRECTIONS = ("up", "down", "left", "right")
+_TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 _WITHOUT = {"encoders": None, "tracker": None}
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
@@ -167,7 +168,7 @@ def stands(ctx: Context, heading_deg: float) -> bool:
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
         f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
-        overrides={**_WITHOUT, "emulation.start_pose": pose, "safety.heading_limit_rad": math.pi / 2},
+        overrides={**_WITHOUT, **_TETHERED, "emulation.start_pose": pose},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )
     bench.rig.actuators().enable()

@@ -10,6 +10,7 @@ import numpy as np
 from hil.alignment import AlignmentParameters, Mount
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
+from hil.config.robot import GRAVITY_M_S2
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.motion_limits import MotionLimits
@@ -19,7 +20,6 @@ from hil.supervisor import SafetyLimits
 LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
-_GRAVITY_M_S2 = 9.81
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
@@ -44,7 +44,7 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
-    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
+    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m", "tethered"})
     return SafetyLimits(**values, on_wall=config.surface == "wall")
 
 
@@ -74,7 +74,7 @@ def load_shares(config: BenchConfig) -> Array:
     """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
     robot = config.robot
     x, y, height = robot.centre_of_mass_m
-    weight = robot.mass_kg * _GRAVITY_M_S2
+    weight = robot.mass_kg * GRAVITY_M_S2
     total, moment_x, moment_y = weight, weight * x, weight * y
     if config.surface == "wall":
         thrust = robot.thrust_compensation * weight

@@ -5,6 +5,7 @@ Strict: unknown keys are errors, and every problem is reported at once with its 
 
 from __future__ import annotations
 
+import copy
 import sys
 from collections.abc import Mapping
 from importlib import resources
@@ -13,6 +14,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
+from hil.config.consistency import contradictions
 from hil.config.control import ControlConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.estimator import EstimatorConfig
@@ -190,14 +192,44 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
 
 def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
     """Model of a parsed file; raises `ConfigError` with all problems."""
+    problems: list[str] = []
+    config: BenchConfig | None
     try:
-        return BenchConfig.model_validate(tree)
+        config = BenchConfig.model_validate(tree)
     except ValidationError as error:
-        problems = tuple(
-            f"{'.'.join(str(part) for part in item['loc']) or 'file'}: {_reason(item)}"
-            for item in error.errors()
-        )
-    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=problems)
+        problems = explained(error)
+        config = _what_is_right(tree, [item["loc"] for item in error.errors()])
+    if config is not None:
+        problems += [f"{path}: {text}" for path, text in contradictions(config)]
+        if not problems:
+            return config
+    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _what_is_right(tree: Mapping[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
+    """The configuration without its wrong values, to look at the others; None if nothing is left of it."""
+    rest = copy.deepcopy(dict(tree))
+    for *tables, key in wrong:
+        table: Any = rest
+        for name in tables:
+            inner = table.get(name) if isinstance(table, dict) else None
+            if not isinstance(inner, dict):
+                key = name
+                break
+            table = inner
+        if isinstance(table, dict):
+            table.pop(key, None)
+    try:
+        return BenchConfig.model_validate(rest)
+    except ValidationError:
+        return None
+
+
+def explained(error: ValidationError) -> list[str]:
+    """Every problem of an error: its dotted path, and what is wrong there."""
+    return [
+        f"{'.'.join(str(part) for part in item['loc']) or 'file'}: {_reason(item)}" for item in error.errors()
+    ]
 
 
 def _reason(item: Any) -> str:
