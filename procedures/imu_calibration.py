@@ -123,7 +123,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("learn")
     yield PlannedStep("store")
     yield PlannedStep("rest")
-    yield PlannedStep("headings", tuple(turns(p, np.array(config.emulation.start_pose))))
+    yield PlannedStep("headings", tuple(turns(p, np.array(config.environment.start_pose))))
     yield PlannedStep("restore")
 
 
@@ -134,10 +134,10 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""
     p: Parameters = ctx.parameters
-    if ctx.source.config.surface != "wall":
+    if not ctx.source.config.environment.on_wall:
         raise ConfigError(
             f"bench {ctx.source.config.name} is not on a wall: gravity does not show the heading",
-            expected='surface = "wall"', remedy="run it on the wall bench",
+            expected='tilt_rad = 1.5708 in [environment]', remedy="run it on the wall bench",
         )  # fmt: skip
     bench = ctx.reopen(overrides={"tracker": None, "encoders": None})
     with ctx.step("learn", timeout_s=p.learn_s + 30.0):

@@ -100,7 +100,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Rounds as far as they are certain, and the references of one repetition."""
-    driven = tuple(reference(m, config.emulation.start_pose, p.sizes) for m in p.motions)
+    driven = tuple(reference(m, config.environment.start_pose, p.sizes) for m in p.motions)
     for number in range(1, p.min_rounds + 1):
         yield PlannedStep(f"round {number}", driven if number == 1 else ())
         if number < p.min_rounds:

@@ -94,7 +94,7 @@ def leg(p: Parameters, start: Array, name: str, alpha_rad: float) -> Trajectory:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """A sweep, legs, and legs again."""
-    start = np.array(config.emulation.start_pose)
+    start = np.array(config.environment.start_pose)
     driven = tuple(leg(p, start, name, alpha) for name, alpha in _WAYS)
     yield PlannedStep("sweep")
     yield PlannedStep("legs", driven)

@@ -90,7 +90,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Repetitions with their lines, then the search for the hold."""
     _check_wall(config)
     for number in range(1, p.repetitions + 1):
-        driven = motions(p, config.emulation.start_pose) if number == 1 else {}
+        driven = motions(p, config.environment.start_pose) if number == 1 else {}
         yield PlannedStep(f"repetition {number}", tuple(driven.values()))
     if p.hold:
         yield PlannedStep("hold to the left")
@@ -118,10 +118,10 @@ def run(ctx: Context) -> None:
 
 
 def _check_wall(config: BenchConfig) -> None:
-    if config.surface != "wall":
+    if not config.environment.on_wall:
         raise ConfigError(
             f"surface_identification on the bench {config.name!r}, which stands on the floor",
-            expected='surface = "wall"', remedy="choose the bench of the wall",
+            expected='tilt_rad = 1.5708 in [environment]', remedy="choose the bench of the wall",
         )  # fmt: skip
 
 
@@ -164,11 +164,11 @@ def hold_angle(ctx: Context, p: Parameters, sense: float) -> list[float | None]:
 
 def stands(ctx: Context, heading_deg: float) -> bool:
     """Whether the robot, set on the wall under this heading with its wheels locked, stays there."""
-    x_m, y_m, _ = ctx.source.config.emulation.start_pose
+    x_m, y_m, _ = ctx.source.config.environment.start_pose
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
         f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
-        overrides={**_WITHOUT, **_TETHERED, "emulation.start_pose": pose},
+        overrides={**_WITHOUT, **_TETHERED, "environment.start_pose": pose},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )
     bench.rig.actuators().enable()

@@ -99,7 +99,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
     """Turns to both sides and ways along both axes, back at the start each time."""
     turn = p.turn_deg / _DEG
-    if config.surface == "wall":
+    if config.environment.on_wall:
         turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
     stops = [(0, 0, turn), (0, 0, -turn), (0, 0, 0), (p.way_m, 0, 0), (0, 0, 0), (0, p.way_m, 0), (0, 0, 0)]
     pose = np.asarray(start, dtype=np.float64)
@@ -114,7 +114,7 @@ def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """The tour, and its beginning once more."""
-    legs = tuple(tour(p, config, np.array(config.emulation.start_pose)))
+    legs = tuple(tour(p, config, np.array(config.environment.start_pose)))
     yield PlannedStep("tour", legs)
     yield PlannedStep("solve")
     yield PlannedStep("apply", legs[:5])

@@ -150,7 +150,7 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
 
 def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
     """What is driven in each world, from the configured start."""
-    return tuple(reference(d.case, p, config.emulation.start_pose) for d in drives(p))
+    return tuple(reference(d.case, p, config.environment.start_pose) for d in drives(p))
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:

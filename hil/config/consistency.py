@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from hil.config.environment import SURFACES
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 
 if TYPE_CHECKING:
@@ -22,8 +23,24 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     """Dotted path and text of every contradiction in a configuration whose tables are right by themselves."""
     yield from _of_motion(config)
     yield from _of_servos(config)
-    if config.surface == "wall":
+    yield from _of_the_environment(config)
+    if config.environment.on_wall:
         yield from _of_a_wall(config)
+
+
+def _of_the_environment(config: BenchConfig) -> Iterator[Problem]:
+    environment = config.environment
+    if environment.surface == "floor" and environment.on_wall:
+        yield (
+            "environment.surface",
+            f"'floor' with tilt_rad = {environment.tilt_rad:g}: nothing holds a robot on a steep floor; a "
+            "floor has tilt_rad = 0, a wall is melamine, concrete, ...",
+        )
+    if environment.surface not in SURFACES and config.emulated():
+        yield (
+            "environment.surface",
+            f"{environment.surface!r} cannot be emulated, only " + ", ".join(SURFACES),
+        )
 
 
 def _of_motion(config: BenchConfig) -> Iterator[Problem]:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
 
 from hil.config.bench import BenchConfig, explained
+from hil.config.older import lifted
 from hil.config.values import RECORDED
 from hil.errors import ConfigError
 
@@ -25,7 +26,25 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
         ConfigError: listing every problem with its dotted path.
     """
     try:
-        return BenchConfig.model_validate(tree, context=RECORDED)
+        return BenchConfig.model_validate(lifted(tree), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
     raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def changed_since(tree: Mapping[str, Any], config: BenchConfig) -> list[str]:
+    """Dotted keys in which a configuration differs from one that was recorded, old keys lifted.
+
+    Raises:
+        ConfigError: the recorded one cannot be read.
+    """
+    then = recorded_bench(tree, "the recorded configuration").model_dump(mode="json", by_alias=True)
+    return list(_different(then, config.model_dump(mode="json", by_alias=True), ""))
+
+
+def _different(then: Any, now: Any, path: str) -> Iterator[str]:
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys((*then, *now)):
+            yield from _different(then.get(key), now.get(key), f"{path}.{key}".lstrip("."))
+    elif then != now:
+        yield path

@@ -96,9 +96,6 @@ class EmulationConfig(Strict):
     """The emulated world: only read when at least one device is emulated.
 
     Attributes:
-        surface: what the robot stands on: `floor`, `concrete`, `melamine` or `patchy`.
-        tilt_rad: of the surface: 0 floor, pi/2 wall.
-        start_pose: (x m, y m, theta rad) in the wall frame.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
@@ -111,9 +108,6 @@ class EmulationConfig(Strict):
             `MocapTruthOptions` of `hil.fakes`.
     """
 
-    surface: str = "melamine"
-    tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
-    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     randomise_truth: bool = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()
