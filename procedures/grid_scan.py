@@ -38,12 +38,12 @@ class Parameters(BaseModel):
     lanes: int = Field(5, ge=1, le=50)
     lane_length_m: float = Field(1.0, gt=0)
     lane_spacing_m: float = Field(0.1, gt=0)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
     probe_width_m: float = Field(0.12, gt=0)
     feedback: Literal["ekf", "ukf"] = "ekf"
     law: Literal["nonlinear", "optimal"] = "optimal"
     compare: bool = False
-    hold_s: float = Field(2.0, ge=0.5)
+    hold_s: float = Field(2.0, ge=0.5, le=600)
 
     @model_validator(mode="after")
     def _overlapping(self) -> Parameters:

@@ -46,7 +46,7 @@ class Parameters(BaseModel):
     heading_deg: float = Field(10.0, gt=1.0, le=60.0)
     headings: int = Field(5, ge=4, le=21)
     dwell_s: float = Field(3.0, ge=0.5, le=60)
-    turn_speed_m_s: float = Field(0.03, gt=0)
+    turn_speed_m_s: float = Field(0.03, gt=0, le=3.5)
 
 
 class StoresOffsets(Protocol):

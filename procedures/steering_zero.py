@@ -42,7 +42,7 @@ class Parameters(BaseModel):
     sweeps: int = Field(2, ge=1, le=10)
     leg_m: float = Field(0.4, ge=0.1, le=3.0)
     legs: int = Field(2, ge=1, le=10)
-    speed_m_s: float = Field(0.08, gt=0)
+    speed_m_s: float = Field(0.08, gt=0, le=3.5)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

@@ -35,7 +35,7 @@ class Parameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     length_m: float = Field(0.6, gt=0.1, le=3.0)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
     repetitions: int = Field(3, ge=2, le=20)
     hold: bool = True
     hold_from_deg: float = Field(15.0, ge=0.0)

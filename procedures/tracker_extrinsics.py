@@ -49,7 +49,7 @@ class Parameters(BaseModel):
     turn_deg: float = Field(90.0, ge=5.0, le=180.0)
     way_m: float = Field(0.4, ge=0.1, le=3.0)
     repetitions: int = Field(2, ge=1, le=20)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

@@ -32,13 +32,19 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
     raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
 
 
-def changed_since(tree: Mapping[str, Any], config: BenchConfig) -> list[str]:
+def changed_since(tree: object, config: BenchConfig) -> list[str]:
     """Dotted keys in which a configuration differs from one that was recorded, old keys lifted.
 
-    Raises:
-        ConfigError: the recorded one cannot be read.
+    Args:
+        tree: as it was recorded; one that cannot be read differs as a whole, with an empty key.
+        config: of today.
     """
-    then = recorded_bench(tree, "the recorded configuration").model_dump(mode="json", by_alias=True)
+    if not isinstance(tree, Mapping):
+        return [""]
+    try:
+        then = recorded_bench(tree, "the recorded configuration").model_dump(mode="json", by_alias=True)
+    except ConfigError:
+        return [""]
     return list(_different(then, config.model_dump(mode="json", by_alias=True), ""))
 
 

@@ -112,7 +112,7 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
         return None
     past = read_journal(folder / NAME)
     different = [k for k in header if k != "config" and past.header.get(k) != header[k]]
-    different += [f"bench.{key}" for key in changed_since(past.header.get("config", {}), config)]
+    different += [f"bench.{key}".rstrip(".") for key in changed_since(past.header.get("config"), config)]
     if different:
         raise ConfigError(
             f"{folder / NAME}: the interrupted run had another {', '.join(different)}",
