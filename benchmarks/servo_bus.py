@@ -85,7 +85,7 @@ def emulator(*faults: str) -> Iterator[str]:
 @contextmanager
 def our_cycle(port: str, fast: bool) -> Iterator[Cycle]:
     """Read and command of the driver."""
-    config = ServosConfig(port=port, baud=BAUD, fast_sync_read=fast, fail_after_s=1e6, watchdog_s=0.0)
+    config = ServosConfig(port=port, baud=BAUD, fast_sync_read=fast, fail_after_s=60.0, watchdog_s=0.0)
     driver = XH430Servos(config, MonotonicClock())
     driver.open()
     setpoint = ServoSetpoint(np.zeros(4), np.zeros(4))

@@ -17,6 +17,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from hil.config.bench import BenchConfig
+from hil.config.values import Within
 from hil.fakes.encoders import EncoderTruthOptions
 from hil.fakes.imu import ImuTruthOptions
 from hil.fakes.mocap import MocapTruthOptions
@@ -86,7 +87,10 @@ def _table(model: type[BaseModel], path: str) -> Iterator[str]:
         default = (
             "required" if field.is_required() else f"`{_toml(field.get_default(call_default_factory=True))}`"
         )
-        rows.append(f"| `{field.alias or name}` | {default} | {told.get(field.alias or name, '')} |\n")
+        meaning = told.get(field.alias or name, "") + "".join(
+            f" {bound.low:g} to {bound.high:g}." for bound in field.metadata if isinstance(bound, Within)
+        )
+        rows.append(f"| `{field.alias or name}` | {default} | {meaning} |\n")
     if path:
         yield f"\n## `[{path}]`\n\n"
         yield inspect.cleandoc(model.__doc__ or "").splitlines()[0] + "\n"

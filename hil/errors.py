@@ -78,12 +78,15 @@ class TrajectoryError(HilError, ValueError):
         value: the offending value; `limit` is what it was held against.
     """
 
-    def __init__(self, message: str, *, t_s: float, quantity: str, value: float, limit: float) -> None:
+    def __init__(
+        self, message: str, *, t_s: float, quantity: str, value: float, limit: float,
+        remedy: str = "slow the motion down or change its shape",
+    ) -> None:  # fmt: skip
         self.t_s, self.quantity, self.value, self.limit = t_s, quantity, value, limit
         super().__init__(
             f"{message}: {quantity} is {value:.4g} at t = {t_s:.3f} s",
             expected=f"at most {limit:.4g}",
-            remedy="slow the motion down or change its shape",
+            remedy=remedy,
         )
 
 

@@ -12,6 +12,7 @@ from hil.geometry import Array, rotation2
 from hil.trajectories import Trajectory
 
 _CHECK_STEP_S = 0.01
+_LONGEST_S = 7200.0
 _SLACK = 1.0 + 1e-6
 
 
@@ -43,6 +44,11 @@ def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> No
     Raises:
         TrajectoryError: with the first offending time and value.
     """
+    if not trajectory.duration_s <= _LONGEST_S:
+        raise TrajectoryError(
+            trajectory.name, t_s=0.0, quantity="duration (s)", value=trajectory.duration_s, limit=_LONGEST_S,
+            remedy="divide the motion",
+        )  # fmt: skip
     steps = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
     for t_s in steps.tolist():
         now = trajectory.sample(t_s)
@@ -71,5 +77,5 @@ def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> No
 
 
 def _hold(trajectory: Trajectory, t_s: float, quantity: str, value: float, limit: float) -> None:
-    if value > limit + abs(limit) * (_SLACK - 1.0) + 1e-12:
+    if not value <= limit + abs(limit) * (_SLACK - 1.0) + 1e-12:
         raise TrajectoryError(trajectory.name, t_s=t_s, quantity=quantity, value=value, limit=limit)

@@ -150,7 +150,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """All steps; only the last follows trajectories."""
     for title in ("identity", "streams", "steering", "drives"):
         yield PlannedStep(title)
-    yield PlannedStep("body", tuple(steps(p, np.array(config.emulation.start_pose))))
+    yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
 
 
 @procedure(name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan)

@@ -38,12 +38,12 @@ class Parameters(BaseModel):
     lanes: int = Field(5, ge=1, le=50)
     lane_length_m: float = Field(1.0, gt=0)
     lane_spacing_m: float = Field(0.1, gt=0)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
     probe_width_m: float = Field(0.12, gt=0)
     feedback: Literal["ekf", "ukf"] = "ekf"
     law: Literal["nonlinear", "optimal"] = "optimal"
     compare: bool = False
-    hold_s: float = Field(2.0, ge=0.5)
+    hold_s: float = Field(2.0, ge=0.5, le=600)
 
     @model_validator(mode="after")
     def _overlapping(self) -> Parameters:
@@ -83,7 +83,7 @@ def reference(p: Parameters, start: ArrayLike) -> Trajectory:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """The scan, once or twice."""
-    path = reference(p, config.emulation.start_pose)
+    path = reference(p, config.environment.start_pose)
     yield PlannedStep("check the reference", (path,))
     yield PlannedStep("scan", (path,))
     if p.compare:
@@ -100,7 +100,7 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     with ctx.step("check the reference"):
         config = ctx.source.config
-        refuse_what_cannot_be_followed(config, [reference(p, config.emulation.start_pose)])
+        refuse_what_cannot_be_followed(config, [reference(p, config.environment.start_pose)])
     runs: dict[str, Any] = {p.feedback: ctx.checkpoint("scan", lambda: _drive(ctx, p, p.feedback))}
     if p.compare:
         runs["odometry"] = ctx.checkpoint("scan on odometry", lambda: _drive(ctx, p, "odometry"))

@@ -46,7 +46,7 @@ class Parameters(BaseModel):
     heading_deg: float = Field(10.0, gt=1.0, le=60.0)
     headings: int = Field(5, ge=4, le=21)
     dwell_s: float = Field(3.0, ge=0.5, le=60)
-    turn_speed_m_s: float = Field(0.03, gt=0)
+    turn_speed_m_s: float = Field(0.03, gt=0, le=3.5)
 
 
 class StoresOffsets(Protocol):
@@ -123,7 +123,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("learn")
     yield PlannedStep("store")
     yield PlannedStep("rest")
-    yield PlannedStep("headings", tuple(turns(p, np.array(config.emulation.start_pose))))
+    yield PlannedStep("headings", tuple(turns(p, np.array(config.environment.start_pose))))
     yield PlannedStep("restore")
 
 
@@ -134,10 +134,10 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""
     p: Parameters = ctx.parameters
-    if ctx.source.config.surface != "wall":
+    if not ctx.source.config.environment.on_wall:
         raise ConfigError(
             f"bench {ctx.source.config.name} is not on a wall: gravity does not show the heading",
-            expected='surface = "wall"', remedy="run it on the wall bench",
+            expected='tilt_rad = 1.5708 in [environment]', remedy="run it on the wall bench",
         )  # fmt: skip
     bench = ctx.reopen(overrides={"tracker": None, "encoders": None})
     with ctx.step("learn", timeout_s=p.learn_s + 30.0):

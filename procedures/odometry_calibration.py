@@ -56,7 +56,7 @@ class Parameters(BaseModel):
     line_m: float = Field(2.5, gt=0, le=10)
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
-    speed_m_s: float = Field(0.118, gt=0)
+    speed_m_s: float = Field(0.118, gt=0, le=3.5)
     steering_play_rad: float = Field(math.radians(0.125), ge=0, le=0.05)
     min_rounds: int = Field(2, ge=1)
     max_rounds: int = Field(4, ge=1)
@@ -100,7 +100,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Rounds as far as they are certain, and the references of one repetition."""
-    driven = tuple(reference(m, config.emulation.start_pose, p.sizes) for m in p.motions)
+    driven = tuple(reference(m, config.environment.start_pose, p.sizes) for m in p.motions)
     for number in range(1, p.min_rounds + 1):
         yield PlannedStep(f"round {number}", driven if number == 1 else ())
         if number < p.min_rounds:

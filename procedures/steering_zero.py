@@ -42,7 +42,7 @@ class Parameters(BaseModel):
     sweeps: int = Field(2, ge=1, le=10)
     leg_m: float = Field(0.4, ge=0.1, le=3.0)
     legs: int = Field(2, ge=1, le=10)
-    speed_m_s: float = Field(0.08, gt=0)
+    speed_m_s: float = Field(0.08, gt=0, le=3.5)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -94,7 +94,7 @@ def leg(p: Parameters, start: Array, name: str, alpha_rad: float) -> Trajectory:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """A sweep, legs, and legs again."""
-    start = np.array(config.emulation.start_pose)
+    start = np.array(config.environment.start_pose)
     driven = tuple(leg(p, start, name, alpha) for name, alpha in _WAYS)
     yield PlannedStep("sweep")
     yield PlannedStep("legs", driven)

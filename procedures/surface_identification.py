@@ -23,6 +23,7 @@ from procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
 from procedures.parts.tracking import stand
 
 DIRECTIONS = ("up", "down", "left", "right")
+_TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 _WITHOUT = {"encoders": None, "tracker": None}
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
@@ -34,7 +35,7 @@ class Parameters(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     length_m: float = Field(0.6, gt=0.1, le=3.0)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
     repetitions: int = Field(3, ge=2, le=20)
     hold: bool = True
     hold_from_deg: float = Field(15.0, ge=0.0)
@@ -89,7 +90,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Repetitions with their lines, then the search for the hold."""
     _check_wall(config)
     for number in range(1, p.repetitions + 1):
-        driven = motions(p, config.emulation.start_pose) if number == 1 else {}
+        driven = motions(p, config.environment.start_pose) if number == 1 else {}
         yield PlannedStep(f"repetition {number}", tuple(driven.values()))
     if p.hold:
         yield PlannedStep("hold to the left")
@@ -117,10 +118,10 @@ def run(ctx: Context) -> None:
 
 
 def _check_wall(config: BenchConfig) -> None:
-    if config.surface != "wall":
+    if not config.environment.on_wall:
         raise ConfigError(
             f"surface_identification on the bench {config.name!r}, which stands on the floor",
-            expected='surface = "wall"', remedy="choose the bench of the wall",
+            expected='tilt_rad = 1.5708 in [environment]', remedy="choose the bench of the wall",
         )  # fmt: skip
 
 
@@ -163,11 +164,11 @@ def hold_angle(ctx: Context, p: Parameters, sense: float) -> list[float | None]:
 
 def stands(ctx: Context, heading_deg: float) -> bool:
     """Whether the robot, set on the wall under this heading with its wheels locked, stays there."""
-    x_m, y_m, _ = ctx.source.config.emulation.start_pose
+    x_m, y_m, _ = ctx.source.config.environment.start_pose
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
         f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
-        overrides={**_WITHOUT, "emulation.start_pose": pose, "safety.heading_limit_rad": math.pi / 2},
+        overrides={**_WITHOUT, **_TETHERED, "environment.start_pose": pose},
         prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
     )
     bench.rig.actuators().enable()

@@ -49,7 +49,7 @@ class Parameters(BaseModel):
     turn_deg: float = Field(90.0, ge=5.0, le=180.0)
     way_m: float = Field(0.4, ge=0.1, le=3.0)
     repetitions: int = Field(2, ge=1, le=20)
-    speed_m_s: float = Field(0.1, gt=0)
+    speed_m_s: float = Field(0.1, gt=0, le=3.5)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -99,7 +99,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
     """Turns to both sides and ways along both axes, back at the start each time."""
     turn = p.turn_deg / _DEG
-    if config.surface == "wall":
+    if config.environment.on_wall:
         turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
     stops = [(0, 0, turn), (0, 0, -turn), (0, 0, 0), (p.way_m, 0, 0), (0, 0, 0), (0, p.way_m, 0), (0, 0, 0)]
     pose = np.asarray(start, dtype=np.float64)
@@ -114,7 +114,7 @@ def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """The tour, and its beginning once more."""
-    legs = tuple(tour(p, config, np.array(config.emulation.start_pose)))
+    legs = tuple(tour(p, config, np.array(config.environment.start_pose)))
     yield PlannedStep("tour", legs)
     yield PlannedStep("solve")
     yield PlannedStep("apply", legs[:5])

@@ -47,12 +47,12 @@ class Parameters(BaseModel):
     feedbacks: tuple[Feedback, ...] = ("odometry", "ekf", "ukf")
     optimal: bool = True
     length_m: float = Field(1.5, gt=0, le=3.0)
-    duration_s: float = Field(30.0, gt=1.0)
+    duration_s: float = Field(30.0, gt=1.0, le=3600)
     lanes: int = Field(5, ge=1, le=20)
     lane_length_m: float = Field(1.0, gt=0)
     lane_spacing_m: float = Field(0.1, gt=0)
-    scan_speed_m_s: float = Field(0.1, gt=0)
-    hold_s: float = Field(2.0, ge=0.5)
+    scan_speed_m_s: float = Field(0.1, gt=0, le=3.5)
+    hold_s: float = Field(2.0, ge=0.5, le=600)
     seeds: int = Field(1, ge=1, le=100)
     processes: int = Field(1, ge=1, le=8)
 
@@ -150,7 +150,7 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
 
 def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
     """What is driven in each world, from the configured start."""
-    return tuple(reference(d.case, p, config.emulation.start_pose) for d in drives(p))
+    return tuple(reference(d.case, p, config.environment.start_pose) for d in drives(p))
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:

@@ -1,12 +1,28 @@
 """A bench ready to use: configuration, devices, clock and loop put together.
 
-The only package that knows both drivers and fakes. `with open_bench("emulated") as bench:` gives a
-script the same devices, clock and loop as the command line and the procedures have.
+The only package that knows drivers and fakes: what others need of them they have from here.
+`with open_bench("emulated") as bench:` gives a script the same devices, clock and loop as the command
+line and the procedures have.
 """
 
 from hil.bench.bench import Bench
 from hil.bench.emulation import open_emulation
 from hil.bench.opening import open_bench
 from hil.bench.settings import alignment_parameters, safety_limits
+from hil.drivers.servos import set_up
+from hil.fakes.faults import Fault, make_fault
+from hil.fakes.faults import describe as describe_fault
+from hil.fakes.world import World
 
-__all__ = ["Bench", "alignment_parameters", "open_bench", "open_emulation", "safety_limits"]
+__all__ = [
+    "Bench",
+    "Fault",
+    "World",
+    "alignment_parameters",
+    "describe_fault",
+    "make_fault",
+    "open_bench",
+    "open_emulation",
+    "safety_limits",
+    "set_up",
+]

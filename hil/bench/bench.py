@@ -14,6 +14,7 @@ from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
 from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
+from hil.errors import ConfigError
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.geometry import Array, ArrayLike
@@ -159,18 +160,33 @@ class Bench(Blueprint):
         return self.world.plant.truth()
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
-        """Rest, and return the pose (3,) from motion capture averaged over the rest.
+        """Rest, and return the pose (3,) as `measured_pose` does.
 
-        Without motion capture the configured start pose is returned.
+        Raises:
+            ConfigError: nobody knows where the robot stands.
         """
         return self.measured_pose(self.observe(duration_s, feedback="odometry").mocap)
 
     def measured_pose(self, mocap: Array) -> Array:
-        """Mean pose (3,) of a rest from its motion capture (n, 3); the configured start pose without any."""
+        """Where the robot stands, (3,): m, m, rad in the wall frame.
+
+        Args:
+            mocap: what motion capture saw during a rest, (n, 3); its mean counts. Where it saw nothing, the
+                configured start pose does, if that is where this robot stands.
+
+        Raises:
+            ConfigError: it saw nothing of a real robot, and no start pose was given.
+        """
+        self.config.must_know_start()
         known = mocap[np.all(np.isfinite(mocap), axis=1)]
         if len(known):
             return np.asarray(known.mean(axis=0), dtype=np.float64)
-        return np.array(self.config.emulation.start_pose, dtype=np.float64)
+        if not self.config.placed:
+            raise ConfigError(
+                f"{self.config.name}: motion capture has not seen the robot while it rested",
+                remedy="look at the cameras and at mocap.body, or give the start pose (--start x,y,theta)",
+            )
+        return np.array(self.config.environment.start_pose, dtype=np.float64)
 
     def observe(
         self,
@@ -208,8 +224,11 @@ class Bench(Blueprint):
 
         Raises:
             TrajectoryError, SafetyStop, DeviceError: in each case the robot is stopped.
+            ConfigError: nobody knows where the robot stands.
         """
         self.check(trajectory)
+        if start_pose is None:
+            self.config.must_know_start()
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
         warm_up(brain, self.start_state(start_pose))
         self.rig.actuators().enable()
@@ -225,7 +244,7 @@ class Bench(Blueprint):
 
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:
         """State to start a run from: at rest at a pose (3,), by default the configured one."""
-        known = np.array(self.config.emulation.start_pose if pose is None else pose, dtype=np.float64)
+        known = np.array(self.config.environment.start_pose if pose is None else pose, dtype=np.float64)
         return RobotState(self.clock.now_ns(), known, np.zeros(3), _START_COVARIANCE)
 
     def _run(self, brain: Brain, start: RunStart, duration_s: float, on_cycle: OnCycle | None) -> Motion:
@@ -302,7 +321,7 @@ class Bench(Blueprint):
     @property
     def on_wall(self) -> bool:
         """Whether gravity pulls along the surface: the robot has to be held."""
-        return self.config.surface == "wall"
+        return self.config.environment.on_wall
 
     def unseen(self) -> Held:
         """What can be said of a robot that nobody has looked at."""

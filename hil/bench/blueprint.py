@@ -105,7 +105,9 @@ class Blueprint:
         if kind not in FEEDBACK:
             raise UsageError(f"feedback {kind!r} is unknown", expected="one of " + ", ".join(FEEDBACK))
         config = self.config.estimator.model_copy(update={"kind": kind})
-        return make_estimator(config, self.geometry, surface=self.config.surface, diagnostics=diagnostics)
+        return make_estimator(
+            config, self.geometry, surface=self.config.environment.kind, diagnostics=diagnostics
+        )
 
     def check(self, trajectory: Trajectory) -> None:
         """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""

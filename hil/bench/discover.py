@@ -26,6 +26,7 @@ from hil.drivers.mocap import NatNetMocap
 from hil.drivers.servos import FoundServo, scan
 from hil.errors import HilError
 
+_WALL = {"surface": "melamine", "tilt_rad": 1.5708}
 _IMU_TIMEOUT_S = 0.9
 _CAN_TIMEOUT_S = 0.5
 _VELOCITY_MODE = 1
@@ -45,7 +46,7 @@ class Discovery:
     def to_toml(self, name: str = "my_bench") -> str:
         """A bench file; what still needs a person's eye stands in its comments."""
         head = "".join(f"# {note}\n" for note in self.notes)
-        tree = {"schema": 1, "name": name, "surface": "wall", **self.sections}
+        tree = {"schema": 1, "name": name, "environment": _WALL, **self.sections}
         return head + tomli_w.dumps(tree)
 
 

@@ -51,19 +51,19 @@ class Connected:
 def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ()) -> World:
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
-    emulation = config.emulation
+    emulation, environment = config.emulation, config.environment
     if emulation.replay is not None:
         return World(repeating_robot(config), seed=seed, faults=plan)
     plant = make_plant(
         config.robot,
-        surface=emulation.surface,
-        tilt_rad=emulation.tilt_rad,
-        start_pose=emulation.start_pose,
+        surface=environment.surface,
+        tilt_rad=environment.tilt_rad,
+        start_pose=environment.start_pose,
         rng=random_stream(seed, "plant"),
         randomise_truth=emulation.randomise_truth,
         geometry_share=emulation.geometry_share,
         faults=plan,
-        by_hand=emulation.tilt_rad > 0.0,
+        by_hand=environment.tilt_rad > 0.0,
     )
     return World(plant, seed=seed, faults=plan)
 

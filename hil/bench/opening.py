@@ -37,6 +37,7 @@ def open_bench(
     overrides: Mapping[str, object] | None = None,
     sinks: tuple[Sink, ...] = (),
     calibration: str | Path | None = None,
+    start_pose: Sequence[float] | None = None,
 ) -> Bench:
     """A bench, to be entered as a context manager.
 
@@ -50,12 +51,16 @@ def open_bench(
         overrides: dotted configuration key -> value.
         sinks: receive every cycle.
         calibration: `calibration.toml`; overrides the one of the configuration.
+        start_pose: where the robot stands, (3,): m, m, rad in the wall frame; overrides
+            `environment.start_pose`. An emulated robot is put there.
 
     Raises:
         ConfigError: the configuration or the calibration is wrong.
         FaultNotSupportedError: a fault that no emulated device of the bench can produce.
         DeviceError: the emulated devices cannot be served.
     """
+    if start_pose is not None:
+        overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
     plan = read_faults((*checked.emulation.faults, *faults))

@@ -39,4 +39,4 @@ def repeating_robot(config: BenchConfig) -> RecordedRobot:
         recording.truth_t_s,
         recording.truth_pose,
     )
-    return RecordedRobot(motion, tilt_rad=emulation.tilt_rad, after_s=emulation.replay_after_s)
+    return RecordedRobot(motion, tilt_rad=config.environment.tilt_rad, after_s=emulation.replay_after_s)

@@ -10,6 +10,7 @@ import numpy as np
 from hil.alignment import AlignmentParameters, Mount
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
+from hil.config.robot import GRAVITY_M_S2
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 from hil.motion_limits import MotionLimits
@@ -19,7 +20,6 @@ from hil.supervisor import SafetyLimits
 LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
-_GRAVITY_M_S2 = 9.81
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
@@ -36,7 +36,7 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
     return MotionLimits(
         wheel_speed_m_s=control.wheel_speed_m_s,
         wheel_acceleration_m_s2=control.acceleration_m_s2,
-        heading_limit_rad=heading_limit_rad if config.surface == "wall" else None,
+        heading_limit_rad=heading_limit_rad if config.environment.on_wall else None,
         x_range_m=safety.x_range_m,
         y_range_m=safety.y_range_m,
     )
@@ -44,8 +44,8 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
-    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m"})
-    return SafetyLimits(**values, on_wall=config.surface == "wall")
+    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m", "tethered"})
+    return SafetyLimits(**values, on_wall=config.environment.on_wall)
 
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
@@ -55,7 +55,7 @@ def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
         for name in ("imu", "tracker")
         if (device := getattr(config, name)) is not None
     }
-    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.surface == "wall")
+    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.environment.on_wall)
 
 
 def geometry_of(config: BenchConfig) -> WheelGeometry:
@@ -74,9 +74,9 @@ def load_shares(config: BenchConfig) -> Array:
     """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
     robot = config.robot
     x, y, height = robot.centre_of_mass_m
-    weight = robot.mass_kg * _GRAVITY_M_S2
+    weight = robot.mass_kg * GRAVITY_M_S2
     total, moment_x, moment_y = weight, weight * x, weight * y
-    if config.surface == "wall":
+    if config.environment.on_wall:
         thrust = robot.thrust_compensation * weight
         total, moment_y = robot.edf_force_n, 0.0
         moment_x = robot.propeller_height_m * thrust - height * weight

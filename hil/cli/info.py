@@ -34,7 +34,7 @@ def _compile() -> None:
             records = bench.observe(0.3, feedback="ekf").records
             bench.observe(0.1, feedback="ukf")
             start = records[0].state
-            smoothed(records, bench.config.estimator, bench.geometry, bench.config.surface, start)
+            smoothed(records, bench.config.estimator, bench.geometry, bench.config.environment.kind, start)
 
 
 @click.command()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli import start
 from hil.errors import EXIT_PASS, UsageError
 
 if TYPE_CHECKING:
@@ -63,6 +64,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 @click.option("--rerun", "view", help="spawn, connect, serve, a URL or a .rrd file; several with commas.")
 @click.option("--record", type=click.Path(path_type=Path), help="Recording to write (.mcap).")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
+@start.option
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
 @click.option(
     "--replay",
@@ -75,7 +77,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
     duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
-    view: str | None, record: Path | None, calibration: Path | None, seed: int,
+    view: str | None, record: Path | None, calibration: Path | None, start_pose: str | None, seed: int,
     repeated: Path | None, faults: tuple[str, ...], as_json: bool,
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
@@ -86,13 +88,17 @@ def command(
     with exit code 4.
     """
     from hil.bench import open_bench
+    from hil.config.bench import load_bench
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
 
     if source is not None and commands != "none":
         raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):
         raise UsageError("--replay: a robot that repeats a recording obeys nobody", remedy="only watch it")
-    overrides = {} if repeated is None else {"emulation.replay": str(repeated.resolve())}
+    overrides = start.start_override(start_pose)
+    if repeated is not None:
+        overrides["emulation.replay"] = str(repeated.resolve())
+    overrides |= start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli import start
 from hil.cli.progress import reporting
 
 if TYPE_CHECKING:
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="Fault, e.g. imu:stuck@2+3.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
@@ -34,7 +36,8 @@ if TYPE_CHECKING:
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int, realtime: bool,
+    script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int,
+    start_pose: str | None, realtime: bool,
     faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
     answers: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
@@ -47,7 +50,7 @@ def command(
     parameters, overrides = split_settings(settings)
     source = BenchSource(
         bench or proc.bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
-        overrides=overrides, calibration=calibration,
+        overrides={**overrides, **start.start_override(start_pose)}, calibration=calibration,
     )  # fmt: skip
     if dry:
         from hil.procedure.dry_run import dry_run
@@ -55,6 +58,7 @@ def command(
         plan = dry_run(proc, source, parameters)
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
+    source = source.changed(overrides=start.asked_start(source.config))
     result = _run(proc, source, _folder(proc, out, resume), parameters, answers, resume)
     report = _write_report(result)
     if as_json:

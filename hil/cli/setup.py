@@ -28,8 +28,8 @@ def command(
 
     Return Delay Time is set to 0 unless given, torque is off while writing, and everything is read back.
     """
+    from hil.bench import set_up
     from hil.clock import MonotonicClock
-    from hil.drivers.servos import set_up
 
     registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
     found = set_up(

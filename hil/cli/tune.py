@@ -84,7 +84,8 @@ def _read(
             runs.append(
                 TruthRun(
                     tuple(r.measurements for r in run.records), run.start.state,
-                    Motion(tuple(run.records)).mocap, opened.bench.geometry, opened.bench.config.surface,
+                    Motion(tuple(run.records)).mocap, opened.bench.geometry,
+                    opened.bench.config.environment.kind,
                 )
             )  # fmt: skip
     if config is None:

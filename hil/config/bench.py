@@ -5,6 +5,7 @@ Strict: unknown keys are errors, and every problem is reported at once with its 
 
 from __future__ import annotations
 
+import copy
 import sys
 from collections.abc import Mapping
 from importlib import resources
@@ -13,11 +14,14 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationError
 
+from hil.config.consistency import contradictions
 from hil.config.control import ControlConfig
 from hil.config.encoders import EncodersConfig
+from hil.config.environment import EnvironmentConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.imu import ImuConfig
 from hil.config.mocap import MocapConfig
+from hil.config.older import lifted, told_where_now
 from hil.config.robot import RobotConfig
 from hil.config.sections import (
     AlignmentConfig,
@@ -46,15 +50,14 @@ class BenchConfig(Strict):
     Attributes:
         schema: version of this format: 1.
         name: of the bench, in every result and recording.
-        surface: `wall` (gravity in the plane of motion, heading guarded) or `floor`.
         calibration: path of the `calibration.toml` to apply; nominal geometry without one. Like every
             path in the file, a relative one starts at the file's folder.
     """
 
     schema_version: Literal[1] = Field(alias="schema")
     name: str = Field(min_length=1)
-    surface: Literal["wall", "floor"] = "wall"
     calibration: str | None = None
+    environment: EnvironmentConfig = EnvironmentConfig()
     loop: LoopConfig = LoopConfig()
     safety: SafetyConfig = SafetyConfig()
     alignment: AlignmentConfig = AlignmentConfig()
@@ -76,6 +79,29 @@ class BenchConfig(Strict):
     def emulated(self) -> tuple[str, ...]:
         """Names of the devices whose backend is emulated."""
         return tuple(n for n, c in self.devices().items() if c.backend == "emulated")
+
+    @property
+    def placed(self) -> bool:
+        """Whether `environment.start_pose` is where the robot stands: an emulated one, or it is written so.
+
+        A bench without servos has no robot that could be elsewhere.
+        """
+        emulated = self.servos is None or self.servos.backend == "emulated"
+        return emulated or "start_pose" in self.environment.model_fields_set
+
+    @property
+    def knows_start(self) -> bool:
+        """Whether it is `placed` or real motion capture sees it; emulated cameras see no real robot."""
+        return self.placed or (self.mocap is not None and self.mocap.backend == "real")
+
+    def must_know_start(self) -> None:
+        """Refuse a real robot of which nobody knows where it stands; raises `ConfigError`."""
+        if not self.knows_start:
+            raise ConfigError(
+                f"{self.name}: nobody knows where the robot stands: it is real and no motion capture sees it",
+                expected="its start pose (x m, y m, theta rad in the wall frame)",
+                remedy="give --start x,y,theta (start_pose in Python), or write [environment] start_pose",
+            )
 
     def settled(self, *, realtime: bool) -> BenchConfig:
         """With what depends on how the bench runs decided: `servos.prefetch`, where the file leaves it out.
@@ -190,14 +216,45 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
 
 def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
     """Model of a parsed file; raises `ConfigError` with all problems."""
+    problems = list(told_where_now(tree))
+    present = lifted(tree)
+    config: BenchConfig | None
     try:
-        return BenchConfig.model_validate(tree)
+        config = BenchConfig.model_validate(present)
     except ValidationError as error:
-        problems = tuple(
-            f"{'.'.join(str(part) for part in item['loc']) or 'file'}: {_reason(item)}"
-            for item in error.errors()
-        )
-    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=problems)
+        problems += explained(error)
+        config = _what_is_right(present, [item["loc"] for item in error.errors()])
+    if config is not None:
+        problems += [f"{path}: {text}" for path, text in contradictions(config)]
+        if not problems:
+            return config
+    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _what_is_right(tree: dict[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
+    """The configuration without its wrong values, to look at the others; None if nothing is left of it."""
+    rest = copy.deepcopy(tree)
+    for *tables, key in wrong:
+        table: Any = rest
+        for name in tables:
+            inner = table.get(name) if isinstance(table, dict) else None
+            if not isinstance(inner, dict):
+                key = name
+                break
+            table = inner
+        if isinstance(table, dict):
+            table.pop(key, None)
+    try:
+        return BenchConfig.model_validate(rest)
+    except ValidationError:
+        return None
+
+
+def explained(error: ValidationError) -> list[str]:
+    """Every problem of an error: its dotted path, and what is wrong there."""
+    return [
+        f"{'.'.join(str(part) for part in item['loc']) or 'file'}: {_reason(item)}" for item in error.errors()
+    ]
 
 
 def _reason(item: Any) -> str:

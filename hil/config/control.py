@@ -6,8 +6,11 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Gain = tuple[float, float, float]
-NotNegative = Annotated[float, Field(ge=0)]
+from hil.config.values import HeadingLimit, WheelRate, Within
+
+Gain = Annotated[float, Within(0.0, 100.0, "1/s; beyond it a loop of 100 Hz overshoots in every cycle")]
+DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
+Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights count")]
 
 
 class ControlConfig(BaseModel):
@@ -30,23 +33,23 @@ class ControlConfig(BaseModel):
         goal_position_m, goal_heading_rad: within these at the end, the robot is held.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     law: Literal["nonlinear", "optimal"] = "nonlinear"
-    gains: Gain = (4.0, 4.0, 3.0)
-    dead_zone: tuple[NotNegative, NotNegative, NotNegative] = (1e-4, 1e-4, 5e-4)
+    gains: tuple[Gain, Gain, Gain] = (4.0, 4.0, 3.0)
+    dead_zone: tuple[DeadZone, DeadZone, DeadZone] = (1e-4, 1e-4, 5e-4)
     integral: bool = True
-    state_weight: float = Field(25.0, gt=0)
-    integral_weight: float = Field(20.0, ge=0)
-    input_weight: float = Field(1.0, gt=0)
-    integral_clamp: float = Field(0.1, gt=0)
-    servo_lag_s: float = Field(0.1, gt=0)
-    still_speed_m_s: float = Field(0.002, ge=0)
+    state_weight: Weight = 25.0
+    integral_weight: Annotated[float, Within(0.0, 1e6, "only the ratios of the weights count")] = 20.0
+    input_weight: Weight = 1.0
+    integral_clamp: Annotated[float, Within(1e-4, 10.0, "m s, rad s; more winds up")] = 0.1
+    servo_lag_s: Annotated[float, Within(0.001, 1.0, "a servo follows within a second")] = 0.1
+    still_speed_m_s: Annotated[float, Within(0.0, 0.05, "faster than that, a wheel rolls")] = 0.002
     flip_hysteresis_rad: float = Field(0.1047, ge=0, le=0.11)
     steering_limit_rad: float = Field(2.0944, gt=1.6, le=3.0)
-    steering_rate_rad_s: float = Field(5.0, gt=0)
-    wheel_speed_m_s: float = Field(0.122, gt=0)
-    acceleration_m_s2: float = Field(0.2, gt=0)
-    heading_limit_rad: float = Field(0.2618, gt=0)
-    goal_position_m: float = Field(0.001, ge=0)
-    goal_heading_rad: float = Field(0.002, ge=0)
+    steering_rate_rad_s: WheelRate = 5.0
+    wheel_speed_m_s: Annotated[float, Within(0.001, 3.5, "wheels of 0.5 m at 7 rad/s")] = 0.122
+    acceleration_m_s2: Annotated[float, Within(0.001, 6.0, "friction 0.45 of 45 N moves 3.25 kg by 6")] = 0.2
+    heading_limit_rad: HeadingLimit = 0.2618
+    goal_position_m: Annotated[float, Within(0.0, 0.1, "a goal that far away is not reached")] = 0.001
+    goal_heading_rad: Annotated[float, Within(0.0, 0.2, "a goal that far away is not reached")] = 0.002

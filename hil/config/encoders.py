@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from hil.config.values import Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 
@@ -32,12 +34,12 @@ class EncodersConfig(BaseModel):
         fail_after_s: uninterrupted silence that raises.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     backend: Literal["real", "emulated"] = "real"
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0)
+    bitrate: int = Field(500_000, gt=0, le=1_000_000)
     options: dict[str, bool | int | float | str] = {}
     dbc: str | None = None
     signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
@@ -46,11 +48,11 @@ class EncodersConfig(BaseModel):
     sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     yellow_mode: bool = False
-    horn_slip_threshold_rad: float = Field(0.03, gt=0)
-    backlash_limit_rad: float = Field(0.01, gt=0)
+    horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
+    backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more play is broken")] = 0.01
     startup_discard: int = Field(1, ge=0, le=1000)
     open_timeout_s: float = Field(1.0, gt=0, le=30)
-    fail_after_s: float = Field(1.0, gt=0)
+    fail_after_s: Patience = 1.0
 
     @property
     def dbc_path(self) -> Path:

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
-from hil.config.values import UnitQuaternion
+from hil.config.values import Freshness, Patience, UnitQuaternion, Within
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 
@@ -37,7 +37,7 @@ class ImuConfig(BaseModel):
         sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     backend: Literal["real", "emulated"] = "real"
     port: str = Field("/dev/ttyUSB0", min_length=1)
@@ -54,10 +54,10 @@ class ImuConfig(BaseModel):
     retry_budget_s: float = Field(0.02, ge=0, le=1)
     retry_gap_s: float = Field(0.002, ge=0, le=0.1)
     open_timeout_s: float = Field(2.0, gt=0, le=30)
-    check_period_s: float = Field(1.0, gt=0)
-    fail_after_s: float = Field(3.0, gt=0)
-    outage_poll_s: float = Field(0.05, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
+    check_period_s: Annotated[float, Within(0.01, 600.0, "a restarted chip must be found")] = 1.0
+    fail_after_s: Patience = 3.0
+    outage_poll_s: Annotated[float, Within(0.001, 10.0, "a sensor that is back must be seen soon")] = 0.05
+    stuck_after_s: Freshness = 0.5
     sample_age_s: float = Field(0.005, ge=0, le=0.1)
 
     @field_validator("axis_map")

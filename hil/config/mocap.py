@@ -7,6 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from hil.config.values import Freshness, Patience, Within
+
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
@@ -36,7 +38,7 @@ class MocapConfig(BaseModel):
         fail_after_s: uninterrupted silence (or garbage) that raises.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     backend: Literal["real", "emulated"] = "real"
     server: str = "127.0.0.1"
@@ -48,17 +50,17 @@ class MocapConfig(BaseModel):
     natnet_version: str | None = Field(None, pattern=r"^[34]\.\d$")
     up_axis: Literal["y", "z"] = "y"
     transit_s: float = Field(0.0002, ge=0, le=0.1)
-    jump_distance_m: float = Field(0.03, gt=0)
-    jump_angle_rad: float = Field(0.1, gt=0)
-    max_speed_m_s: float = Field(0.5, gt=0)
-    max_rate_rad_s: float = Field(2.0, gt=0)
+    jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
+    jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.1
+    max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
+    max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(10, ge=1, le=10_000)
-    stale_after_s: float = Field(0.5, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
-    keepalive_s: float = Field(1.0, gt=0)
-    reconnect_after_s: float = Field(0.5, gt=0)
+    stale_after_s: Freshness = 0.5
+    stuck_after_s: Freshness = 0.5
+    keepalive_s: Patience = 1.0
+    reconnect_after_s: Patience = 0.5
     open_timeout_s: float = Field(3.0, gt=0, le=60)
-    fail_after_s: float = Field(2.0, gt=0)
+    fail_after_s: Patience = 2.0
 
     @field_validator("server", "multicast", "local_address")
     @classmethod

@@ -11,6 +11,9 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+GRAVITY_M_S2 = 9.81
+_LEAST_FRICTION = 0.45
+
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 Wheels = tuple[Finite, Finite, Finite, Finite]
@@ -34,7 +37,7 @@ class RobotConfig(BaseModel):
         supply_v: servo supply.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
     wheel_y_m: Wheels = (0.1125, 0.1125, -0.1125, -0.1125)
@@ -50,6 +53,19 @@ class RobotConfig(BaseModel):
     propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
     creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
     supply_v: Annotated[float, Field(ge=9.5, le=16)] = 11.1
+
+    def hold_limit_rad(self) -> float | None:
+        """Largest heading at which the robot holds on a wall of friction 0.45 (melamine, assumed).
+
+        There |m g - T e^(i heading)| = friction * adhesion, T the thrust of the propellers. None for a robot
+        that holds at no heading.
+        """
+        weight = self.mass_kg * GRAVITY_M_S2
+        thrust, friction = self.thrust_compensation * weight, _LEAST_FRICTION * self.edf_force_n
+        if thrust <= 0.0:
+            return math.pi / 2.0 if friction >= weight else None
+        cosine = (weight**2 + thrust**2 - friction**2) / (2.0 * weight * thrust)
+        return None if cosine > 1.0 else min(math.acos(max(cosine, -1.0)), math.pi / 2.0)
 
     @field_validator("wheel_radius_m")
     @classmethod

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from hil.config.values import HeadingLimit, WheelRate, Within
+
+Silence = Annotated[float, Within(0.01, 10.0, "a robot that nobody hears from cannot be stopped in time")]
+Range = tuple[float, float]
 
 
 class Strict(BaseModel):
     """Base of the models here: unknown keys rejected, values frozen."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True, allow_inf_nan=False)
 
 
 class LoopConfig(Strict):
@@ -23,8 +28,8 @@ class LoopConfig(Strict):
         cpu: number of the core that the loop is bound to; none leaves it to the system.
     """
 
-    rate_hz: float = Field(100.0, gt=0, le=1000)
-    late_after_s: float = Field(0.001, gt=0)
+    rate_hz: Annotated[float, Within(1.0, 1000.0, "cycles per second")] = 100.0
+    late_after_s: Annotated[float, Within(1e-6, 1.0, "later than a second is no cycle")] = 0.001
     fifo_priority: int | None = Field(None, ge=1, le=99)
     cpu: int | None = Field(None, ge=0)
 
@@ -35,24 +40,36 @@ class SafetyConfig(Strict):
     Attributes:
         servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
         wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
-        heading_limit_rad: on a wall; beyond it the thrust no longer points up.
+        heading_limit_rad: on a wall; beyond it the thrust no longer points up. At most the heading at which
+            `[robot]` still holds on the most slippery surface known, unless `tethered`.
+        tethered: the robot hangs on a rope and cannot fall: for finding out at which heading it slides.
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
-        adhesion_limit_m_s2: specific force below which the robot counts as falling.
+        adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.
         x_range_m, y_range_m: usable surface; references that leave it are refused.
     """
 
-    servo_stale_s: float = Field(0.1, gt=0)
-    imu_stale_s: float = Field(0.5, gt=0)
-    tracker_stale_s: float = Field(2.0, gt=0)
-    wheel_rate_limit_rad_s: float = Field(4.9, gt=0)
-    steering_limit_rad: float = Field(2.0944, gt=0)
-    heading_limit_rad: float = Field(0.2618, gt=0)
-    tracking_error_limit_m: float = Field(0.5, gt=0)
-    body_speed_limit_m_s: float = Field(0.5, gt=0)
-    adhesion_limit_m_s2: float = Field(5.0, ge=0, lt=9.8)
-    x_range_m: tuple[float, float] | None = None
-    y_range_m: tuple[float, float] | None = None
+    servo_stale_s: Annotated[float, Within(0.01, 2.0, "wheels go on turning meanwhile")] = 0.1
+    imu_stale_s: Silence = 0.5
+    tracker_stale_s: Silence = 2.0
+    wheel_rate_limit_rad_s: WheelRate = 4.9
+    steering_limit_rad: Annotated[float, Within(0.01, 3.1416, "setpoints lie within half a turn")] = 2.0944
+    heading_limit_rad: HeadingLimit = 0.2618
+    tethered: bool = False
+    tracking_error_limit_m: Annotated[float, Within(0.001, 1.0, "a robot 1 m off is lost")] = 0.5
+    body_speed_limit_m_s: Annotated[
+        float, Within(0.05, 1.0, "the robot drives 0.13 m/s; 1 m/s is a fall of 5 cm")
+    ] = 0.5
+    adhesion_limit_m_s2: Annotated[float, Within(0.0, 9.0, "standing feels 9.8, falling nothing")] = 5.0
+    x_range_m: Range | None = None
+    y_range_m: Range | None = None
+
+    @field_validator("x_range_m", "y_range_m")
+    @classmethod
+    def _ordered(cls, value: Range | None) -> Range | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"the surface ends at {value[1]:g} m before it begins at {value[0]:g} m")
+        return value
 
 
 class AlignmentConfig(Strict):
@@ -79,9 +96,6 @@ class EmulationConfig(Strict):
     """The emulated world: only read when at least one device is emulated.
 
     Attributes:
-        surface: what the robot stands on: `floor`, `concrete`, `melamine` or `patchy`.
-        tilt_rad: of the surface: 0 floor, pi/2 wall.
-        start_pose: (x m, y m, theta rad) in the wall frame.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
@@ -94,9 +108,6 @@ class EmulationConfig(Strict):
             `MocapTruthOptions` of `hil.fakes`.
     """
 
-    surface: str = "melamine"
-    tilt_rad: float = Field(1.5707963267948966, ge=0.0, le=3.15)
-    start_pose: tuple[float, float, float] = (0.0, 0.0, 0.0)
     randomise_truth: bool = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()

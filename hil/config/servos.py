@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from hil.config.values import Patience, WheelRate, Within
 from hil.config.xh430 import (
     BAUD_CODES,
     CURRENT_POSITION,
@@ -45,7 +46,8 @@ class ServosConfig(BaseModel):
         retry_budget_s: extra time that one `read` may take for lost replies and their repetition.
         dead_poll_s: how often a servo that has fallen silent is asked again.
         fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
-        watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s; 0 leaves it off.
+        watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: when nobody talks to them for so long, the
+            servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
         health_period_s: how often voltage, temperature, torque and watchdog are looked at.
         model_number, min_firmware: what the servos must be.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
@@ -54,7 +56,7 @@ class ServosConfig(BaseModel):
             in the control table, raw counts, written at open and after a servo's restart.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     backend: Literal["real", "emulated"] = "real"
     port: str = Field("/dev/ttyUSB0", min_length=1)
@@ -68,14 +70,14 @@ class ServosConfig(BaseModel):
     return_delay_s: float = Field(0.0, ge=0, le=508e-6)
     reply_slack_s: float = Field(0.0015, gt=0, le=0.1)
     retry_budget_s: float = Field(0.003, ge=0, le=0.1)
-    dead_poll_s: float = Field(0.25, gt=0)
-    fail_after_s: float = Field(2.0, gt=0)
+    dead_poll_s: Annotated[float, Within(0.001, 10.0, "a servo that is back must be seen soon")] = 0.25
+    fail_after_s: Patience = 2.0
     watchdog_s: float = Field(0.08, ge=0, le=2.54)
-    health_period_s: float = Field(1.0, gt=0)
+    health_period_s: Patience = 1.0
     model_number: int = Field(MODEL_NUMBER, ge=0, le=0xFFFF)
     min_firmware: int = Field(38, ge=0, le=255)
-    velocity_limit_rad_s: float = Field(4.9, gt=0, le=24.5)
-    steer_limit_rad: float = Field(2.0944, gt=0)
+    velocity_limit_rad_s: WheelRate = 4.9
+    steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
     drive_registers: dict[str, int] = {}
     steer_registers: dict[str, int] = {}
 

@@ -9,11 +9,11 @@ where both ends can see them. Little endian, each datagram starts with `FEED_MAG
 from __future__ import annotations
 
 import struct
-from typing import Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.config.values import UnitQuaternion
+from hil.config.values import Freshness, Patience, UnitQuaternion, Within
 
 FEED_MAGIC = b"HP1"
 FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE = 1, 2, 3, 4
@@ -33,7 +33,7 @@ class FeedEndpoint(BaseModel):
         port: UDP port.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     host: str = Field("127.0.0.1", min_length=1)
     port: int = Field(ge=1, le=65535)
@@ -60,7 +60,7 @@ class TrackerConfig(BaseModel):
         queue_length: poses kept between two reads; the oldest are dropped and counted.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     backend: Literal["real", "emulated"] = "real"
     serial: str | None = None
@@ -68,13 +68,13 @@ class TrackerConfig(BaseModel):
     mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
     latency_s: float = Field(0.020, ge=0, le=0.5)
-    jump_distance_m: float = Field(0.03, gt=0)
-    jump_angle_rad: float = Field(0.05, gt=0)
-    max_speed_m_s: float = Field(0.5, gt=0)
-    max_rate_rad_s: float = Field(2.0, gt=0)
+    jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
+    jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05
+    max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
+    max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(20, ge=1, le=10_000)
-    stale_after_s: float = Field(0.5, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
+    stale_after_s: Freshness = 0.5
+    stuck_after_s: Freshness = 0.5
     open_timeout_s: float = Field(5.0, gt=0, le=60)
-    fail_after_s: float = Field(2.0, gt=0)
+    fail_after_s: Patience = 2.0
     queue_length: int = Field(1024, ge=8, le=100_000)

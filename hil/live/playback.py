@@ -15,7 +15,8 @@ import numpy as np
 from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
-from hil.config.bench import BenchConfig, load_bench, validate
+from hil.config.bench import BenchConfig, load_bench
+from hil.config.recorded import recorded_bench
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
@@ -99,7 +100,7 @@ def open_recording(
     if bench is not None:
         config = load_bench(bench)
     elif "config" in header:
-        config = validate(header["config"], f"configuration in {path}")
+        config = recorded_bench(header["config"], f"configuration in {path}")
     else:
         raise DataError(
             str(path), "does not carry the configuration of its bench", remedy="give it with --bench"

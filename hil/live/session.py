@@ -88,7 +88,7 @@ class LiveSession:
         self._samples = SampleCounter()
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
-        here = np.array(bench.config.emulation.start_pose, dtype=np.float64)
+        here = np.array(bench.config.environment.start_pose, dtype=np.float64)
         warm_up(self._brain(_standing(here) if self._moving else None), self.bench.start_state(here))
 
     def run(self) -> None:
@@ -135,6 +135,7 @@ class LiveSession:
 
     def _run(self) -> None:
         bench, plan = self.bench, self.plan
+        bench.config.must_know_start()
         if self._moving or (bench.on_wall and bench.rig.servos is not None):
             bench.rig.actuators().enable()
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any, get_type_hints
 
@@ -56,6 +57,9 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
             typed[key] = _convert(hints[key], value)
         except ValidationError as error:
             problems.append(f"{key}: {error.errors()[0]['msg']} (found {value!r})")
+            continue
+        if not _finite(typed[key]):
+            problems.append(f"{key}: must be a finite number (found {value!r})")
     if not problems:
         try:
             return TypeAdapter(model).validate_python(typed)
@@ -78,6 +82,15 @@ def as_dict(parameters: Any) -> dict[str, Any]:
     """Parameters as JSON values."""
     found = TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
     return dict(found)
+
+
+def _finite(value: Any) -> bool:
+    """Whether a value, or everything in it, is finite as far as it is a number."""
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, Mapping):
+        return all(map(_finite, value.values()))
+    return not isinstance(value, (list, tuple)) or all(map(_finite, value))
 
 
 def _convert(kind: Any, value: Any) -> Any:

@@ -13,6 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.clock import NS_PER_S, Clock
+from hil.config.bench import BenchConfig
+from hil.config.recorded import changed_since
 from hil.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, ConfigError, HilError
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.context import Context, Report
@@ -60,7 +62,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     proc.check_needs(source.config)
     declared = proc.declared(parameters, source.config)
     header = _header(proc, parameters, source)
-    past = _past(options, header)
+    past = _past(options, header, source.config)
     interrupts = Interrupts(options.tell)
     journal = Journal(options.folder / NAME)
     try:
@@ -96,7 +98,7 @@ def _header(proc: Procedure, parameters: Any, source: BenchSource) -> Entry:
     }
 
 
-def _past(options: RunOptions, header: Entry) -> PastRun | None:
+def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | None:
     folder = options.folder
     if not options.resume:
         if (folder / NAME).exists() or (folder / RESULT).exists():
@@ -109,7 +111,8 @@ def _past(options: RunOptions, header: Entry) -> PastRun | None:
             raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from None
         return None
     past = read_journal(folder / NAME)
-    different = [k for k in header if past.header.get(k) != header[k]]
+    different = [k for k in header if k != "config" and past.header.get(k) != header[k]]
+    different += [f"bench.{key}".rstrip(".") for key in changed_since(past.header.get("config"), config)]
     if different:
         raise ConfigError(
             f"{folder / NAME}: the interrupted run had another {', '.join(different)}",
@@ -230,5 +233,5 @@ def _facts(
 def _held(context: Context, source: BenchSource) -> dict[str, object]:
     if context.held is not None:
         return context.held.to_json()
-    state = "NOT HELD" if source.config.surface == "wall" else "not needed"
+    state = "NOT HELD" if source.config.environment.on_wall else "not needed"
     return {"state": state, "moved_m": 0.0, "why": "the procedure opened no bench: nobody has looked"}

@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 if TYPE_CHECKING:
-    from hil.bench import Bench
+    from hil.bench import Bench, World
     from hil.clock import Clock
-    from hil.fakes.world import World
     from hil.loop import ControlLoop
 
 MARKERS = (

@@ -12,12 +12,10 @@ import pytest
 
 from hil.config.bench import DEVICES
 from hil.errors import HilError, UsageError
-from hil.fakes.faults import Fault, make_fault
-from hil.fakes.faults import describe as fault_spec
 from hil.procedure.bench_source import BenchSource
 
 if TYPE_CHECKING:
-    from hil.bench import Bench
+    from hil.bench import Bench, Fault
 
 ALIASES = {"can": "encoders", "servo": "servos"}
 _SOURCE = pytest.StashKey[BenchSource]()
@@ -111,7 +109,7 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
     """The bench for one test, with the faults of its markers; its name goes into the test's report."""
     with ExitStack() as stack:
         with plainly():
-            faults = tuple(fault_spec(f) for f in _faults(item))
+            faults = tuple(_specs(item))
             source = replace(source_of(item.config), faults=faults)
             item.user_properties.extend(properties(source))
             bench = stack.enter_context(source.open())
@@ -124,7 +122,7 @@ def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
     for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
         if given := item.config.getoption(name):
             options.append(f"{option}={given}")
-    faults = "".join(f", fault {fault_spec(f)}" for f in _faults(item))
+    faults = "".join(f", fault {spec}" for spec in _specs(item))
     return (
         f"bench {bench.config.name}{faults}, at {bench.clock.now_ns() * 1e-9:.3f} s of its clock\n"
         f"repeat with {' '.join(options)}"
@@ -148,7 +146,16 @@ def _faults(item: pytest.Item) -> tuple[Fault, ...]:
     return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
 
 
+def _specs(item: pytest.Item) -> list[str]:
+    """The faults of a test as the command line writes them."""
+    from hil.bench import describe_fault
+
+    return [describe_fault(fault) for fault in _faults(item)]
+
+
 def _fault(mark: pytest.Mark) -> Fault:
+    from hil.bench import make_fault
+
     texts = [a for a in mark.args if isinstance(a, str)]
     numbers: dict[str, Any] = {
         k: v for k, v in mark.kwargs.items() if isinstance(v, (int, float)) or v is None

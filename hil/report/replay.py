@@ -148,7 +148,9 @@ def compare_run(
     filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
     motions = compare(run.records, filters, start)
     if "smoother" in kinds:
-        motions["smoother"] = smoothed(run.records, config.estimator, bench.geometry, config.surface, start)
+        motions["smoother"] = smoothed(
+            run.records, config.estimator, bench.geometry, config.environment.kind, start
+        )
     if not recorded:
         del motions["recorded"]
     return motions

@@ -155,7 +155,6 @@ def test_a_mix_of_real_and_emulated_devices(emulator, tmp_path):
     mixed.write_text(
         f"""schema = 1
 name = "mixed"
-surface = "wall"
 [servos]
 port = "{emulator["servos"]["port"]}"
 baud = {emulator["servos"]["baud"]}

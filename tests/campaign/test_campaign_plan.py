@@ -31,7 +31,7 @@ def test_seeds_that_mean_nothing(text):
         ("speed=0.1,0.2", Axis("speed", ("0.1", "0.2"))),
         ("corner=[0.1,0.2],[0.3,0.4]", Axis("corner", ("[0.1,0.2]", "[0.3,0.4]"))),
         ("fault=none; imu:drop@1,probability=0.2", Axis("fault", ("none", "imu:drop@1,probability=0.2"))),
-        ("bench.surface=wall", Axis("bench.surface", ("wall",))),
+        ("bench.name=wall", Axis("bench.name", ("wall",))),
     ],
 )
 def test_axes(text, axis):

@@ -41,7 +41,9 @@ def bench_file(tmp_path, servos, imu, encoders, *, prefetch="false"):
     path.write_text(
         f"""schema = 1
 name = "remote"
+[environment]
 surface = "floor"
+tilt_rad = 0.0
 [loop]
 rate_hz = 25.0
 [safety]

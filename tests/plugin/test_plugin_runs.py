@@ -20,8 +20,11 @@ pytest_plugins = ["pytester"]
 LAB = """
 schema = 1
 name = "lab"
-surface = "floor"
 {calibration}
+
+[environment]
+surface = "floor"
+tilt_rad = 0.0
 
 [imu]
 backend = "real"

@@ -163,3 +163,17 @@ def test_after_kill_9_the_command_line_resumes(tmp_path):
     tree = json.loads(second.stdout)
     assert tree["verdict"] == "PASS"
     assert [m["value"] for m in tree["measurements"]] == [1.0, 2.0]
+
+
+def test_an_old_journal_goes_on_and_another_bench_is_named_by_its_key(run_small, tmp_path, bare_source):
+    folder = interrupted(run_small, tmp_path / "r")
+    journal = folder / "journal.jsonl"
+    first, *rest = journal.read_text().splitlines(keepends=True)
+    head = json.loads(first)
+    environment = head["config"].pop("environment")
+    head["config"] |= {"surface": "wall", "emulation": {**head["config"]["emulation"], **environment}}
+    journal.write_text(json.dumps(head) + "\n" + "".join(rest))
+    other = bare_source.changed(overrides={"environment.tilt_rad": 1.2, "loop.rate_hz": 50.0})
+    with pytest.raises(ConfigError, match=r"another bench\.environment\.tilt_rad, bench\.loop\.rate_hz;"):
+        run_small(make(), folder, resume=True, source=other)
+    assert run_small(make(), folder, resume=True).verdict.value == "PASS"

@@ -104,6 +104,16 @@ def test_all_wrong_parameters_are_named_at_once():
         make_parameters(Strict, {"seeds": "0"}, "proc")
 
 
+@pytest.mark.parametrize("value", ["inf", "-Infinity", "nan", "Infinity", math.inf, "[0.1, NaN]"])
+def test_a_parameter_that_is_no_finite_number_is_refused(value):
+    @dataclass(frozen=True)
+    class Lengths:
+        length_m: float | tuple[float, ...] = 1.0
+
+    with pytest.raises(ConfigError, match="length_m: must be a finite number"):
+        make_parameters(Lengths, {"length_m": value}, "proc")
+
+
 def test_settings_for_the_bench_are_told_apart():
     parameters, bench = split_settings(["a=1", "bench.loop.rate_hz=50", "b=x=y", "bench.name=it"])
     assert parameters == {"a": "1", "b": "x=y"}

@@ -66,14 +66,14 @@ def assert_still(benches):
     set on the wall under a heading at which it slides may do so, on locked wheels.
     """
     for bench in (b for b in benches if b.statistics.cycles):
-        world, emulation = bench.world, bench.config.emulation
+        world = bench.world
         world.advance_to(world.now_ns + nanoseconds(0.3))
         before = copy.deepcopy(bench.truth())
         world.advance_to(world.now_ns + nanoseconds(2.0))
         after = bench.truth()
         assert np.abs(after.joint_velocity_rad_s).max() < 0.02
         assert np.abs(after.joint_position_rad - before.joint_position_rad)[:4].max() < 0.01
-        assert not after.fallen or abs(emulation.start_pose[2]) > SAFE_HEADING_RAD
+        assert not after.fallen or abs(bench.config.environment.start_pose[2]) > SAFE_HEADING_RAD
 
 
 def watched(name: str, **source: Any) -> WatchedSource:

@@ -59,7 +59,7 @@ def creep_by_law(truth, stiffness, length_m, peak_m_s):
 def slides(seed, heading_deg):
     """The plant alone, wheels locked after a tenth of a second: whether it moves 2 mm in 1.5 s."""
     pose = [0.0, 0.0, math.radians(heading_deg)]
-    bench = open_bench("emulated", seed=seed, overrides={"emulation.start_pose": pose})
+    bench = open_bench("emulated", seed=seed, overrides={"environment.start_pose": pose})
     plant = bench.world.plant
     plant.advance(nanoseconds(0.1))
     for joint in range(8):

@@ -106,6 +106,14 @@ def test_a_refusal_names_the_first_time_and_value():
         check(tr.line(ORIGIN, [1, 0, math.nan], duration_s=5.0), CAD, MotionLimits())
 
 
+def test_a_limit_that_is_no_number_limits_and_a_motion_without_end_is_none():
+    with pytest.raises(TrajectoryError, match="wheel speed"):
+        check(ALL[0], CAD, MotionLimits(wheel_speed_m_s=math.nan))
+    for duration_s in (1e9, 7201.0):
+        with pytest.raises(TrajectoryError, match=r"duration \(s\).*divide the motion"):
+            check(tr.line(ORIGIN, [1.0, 0, 0], duration_s=duration_s), CAD, MotionLimits())
+
+
 def test_waypoints_from_csv(tmp_path):
     path = tmp_path / "way.csv"
     path.write_text("x,y,theta\n0,0,0\n0.5,0,0\n0.5,0.2,0.1\n")

@@ -1,0 +1,109 @@
+"""What no table of a bench file can see alone: values that contradict each other, or the wall."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from hil.config.environment import SURFACES
+from hil.config.values import TOP_WHEEL_RATE_RAD_S
+
+if TYPE_CHECKING:
+    from hil.config.bench import BenchConfig
+
+WALL_WATCHDOG_S = 0.1
+_LEAST_ADHESION_M_S2 = 1.0
+_CYCLES_PER_WATCHDOG = 2.0
+_SAME = 1.0 + 1e-6
+
+Problem = tuple[str, str]
+
+
+def contradictions(config: BenchConfig) -> Iterator[Problem]:
+    """Dotted path and text of every contradiction in a configuration whose tables are right by themselves."""
+    yield from _of_motion(config)
+    yield from _of_servos(config)
+    yield from _of_the_environment(config)
+    if config.environment.on_wall:
+        yield from _of_a_wall(config)
+
+
+def _of_the_environment(config: BenchConfig) -> Iterator[Problem]:
+    environment = config.environment
+    if environment.surface == "floor" and environment.on_wall:
+        yield (
+            "environment.surface",
+            f"'floor' with tilt_rad = {environment.tilt_rad:g}: nothing holds a robot on a steep floor; a "
+            "floor has tilt_rad = 0, a wall is melamine, concrete, ...",
+        )
+    if environment.surface not in SURFACES and config.emulated():
+        yield (
+            "environment.surface",
+            f"{environment.surface!r} cannot be emulated, only " + ", ".join(SURFACES),
+        )
+
+
+def _of_motion(config: BenchConfig) -> Iterator[Problem]:
+    control, safety = config.control, config.safety
+    fastest_m_s = TOP_WHEEL_RATE_RAD_S * max(config.robot.wheel_radius_m)
+    if control.wheel_speed_m_s > fastest_m_s * _SAME:
+        yield (
+            "control.wheel_speed_m_s",
+            f"{control.wheel_speed_m_s:g} m/s is beyond the {fastest_m_s:.3g} m/s of the largest wheel at "
+            f"{TOP_WHEEL_RATE_RAD_S:g} rad/s",
+        )
+    if control.steering_limit_rad > safety.steering_limit_rad * _SAME:
+        yield (
+            "control.steering_limit_rad",
+            f"{control.steering_limit_rad:g} rad is beyond safety.steering_limit_rad = "
+            f"{safety.steering_limit_rad:g}: the supervisor would stop the robot there",
+        )
+
+
+def _of_servos(config: BenchConfig) -> Iterator[Problem]:
+    servos, safety = config.servos, config.safety
+    if servos is None:
+        return
+    for name, asked, clipped, limit in (
+        ("steering_limit_rad", safety.steering_limit_rad, servos.steer_limit_rad, "steer_limit_rad"),
+        (
+            "wheel_rate_limit_rad_s", safety.wheel_rate_limit_rad_s, servos.velocity_limit_rad_s,
+            "velocity_limit_rad_s",
+        ),
+    ):  # fmt: skip
+        if asked > clipped * _SAME:
+            yield (
+                f"safety.{name}",
+                f"{asked:g} is beyond servos.{limit} = {clipped:g}, to which the servos would be clipped in "
+                "silence",
+            )
+    if servos.watchdog_s and config.loop.rate_hz * servos.watchdog_s < _CYCLES_PER_WATCHDOG:
+        yield (
+            "loop.rate_hz",
+            f"at {config.loop.rate_hz:g} Hz the bus watchdog (servos.watchdog_s = {servos.watchdog_s:g}) "
+            f"would trip between cycles; {_CYCLES_PER_WATCHDOG / servos.watchdog_s:g} Hz or more are needed",
+        )
+
+
+def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
+    servos, safety = config.servos, config.safety
+    if servos is not None and not 0.0 < servos.watchdog_s <= WALL_WATCHDOG_S * _SAME:
+        told = f"for {servos.watchdog_s:g} s" if servos.watchdog_s else "for ever"
+        yield (
+            "servos.watchdog_s",
+            f"{servos.watchdog_s:g} on a wall: wheels that nobody talks to any more would turn on {told}; "
+            f"it takes more than 0, at most {WALL_WATCHDOG_S:g}",
+        )
+    limit_rad = config.robot.hold_limit_rad()
+    if limit_rad is not None and safety.heading_limit_rad > limit_rad * _SAME and not safety.tethered:
+        yield (
+            "safety.heading_limit_rad",
+            f"{safety.heading_limit_rad:g} rad is beyond {limit_rad:.3g} rad, where the robot of [robot] "
+            "slides down a melamine wall; safety.tethered = true for a robot on a rope",
+        )
+    if safety.adhesion_limit_m_s2 < _LEAST_ADHESION_M_S2:
+        yield (
+            "safety.adhesion_limit_m_s2",
+            f"{safety.adhesion_limit_m_s2:g} on a wall: no fall would be noticed; "
+            f"at least {_LEAST_ADHESION_M_S2:g}",
+        )

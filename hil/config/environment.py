@@ -1,0 +1,49 @@
+"""What the robot stands on, how steep it is, and where the robot is set on it (`[environment]`)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.config.values import Within
+
+FLOOR_TILT_RAD = 0.1
+"""Beyond it a robot whose wheels lose their grip slides: it stands on a wall, and is guarded as there."""
+
+SURFACES = ("floor", "concrete", "melamine", "patchy")
+"""Surfaces that can be emulated; a real robot may stand on anything."""
+
+Metres = Annotated[float, Within(-1000.0, 1000.0, "m in the wall frame")]
+Heading = Annotated[float, Within(-1000.0, 1000.0, "rad in the wall frame")]
+
+
+class EnvironmentConfig(BaseModel):
+    """Where the robot works; real and emulated alike.
+
+    Attributes:
+        surface: its name. An emulated robot stands on `floor` (needs no adhesion, and lies flat),
+            `concrete`, `melamine` or `patchy`; what else a real one stands on is only written down.
+        tilt_rad: 0 for a floor, pi/2 for a wall, more overhangs. Above 0.1 it counts as a wall: gravity lies
+            in the plane of motion, and the wall's guards are on.
+        start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.
+            Where a real one stands is measured by motion capture, else given with `--start`, else this if it
+            is written in the file.
+    """
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    surface: str = Field("melamine", min_length=1)
+    tilt_rad: Annotated[float, Within(0.0, 3.1416, "0 floor, pi/2 wall, pi ceiling")] = math.pi / 2.0
+    start_pose: tuple[Metres, Metres, Heading] = (0.0, 0.0, 0.0)
+
+    @property
+    def on_wall(self) -> bool:
+        """Whether gravity lies in the plane of motion and a robot can fall."""
+        return self.tilt_rad > FLOOR_TILT_RAD
+
+    @property
+    def kind(self) -> Literal["wall", "floor"]:
+        """`on_wall` in a word."""
+        return "wall" if self.on_wall else "floor"

@@ -1,0 +1,56 @@
+"""Configurations that were recorded: read as they were, whatever would be refused today."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from pydantic import ValidationError
+
+from hil.config.bench import BenchConfig, explained
+from hil.config.older import lifted
+from hil.config.values import RECORDED
+from hil.errors import ConfigError
+
+
+def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
+    """The configuration that a recording carries.
+
+    Bounds and contradictions are for what is going to be driven; this has been driven.
+
+    Args:
+        tree: of its header.
+        origin: what to name where it cannot be read.
+
+    Raises:
+        ConfigError: listing every problem with its dotted path.
+    """
+    try:
+        return BenchConfig.model_validate(lifted(tree), context=RECORDED)
+    except ValidationError as error:
+        problems = explained(error)
+    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def changed_since(tree: object, config: BenchConfig) -> list[str]:
+    """Dotted keys in which a configuration differs from one that was recorded, old keys lifted.
+
+    Args:
+        tree: as it was recorded; one that cannot be read differs as a whole, with an empty key.
+        config: of today.
+    """
+    if not isinstance(tree, Mapping):
+        return [""]
+    try:
+        then = recorded_bench(tree, "the recorded configuration").model_dump(mode="json", by_alias=True)
+    except ConfigError:
+        return [""]
+    return list(_different(then, config.model_dump(mode="json", by_alias=True), ""))
+
+
+def _different(then: Any, now: Any, path: str) -> Iterator[str]:
+    if isinstance(then, Mapping) and isinstance(now, Mapping):
+        for key in dict.fromkeys((*then, *now)):
+            yield from _different(then.get(key), now.get(key), f"{path}.{key}".lstrip("."))
+    elif then != now:
+        yield path

@@ -1,0 +1,108 @@
+"""A real robot that no motion capture sees has to be told where it stands."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import hil
+from hil.cli import main, start
+from hil.config.bench import load_bench
+from hil.errors import ConfigError, UsageError
+from hil.trajectories import line
+
+REAL = 'schema = 1\nname = "blind"\n[servos]\nport = "/dev/no-such-port"\n[imu]\nbackend = "emulated"\n'
+STRAIGHT = line((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), duration_s=2.0)
+
+
+@pytest.fixture
+def blind(tmp_path):
+    path = tmp_path / "blind.toml"
+    path.write_text(REAL)
+    return path
+
+
+def test_where_the_robot_stands_is_known_or_not(blind):
+    def known(*, emulate=None, **overrides):
+        return load_bench(blind, emulate=emulate, overrides=overrides).knows_start
+
+    assert not known()
+    assert not known(mocap={"backend": "emulated"}), "emulated cameras do not see a real robot"
+    assert known(mocap={})
+    assert known(emulate="servos")
+    assert known(servos=None)
+    assert known(environment={"start_pose": [0.0, 0.0, 0.0]})
+    assert not known(environment={"tilt_rad": 1.5})
+
+
+def test_a_drive_of_a_robot_that_may_be_anywhere_is_refused_before_anything_moves(blind):
+    bench = hil.open_bench(blind)
+    try:
+        with pytest.raises(ConfigError, match=r"blind: nobody knows where.*--start.*start_pose"):
+            bench.drive(STRAIGHT)
+        with pytest.raises(ConfigError, match="nobody knows where"):
+            bench.measured_pose(np.zeros((3, 3)))
+    finally:
+        bench.close()
+
+
+def test_cameras_that_see_nothing_are_no_reason_to_believe_in_the_origin(blind):
+    seen = load_bench(blind, overrides={"mocap": {}})
+    bench = hil.open_bench(seen, overrides={"imu": None})
+    nothing = np.full((5, 3), np.nan)
+    with pytest.raises(ConfigError, match="motion capture has not seen the robot"):
+        bench.measured_pose(nothing)
+    np.testing.assert_allclose(bench.measured_pose(np.ones((5, 3))), 1.0)
+    told = hil.open_bench(seen, overrides={"imu": None}, start_pose=(0.5, 1.0, 0.1))
+    np.testing.assert_allclose(told.measured_pose(nothing), (0.5, 1.0, 0.1))
+
+
+def test_an_emulated_robot_is_where_its_environment_says():
+    with hil.open_bench("emulated", start_pose=(0.3, -0.2, 0.1)) as bench:
+        np.testing.assert_allclose(bench.truth().pose_body_in_wall, (0.3, -0.2, 0.1), atol=0.01)
+
+
+@pytest.mark.parametrize("command", [("run", "bring_up"), ("live",)])
+def test_the_command_line_refuses_without_a_terminal(blind, tmp_path, command, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main([*command, "--bench", str(blind)]) == 2
+    said = capsys.readouterr().err
+    assert "nobody knows where the robot stands" in said
+    assert "--start x,y,theta" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("command", [("run", "bring_up"), ("live",)])
+def test_a_pose_that_is_none_is_refused(command, capsys):
+    assert main([*command, "--start", "1,2"]) == 2
+    assert "x,y,theta: m, m, rad" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "pose"),
+    [
+        ("1,2,0.5", (1.0, 2.0, 0.5)),
+        (" -0.1, 0 ,90deg", (-0.1, 0.0, math.pi / 2.0)),
+        ("0,0,-15 deg", (0.0, 0.0, -math.pi / 12.0)),
+    ],
+)
+def test_a_start_is_metres_and_radians_or_degrees(text, pose):
+    assert start.parse_start(text) == pytest.approx(pose)
+
+
+@pytest.mark.parametrize("text", ["", "1,2", "1,2,3,4", "a,b,c", "1,2,nan", "inf,0,0", "1,2,deg"])
+def test_what_is_no_start_is_told_how_it_is_written(text):
+    with pytest.raises(UsageError, match="x,y,theta: m, m, rad"):
+        start.parse_start(text)
+
+
+def test_at_a_terminal_it_is_asked_until_it_is_answered(blind, monkeypatch):
+    runner, config = CliRunner(), load_bench(blind)
+    with runner.isolation(input="there\n0.5,1,0\n") as (_, err, *_rest):
+        monkeypatch.setattr(sys.stdin, "isatty", lambda: True, raising=False)
+        assert start.asked_start(config) == {start.KEY: (0.5, 1.0, 0.0)}
+        asked = err.getvalue().decode()
+    assert asked.count("blind: where does the robot stand? (x,y,theta: m, m, rad") == 2
+    assert start.asked_start(load_bench("emulated")) == {}

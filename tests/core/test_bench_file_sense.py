@@ -1,0 +1,112 @@
+"""Limits that make no sense are refused: on the command line, in a file and in Python, all at once."""
+
+import math
+
+import pytest
+
+import hil
+from hil.config.bench import load_bench
+from hil.config.recorded import recorded_bench
+from hil.errors import ConfigError
+from hil.procedure.bench_source import BenchSource
+
+NUMBERS = (
+    "safety.servo_stale_s", "safety.imu_stale_s", "safety.tracker_stale_s", "safety.wheel_rate_limit_rad_s",
+    "safety.steering_limit_rad", "safety.heading_limit_rad", "safety.tracking_error_limit_m",
+    "safety.body_speed_limit_m_s", "safety.adhesion_limit_m_s2", "control.wheel_speed_m_s",
+    "control.acceleration_m_s2", "control.steering_rate_rad_s", "control.heading_limit_rad",
+    "control.servo_lag_s", "control.goal_position_m", "loop.rate_hz", "loop.late_after_s",
+    "servos.watchdog_s", "servos.velocity_limit_rad_s", "servos.steer_limit_rad", "servos.fail_after_s",
+    "servos.dead_poll_s", "servos.health_period_s", "imu.fail_after_s", "imu.stuck_after_s",
+    "encoders.fail_after_s", "tracker.stale_after_s", "tracker.max_speed_m_s", "mocap.stale_after_s",
+    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.three_dof",
+)  # fmt: skip
+
+
+def refused(**overrides):
+    with pytest.raises(ConfigError) as error:
+        load_bench("emulated", overrides={k.replace("__", "."): v for k, v in overrides.items()})
+    return error.value.problems
+
+
+@pytest.mark.parametrize("path", NUMBERS)
+@pytest.mark.parametrize("value", [math.inf, -math.inf, math.nan, -1.0], ids=str)
+def test_what_is_no_finite_positive_number_is_refused_with_its_path(path, value):
+    (problem,) = refused(**{path: value})
+    assert problem.startswith(f"{path}: ")
+    assert f"found {value!r}" in problem
+
+
+@pytest.mark.parametrize("path", [p for p in NUMBERS if not p.startswith("estimator.")])
+def test_what_no_robot_can_do_is_refused(path):
+    assert refused(**{path: 1e9})[0].startswith(f"{path}: ")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "told"),
+    [
+        ("safety.wheel_rate_limit_rad_s", 7.5, "XH430"),
+        ("safety.steering_limit_rad", 2.2, "servos.steer_limit_rad = 2.0944"),
+        ("safety.wheel_rate_limit_rad_s", 6.0, "servos.velocity_limit_rad_s = 4.9"),
+        ("control.steering_limit_rad", 2.2, "safety.steering_limit_rad = 2.0944"),
+        ("control.wheel_speed_m_s", 0.2, "0.178 m/s of the largest wheel"),
+        ("safety.heading_limit_rad", 0.9, "slides"),
+        ("safety.adhesion_limit_m_s2", 0.0, "no fall would be noticed"),
+        ("safety.tracker_stale_s", 3600.0, "within"),
+        ("loop.rate_hz", 10.0, "trip between cycles"),
+        ("safety.x_range_m", [1.0, -1.0], "before it begins"),
+    ],
+)
+def test_a_limit_says_what_it_would_take(path, value, told):
+    (problem,) = refused(**{path: value})
+    assert problem.startswith(f"{path}: ")
+    assert told in problem
+
+
+@pytest.mark.parametrize("watchdog_s", [0.0, 0.12, 0.2, 2.54])
+def test_on_a_wall_the_watchdog_stops_the_wheels_within_a_tenth_of_a_second(watchdog_s):
+    (problem,) = refused(**{"servos.watchdog_s": watchdog_s})
+    assert problem.startswith("servos.watchdog_s: ")
+    assert load_bench("emulated").servos.watchdog_s == 0.08
+    assert load_bench("emulated_floor", overrides={"servos.watchdog_s": watchdog_s}).servos is not None
+
+
+def test_every_senseless_limit_is_told_at_once_also_beside_a_contradiction():
+    problems = refused(
+        safety__wheel_rate_limit_rad_s=1e9, safety__tracking_error_limit_m=math.inf, servos__watchdog_s=0.0,
+        servos__velocity_limit_rad_s=1e9, loop__speed_hz=3.0, safety__heading_limit_rad=1.0,
+    )  # fmt: skip
+    assert sorted(p.partition(":")[0] for p in problems) == [
+        "loop.speed_hz", "safety.heading_limit_rad", "safety.tracking_error_limit_m",
+        "safety.wheel_rate_limit_rad_s", "servos.velocity_limit_rad_s", "servos.watchdog_s",
+    ]  # fmt: skip
+
+
+def test_a_robot_on_a_rope_may_be_turned_until_it_slides():
+    limit = {"safety.heading_limit_rad": math.pi / 2, "safety.tethered": True}
+    assert load_bench("emulated", overrides=limit).safety.tethered
+    stronger = {"safety.heading_limit_rad": 0.9, "robot.edf_force_n": 90.0}
+    assert load_bench("emulated", overrides=stronger).robot.hold_limit_rad() > 0.9
+    assert load_bench("emulated").robot.hold_limit_rad() == pytest.approx(math.radians(39.0), abs=0.01)
+
+
+def test_python_is_refused_the_same():
+    for limits in ({"servos.watchdog_s": 0.0}, {"control.wheel_speed_m_s": 1e9}):
+        with pytest.raises(ConfigError, match=next(iter(limits))):
+            hil.open_bench("emulated", overrides=limits)
+        with pytest.raises(ConfigError, match=next(iter(limits))):
+            _ = BenchSource("emulated", overrides=limits).config
+    config = load_bench("emulated")
+    slow = config.model_copy(update={"servos": config.servos.model_copy(update={"watchdog_s": 0.0})})
+    with pytest.raises(ConfigError, match=r"servos\.watchdog_s"):
+        hil.open_bench(slow)
+
+
+def test_what_was_recorded_stays_readable_whatever_would_be_refused_today():
+    tree = load_bench("emulated").model_dump(mode="json", by_alias=True, exclude_none=True)
+    tree["servos"]["watchdog_s"] = 0.2
+    tree["safety"] |= {"heading_limit_rad": 1.5707963267948966, "tracking_error_limit_m": math.inf}
+    config = recorded_bench(tree, "old.mcap")
+    assert (config.servos.watchdog_s, config.safety.tracking_error_limit_m) == (0.2, math.inf)
+    with pytest.raises(ConfigError, match=r"(?s)old\.mcap: 1 problem.*safety\.whim: unknown key"):
+        recorded_bench({**tree, "safety": {"whim": 1.0}}, "old.mcap")

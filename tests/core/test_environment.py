@@ -1,0 +1,81 @@
+"""`[environment]` says what the robot stands on; keys of version 0.1 are told where they belong now."""
+
+import math
+
+import pytest
+
+import hil
+from hil.bench.settings import motion_limits, safety_limits
+from hil.config.bench import load_bench
+from hil.config.environment import SURFACES
+from hil.errors import ConfigError
+from hil.fakes.plant import surfaces
+
+HEAD = 'schema = 1\nname = "old"\n'
+
+
+@pytest.fixture
+def refused(tmp_path):
+    def load(text):
+        path = tmp_path / "bench.toml"
+        path.write_text(HEAD + text)
+        with pytest.raises(ConfigError) as error:
+            load_bench(path)
+        return error.value.problems
+
+    return load
+
+
+@pytest.mark.parametrize(("tilt_rad", "on_wall"), [(0.0, False), (0.05, False), (0.3, True), (1.57, True)])
+def test_wall_or_floor_follows_from_the_tilt_of_the_emulated_world(tilt_rad, on_wall):
+    with hil.open_bench("emulated", overrides={"environment.tilt_rad": tilt_rad}) as bench:
+        assert bench.truth().tilt_rad == tilt_rad
+        assert safety_limits(bench.config).on_wall is on_wall
+        assert bench.alignment_parameters.on_wall is on_wall
+        assert (motion_limits(bench.config).heading_limit_rad is not None) is on_wall
+
+
+def test_a_floor_cannot_be_steep_and_what_cannot_be_emulated_is_named(refused):
+    (problem,) = refused('[environment]\nsurface = "floor"\n')
+    assert problem.startswith("environment.surface: 'floor' with tilt_rad = 1.5708")
+    text = '[environment]\nsurface = "steel"\n[imu]\nbackend = "emulated"\n'
+    (problem,) = refused(text)
+    assert problem == "environment.surface: 'steel' cannot be emulated, only " + ", ".join(SURFACES)
+    assert tuple(surfaces.SURFACES) == SURFACES
+
+
+def test_a_real_robot_may_stand_on_anything(tmp_path):
+    (tmp_path / "b.toml").write_text(HEAD + '[environment]\nsurface = "steel"\n[imu]\n')
+    assert load_bench(tmp_path / "b.toml").environment.surface == "steel"
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "where"),
+    [
+        ('surface = "floor"\n', "surface", "environment.tilt_rad"),
+        ('surface = "wall"\n', "surface", "environment.tilt_rad"),
+        ('[emulation]\nsurface = "patchy"\n', "emulation.surface", "environment.surface now"),
+        ("[emulation]\ntilt_rad = 0.0\n", "emulation.tilt_rad", "environment.tilt_rad now"),
+        ("[emulation]\nstart_pose = [1, 2, 0]\n", "emulation.start_pose", "environment.start_pose now"),
+    ],
+)
+def test_an_old_key_is_told_where_it_belongs_now(refused, text, key, where):
+    (problem,) = refused(text)
+    assert problem.startswith(f"{key}: ")
+    assert where in problem
+
+
+def test_old_keys_are_told_beside_everything_else_and_judged_as_they_were_meant(refused):
+    problems = refused(
+        'surface = "floor"\n[emulation]\nsurface = "floor"\ntilt_rad = 0.0\nwhim = 1\n'
+        "[servos]\nwatchdog_s = 0.5\nvelocity_limit_rad_s = inf\n"
+    )
+    assert [p.partition(":")[0] for p in problems] == [
+        "surface", "emulation.surface", "emulation.tilt_rad", "emulation.whim", "servos.velocity_limit_rad_s"
+    ]  # fmt: skip
+
+
+def test_an_override_of_an_old_key_is_refused_too():
+    with pytest.raises(ConfigError, match=r"emulation\.surface: it is environment\.surface now"):
+        load_bench("emulated", overrides={"emulation.surface": "patchy"})
+    assert load_bench("emulated").environment.tilt_rad == math.pi / 2.0
