@@ -12,10 +12,25 @@ import threading
 import time
 from abc import abstractmethod
 from collections.abc import Callable
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 NS_PER_S = 1_000_000_000
 _PR_SET_TIMERSLACK = 29
+_LOOKS = 25
+
+
+class WallOffset(NamedTuple):
+    """Wall-clock time at a clock's zero.
+
+    Attributes:
+        offset_ns: added to a time of the clock it gives ns since the Unix epoch.
+        uncertainty_ns: how far `offset_ns` may be off, as far as the host's wall clock itself is right.
+        measured_ns: when that was found out, on the clock.
+    """
+
+    offset_ns: int
+    uncertainty_ns: int
+    measured_ns: int
 
 
 Task = Callable[[int], int]
@@ -43,6 +58,10 @@ class Clock(Protocol):
             Ends it; a call that is under way is not waited for. May be called twice.
         """
 
+    def wall_offset(self) -> WallOffset | None:
+        """What leads from this clock to the time of day; None where nothing does (virtual time)."""
+        return None
+
 
 class MonotonicClock(Clock):
     """The host's monotonic clock."""
@@ -67,6 +86,13 @@ class MonotonicClock(Clock):
 
         threading.Thread(target=work, name="scheduled", daemon=True).start()
         return ended.set
+
+    def wall_offset(self) -> WallOffset:
+        """The offset by the look at the wall clock that took least between two looks at this one."""
+        looks = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(_LOOKS)]
+        before_ns, wall_ns, after_ns = min(looks, key=lambda look: look[2] - look[0])
+        middle_ns, width_ns = (before_ns + after_ns) // 2, after_ns - before_ns
+        return WallOffset(wall_ns - middle_ns, width_ns // 2 + 1, middle_ns)
 
 
 def sleep_punctually(on: bool = True) -> None:

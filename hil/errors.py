@@ -127,6 +127,14 @@ class Aborted(HilError, RuntimeError):
     exit_code = EXIT_ABORTED
 
 
+class RecordingError(Aborted):
+    """What a run leaves behind can no longer be kept (disk full, read-only, too slow); `path` names it."""
+
+    def __init__(self, path: str, message: str, *, remedy: str = "") -> None:
+        self.path = path
+        super().__init__(f"{path}: {message}", remedy=remedy)
+
+
 class StepTimeoutError(HilError, TimeoutError):
     """A step or a teardown took longer than it may; the robot is stopped on the way out."""
 

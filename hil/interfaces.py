@@ -11,6 +11,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Protocol, TypeVar
 
+from hil.errors import HilError
 from hil.signals import (
     CycleRecord,
     Measurements,
@@ -125,11 +126,15 @@ class Controller(Protocol):
 
 
 class Sink(Protocol):
-    """Receives every cycle. `write` never blocks; what cannot be taken is dropped and counted."""
+    """Receives every cycle. `write` never blocks nor raises; what cannot be taken is dropped and counted."""
 
     @abstractmethod
     def write(self, record: CycleRecord) -> None:
         """Take one record."""
+
+    def objection(self) -> HilError | None:
+        """Why the loop must not go on; it asks before every cycle, stops the robot and raises this."""
+        return None
 
     @abstractmethod
     def close(self) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.alignment import Alignment
 from hil.clock import NS_PER_S, Clock
-from hil.errors import SafetyStop
+from hil.errors import HilError, SafetyStop
 from hil.interfaces import Controller, Estimator, Sink
 from hil.punctuality import Laps, LoopStatistics
 from hil.rig import Rig
@@ -31,7 +31,10 @@ from hil.signals import (
 )
 from hil.supervisor import Supervisor
 
-__all__ = ["Brain", "ControlLoop", "Decision", "LoopStatistics"]
+__all__ = ["OUTSIDE", "Brain", "ControlLoop", "Decision", "LoopStatistics"]
+
+OUTSIDE = "loop"
+"""Source of the event in the last record of a run that was ended by something other than its brain."""
 
 ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
@@ -193,6 +196,7 @@ class ControlLoop:
         try:
             while True:
                 self.clock.sleep_until_ns(deadline_ns)  # 10
+                self._heed_sinks()
                 record = self.cycle(deadline_ns)
                 if until(record):
                     return
@@ -228,6 +232,14 @@ class ControlLoop:
         self._count(start_ns, deadline_ns, lap)
         return record
 
+    def _heed_sinks(self) -> None:
+        """Stop and raise when a sink objects to a further cycle."""
+        for sink in self.sinks:
+            error = sink.objection()
+            if error is not None:
+                self._stopped(Inputs(self._cycle, self.clock.now_ns()), error, source=OUTSIDE)
+                raise error
+
     def _count(self, start_ns: int, deadline_ns: int, lap: Laps) -> None:
         lateness_ns, durations = start_ns - deadline_ns, lap.timing_ns
         self.statistics.cycles += 1
@@ -246,11 +258,11 @@ class ControlLoop:
             following += missed * self.period_ns
         return following
 
-    def _stopped(self, inputs: Inputs, stop: SafetyStop) -> None:
+    def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
         """Hold the robot at once and leave a last record that names the reason."""
         if self.rig.servos is not None:
             self.rig.servos.stop()
-        event = Event(inputs.t_ns, "error", "supervisor", str(stop))
+        event = Event(inputs.t_ns, "error", source, str(stop))
         zero = np.zeros(4)
         nothing = Measurements(inputs.cycle, inputs.t_ns)
         state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))

@@ -23,6 +23,7 @@ from hil.kinematics import WheelGeometry
 from hil.loop import Brain, ControlLoop, LoopStatistics
 from hil.motion import Motion
 from hil.realtime import warm_up
+from hil.recording.frames import describe_clock
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import HELD, RUN, RunStart
 from hil.rig import Rig
@@ -147,6 +148,10 @@ class Bench(Blueprint):
         for sink in self._sinks:
             sink.close()
         self._sinks.clear()
+
+    def header(self) -> dict[str, object]:
+        """As of a blueprint, and where its clock stands against the time of day, now."""
+        return {**super().header(), "clock": describe_clock(self.clock.wall_offset())}
 
     def has(self, name: str) -> bool:
         """Whether the bench has the device (`servos encoders imu tracker mocap`)."""

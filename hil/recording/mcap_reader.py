@@ -13,9 +13,10 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
+from hil.clock import WallOffset
 from hil.errors import DataError
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
-from hil.recording.mcap_writer import METADATA
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
 from hil.recording.ros_messages import octets_of, text_of
 from hil.signals import CycleRecord
 
@@ -239,6 +240,28 @@ def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator
         problems += reader.problems
     elif reader.problems:
         raise DataError(str(path), "; ".join(reader.problems), remedy="what was readable has been read")
+
+
+def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:
+    """Where the wall clock stood against the bench clock at the start and, if all ended well, at the end.
+
+    Stamps of the messages are made with the first; the difference is what the wall clock was adjusted by
+    meanwhile. Empty for virtual time and for recordings of version 0.1.
+
+    Raises:
+        DataError: not an MCAP file, or damaged where the offsets stand.
+    """
+    from mcap.records import Metadata
+
+    kept = (r for r in _records(Path(path), []) if isinstance(r, Metadata))
+    try:
+        return tuple(
+            WallOffset(*(int(r.metadata[name]) for name in WallOffset._fields))
+            for r in kept
+            if r.name in (CLOCK_AT_START, CLOCK_AT_END)
+        )
+    except (KeyError, ValueError) as error:
+        raise DataError(str(path), f"its clock offset cannot be understood ({error!r})") from None
 
 
 def read_header(path: str | Path) -> dict[str, Any]:

@@ -21,13 +21,13 @@ from hil.estimator.consistency import autocorrelation, nees
 from hil.geometry import Array, wrap_array
 from hil.interfaces import Estimator
 from hil.kinematics import WheelGeometry
-from hil.loop import Brain
+from hil.loop import OUTSIDE, Brain
 from hil.motion import Motion
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.runs import RecordedRun
-from hil.signals import CycleRecord, Reference, RobotState
+from hil.signals import CycleRecord, Inputs, Reference, RobotState
 
 FIELDS = DECIDED
 ESTIMATION = ("measurements", "state", "reference", "events")
@@ -85,10 +85,12 @@ def verify_cycle(
 
     A stored cycle is held against the decision as bytes; it is only read where they differ.
     """
+    if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(_read(cycle)):
+        return None
     try:
         decision = brain.decide(cycle.inputs)
     except SafetyStop as stop:
-        record = cycle.record if isinstance(cycle, StoredCycle) else cycle
+        record = _read(cycle)
         if [e.message for e in record.events] == [str(stop)]:
             return None
         return Mismatch(cycle.cycle, f"events: replay stopped the robot: {stop}")
@@ -99,6 +101,15 @@ def verify_cycle(
     recorded = {name: getattr(cycle, name) for name in fields}
     found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
     return None if found is None else Mismatch(cycle.cycle, found)
+
+
+def _read(cycle: CycleRecord | StoredCycle) -> CycleRecord:
+    return cycle.record if isinstance(cycle, StoredCycle) else cycle
+
+
+def _from_outside(record: CycleRecord) -> bool:
+    """Whether a record only says that something other than the brain ended the run."""
+    return [e.source for e in record.events] == [OUTSIDE]
 
 
 def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:

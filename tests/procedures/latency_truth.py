@@ -17,6 +17,7 @@ from hil.fakes.mocap import NatNetServer
 from hil.fakes.plant.robot import STEP_NS
 from hil.fakes.servos import ServoBus
 from hil.fakes.tracker import T265
+from hil.interfaces import Sink
 from hil.kinematics import forward
 from hil.signals import Status
 from procedures.latency import body_signals, steer, steering_signals, turn, values_ms
@@ -26,7 +27,7 @@ GRID_NS, VELOCITY_LAG_NS = 4_000_000, 50_000_000
 HALF_STEP_MS = 0.5e-6 * STEP_NS
 
 
-class Looker:
+class Looker(Sink):
     """A sink that notes what the body does in every cycle, and when devices looked."""
 
     def __init__(self, bench):

@@ -16,6 +16,7 @@ import numpy as np
 from procedure_runs import Nobody, Run, assert_still, watched
 
 from hil.clock import MonotonicClock
+from hil.interfaces import Sink
 from hil.procedure.guard import LoopGuard
 from hil.procedure.journal import read_journal
 from hil.procedure.runner import RunOptions, run_procedure
@@ -29,7 +30,7 @@ QUIET_CYCLES = 150
 PATIENCE_S = 120.0
 
 
-class Strikes:
+class Strikes(Sink):
     """Sink and progress report of one run: tells in which step it is, and strikes there.
 
     Args:

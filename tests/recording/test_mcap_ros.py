@@ -9,16 +9,33 @@ from hypothesis import strategies as st
 from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
-from hil.recording.ros_messages import TOPICS, messages, octet_array, octets_of, string, text_of
+from hil.bench.blueprint import Blueprint
+from hil.config.bench import load_bench
+from hil.kinematics import WheelGeometry
+from hil.recording.frames import FrameTree
+from hil.recording.ros_messages import (
+    TOPICS,
+    messages,
+    octet_array,
+    octets_of,
+    string,
+    text_of,
+    transforms,
+)
 from hil.signals import SERVOS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
+HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
 
 @pytest.mark.parametrize("k", [0, 3, 400])
 def test_rosbags_reads_and_reproduces_every_byte(k):
-    seen = set()
-    for topic, _, data in messages(driving_record(k)):
+    seen, frames = set(), FrameTree(HEADER)
+    mixed = [
+        ("/tf_static", 0, transforms(0, frames.fixed)),
+        ("/tf", 0, transforms(0, frames.moving(driving_record(k)))),
+    ]
+    for topic, _, data in [*messages(driving_record(k)), *mixed]:
         message = STORE.deserialize_cdr(data, TOPICS[topic])
         assert bytes(STORE.serialize_cdr(message, TOPICS[topic])) == data
         seen.add(topic)
@@ -50,6 +67,10 @@ def test_values_arrive_where_ros_expects_them():
     np.testing.assert_array_equal(
         np.flatnonzero(odom.pose.covariance), [0, 7, 35], err_msg="x, y and yaw of the 6x6 matrix"
     )
+    encoders = found["/steering_encoders"]
+    assert tuple(encoders.name) == SERVOS[4:]
+    np.testing.assert_array_equal(encoders.position, record.inputs.encoders[0].angle_rad)
+    assert len(encoders.velocity) == len(encoders.effort) == 0
     assert found["/hil/events"].level == 30
     assert found["/hil/events"].msg == "stale for 0.5 s"
 

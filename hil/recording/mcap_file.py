@@ -1,0 +1,178 @@
+"""The MCAP file of a recording: topics, chunks, metadata, and what is left of it when writing fails."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+
+from hil.clock import NS_PER_S, MonotonicClock, WallOffset
+from hil.recording.cycle_codec import CycleEncoder
+from hil.recording.cycle_layout import describe
+from hil.recording.frames import FrameTree, recorded_offset
+from hil.recording.ros_messages import TOPICS, messages, octet_array, string, transforms
+from hil.signals import CycleRecord
+
+LOG = logging.getLogger(__name__)
+
+METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
+_FLUSH_NS = NS_PER_S // 2
+_FOREVER = "{sec: 9223372036, nsec: 854775807}"
+_LATCHED = "- " + "\n  ".join(
+    (
+        "history: 1", "depth: 1", "reliability: 1", "durability: 1", f"deadline: {_FOREVER}",
+        f"lifespan: {_FOREVER}", "liveliness: 1", f"liveliness_lease_duration: {_FOREVER}",
+        "avoid_ros_namespace_conventions: false",
+    )
+)  # fmt: skip
+_QOS = {"/tf_static": _LATCHED}
+"""Quality of service with which a topic is to be played: who listens later gets the last message, too."""
+
+
+@lru_cache(maxsize=1)
+def _definitions() -> dict[str, str]:
+    """Message definitions of the types in `TOPICS`, by type name."""
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    return {kind: store.generate_msgdef(kind, ros_version=2)[0] for kind in sorted(set(TOPICS.values()))}
+
+
+class _WholeWrites:
+    """A file in which a write is complete or raises, without a buffer that could outlive a failure."""
+
+    def __init__(self, path: Path) -> None:
+        self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o644)
+        self._at = 0
+
+    def write(self, data: bytes) -> int:
+        """Hand all of `data` to the operating system."""
+        left = memoryview(data)
+        while left:
+            done = os.write(self._fd, left)
+            left, self._at = left[done:], self._at + done
+        return len(data)
+
+    def tell(self) -> int:
+        """Bytes written so far."""
+        return self._at
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def cut(self, length: int) -> None:
+        """Drop everything after the first `length` bytes."""
+        os.ftruncate(self._fd, length)
+
+    def close(self) -> None:
+        """Let go of the file."""
+        os.close(self._fd)
+
+
+class RecordingFile:
+    """The MCAP file itself; single-threaded.
+
+    Every time that other tools read (log time, message stamps) is wall-clock time, by the header's clock
+    offset; the cycle records keep the bench clock's own times.
+
+    Args:
+        path: file to write.
+        header: kept as JSON; says where the clock stands and how sensors and wheels are mounted.
+
+    Attributes:
+        flushed, unflushed: cycles that the operating system has, and those of the open chunk.
+
+    Raises:
+        OSError: it cannot be created.
+    """
+
+    def __init__(self, path: Path, header: Mapping[str, object]) -> None:
+        from mcap.writer import CompressionType, Writer
+
+        self._offset = recorded_offset(header)
+        self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
+        self._frames = FrameTree(header)
+        self._file = _WholeWrites(path)
+        self._encoder = CycleEncoder()
+        self._sequence = dict.fromkeys(TOPICS, 0)
+        self._flushed_ns: int | None = None
+        self._safe_bytes = 0
+        self.flushed = self.unflushed = 0
+        self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
+        self._mcap.start(profile="ros2", library="hil")
+        self._mcap.add_metadata(
+            METADATA,
+            {"header": json.dumps(header, default=str), "layout": json.dumps(describe())},
+        )
+        if self._offset is not None:
+            self._mcap.add_metadata(CLOCK_AT_START, _texts(self._offset))
+        schemas = {
+            kind: self._mcap.register_schema(kind, "ros2msg", text.encode())
+            for kind, text in _definitions().items()
+        }
+        self._channels = {
+            topic: self._mcap.register_channel(
+                topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
+            )
+            for topic, kind in TOPICS.items()
+        }
+        self._safe_bytes = self._file.tell()
+
+    def _add(self, topic: str, log_ns: int, t_ns: int, data: bytes) -> None:
+        log_ns, t_ns = max(0, log_ns + self._wall_ns), max(0, t_ns + self._wall_ns)
+        self._mcap.add_message(self._channels[topic], log_ns, data, t_ns, self._sequence[topic] & 0xFFFFFFFF)
+        self._sequence[topic] += 1
+
+    def add_cycle(self, record: CycleRecord) -> None:
+        """Add one cycle; flushes by the records' own time."""
+        now_ns = record.start_ns
+        payload = octet_array(self._encoder.encode(record))
+        self._add("/hil/cycle", now_ns, record.inputs.t_ns, payload)
+        self.unflushed += 1
+        if self._flushed_ns is None:
+            self._flushed_ns = now_ns
+            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, self._wall_ns))
+        moving, t_ns = self._frames.moving(record), record.state.t_ns
+        if moving:
+            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))
+        for topic, t_ns, data in messages(record, self._wall_ns):
+            self._add(topic, now_ns, t_ns, data)
+        if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
+            self._flushed_ns = now_ns
+            self.flush()
+
+    def add_note(self, t_ns: int, text: str) -> None:
+        """Add one free note."""
+        self._add("/hil/notes", t_ns, t_ns, string(text))
+
+    def flush(self) -> None:
+        """Close the chunk and hand everything to the operating system."""
+        self._mcap.flush()
+        self._safe_bytes = self._file.tell()
+        self.flushed += self.unflushed
+        self.unflushed = 0
+
+    def finish(self) -> None:
+        """Write where the clock stands now and the summary, and close."""
+        self.flush()
+        if self._offset is not None:
+            self._mcap.add_metadata(CLOCK_AT_END, _texts(MonotonicClock().wall_offset()))
+        self._mcap.finish()
+        self._file.close()
+
+    def abandon(self) -> int:
+        """Cut off what was half written and close; returns the number of cycles that are lost with it."""
+        lost, self.unflushed = self.unflushed, 0
+        try:
+            self._file.cut(self._safe_bytes)
+            self._file.close()
+        except OSError as error:
+            LOG.warning("the recording cannot be cut to its last whole chunk (%s)", error)
+        return lost
+
+
+def _texts(offset: WallOffset) -> dict[str, str]:
+    return {name: str(value) for name, value in offset._asdict().items()}

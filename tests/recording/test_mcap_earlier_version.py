@@ -1,0 +1,25 @@
+"""A recording that version 0.1.0 made, before frames, encoders and clock offsets were in it, goes on being read."""
+
+from pathlib import Path
+
+import numpy as np
+
+from hil.live.playback import open_recording, verify_recording
+from hil.recording.export import tabulate
+from hil.recording.mcap_reader import read_cycles, read_header, read_wall_offsets
+
+RECORDING = Path(__file__).with_name("data") / "recorded_by_0_1_0.mcap"
+
+
+def test_every_cycle_is_read():
+    records = list(read_cycles(RECORDING))
+    assert [r.cycle for r in records] == [*range(21), *range(36)]
+    assert read_header(RECORDING)["versions"]["hil"] == "0.1.0"
+    assert read_wall_offsets(RECORDING) == ()
+    assert np.isfinite(tabulate(records)[:, :9]).all()
+
+
+def test_what_was_observed_repeats_bit_for_bit():
+    """Run 0: odometry, nothing commanded. Filters and control laws may improve and then decide otherwise."""
+    (told,) = verify_recording(open_recording(RECORDING), 0)
+    assert (told["cycles"], told["difference"]) == (21, None)
