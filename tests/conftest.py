@@ -1,10 +1,13 @@
 """For all tests: where the public recordings are, and property tests without limits of wall-clock time."""
 
+import errno
 import os
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from hil.recording import mcap_file
 
 settings.register_profile("hil", deadline=None)
 settings.load_profile("hil")
@@ -18,3 +21,22 @@ def public_data():
     if not folder.is_dir():
         pytest.skip(f"public recordings not found in {folder}: set HIL_DATA (README, section Data)")
     return folder
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A function that has recordings run out of disk after so many bytes."""
+
+    def limit(capacity):
+        whole = mcap_file._WholeWrites.write
+
+        def write(file, data):
+            room = capacity - file.tell()
+            if len(data) <= room:
+                return whole(file, data)
+            whole(file, bytes(data)[: max(0, room)])
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+        monkeypatch.setattr(mcap_file._WholeWrites, "write", write)
+
+    return limit

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import json
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli import start
-from hil.errors import EXIT_PASS, UsageError
+from hil.errors import EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.live import LiveSession
     from hil.monitor import RerunMonitor
-    from hil.recording.mcap_writer import McapRecorder
+    from hil.recording.mcap_writer import McapRecorder, OnFailure
 
 _KINDS = ("odometry", "ekf", "ukf")
 
@@ -62,7 +63,18 @@ _KINDS = ("odometry", "ekf", "ukf")
 )
 @click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
 @click.option("--rerun", "view", help="spawn, connect, serve, a URL or a .rrd file; several with commas.")
-@click.option("--record", type=click.Path(path_type=Path), help="Recording to write (.mcap).")
+@click.option(
+    "--record", type=click.Path(path_type=Path), help="Recording to write [default: out/live/TIME.mcap]."
+)
+@click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
+@click.option(
+    "--on-recording-failure",
+    "on_failure",
+    type=click.Choice(["stop", "go-on"]),
+    default="stop",
+    show_default=True,
+    help="When the disk no longer takes the recording.",
+)
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
 @start.option
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
@@ -77,11 +89,13 @@ _KINDS = ("odometry", "ekf", "ukf")
 def command(
     bench: str, emulate: str | None, source: Path | None, commands: str, dead_man_s: float,
     duration_s: float | None, feedback: str, observers: tuple[str, ...], controller: str | None,
-    view: str | None, record: Path | None, calibration: Path | None, start_pose: str | None, seed: int,
-    repeated: Path | None, faults: tuple[str, ...], as_json: bool,
+    view: str | None, record: Path | None, unrecorded: bool, on_failure: OnFailure,
+    calibration: Path | None, start_pose: str | None, seed: int, repeated: Path | None,
+    faults: tuple[str, ...], as_json: bool,
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
 
+    Every session is recorded, in a file of its own unless told otherwise.
     Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
     that the robot is held; on the floor it is left as it is.
     SIGINT, SIGTERM and SIGHUP stop the robot, look after it until it is held, print the summary and end
@@ -93,6 +107,8 @@ def command(
 
     if source is not None and commands != "none":
         raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
+    if unrecorded and record is not None:
+        raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):
         raise UsageError("--replay: a robot that repeats a recording obeys nobody", remedy="only watch it")
     overrides = start.start_override(start_pose)
@@ -111,7 +127,8 @@ def command(
             None if source is None else load_trajectory(source), lines, duration_s, feedback, observers,
             controller, dead_man_s,
         )  # fmt: skip
-        recorder, monitor = _recorder(opened, record), _monitor(opened, view)
+        recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
+        monitor = _monitor(opened, view)
         session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)
         try:
             with opened:
@@ -120,6 +137,8 @@ def command(
         finally:
             opened.close()
             _report(session, monitor, as_json=as_json)
+        if recorder is not None and (lost := recorder.objection()) is not None:
+            raise lost
     finally:
         opened.close()
         if lines is not None:
@@ -127,13 +146,26 @@ def command(
     return EXIT_PASS
 
 
-def _recorder(bench: Bench, path: Path | None) -> McapRecorder | None:
-    if path is None:
-        return None
+def _dated() -> Path:
+    """Where a recording goes that nobody gave a name; the folder is made."""
+    path = Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3])
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(
+            str(path.parent),
+            f"cannot be created ({error.strerror})",
+            remedy="give --record FILE or --no-record",
+        ) from None
+    return path.with_suffix(".mcap")
+
+
+def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
     from hil.recording.mcap_writer import McapRecorder
 
-    recorder = McapRecorder(path, bench.header(), lossless=False)
+    recorder = McapRecorder(path, bench.header(), lossless=False, on_failure=on_failure)
     bench.add_sink(recorder)
+    click.echo(f"recording to {path}", err=True)
     return recorder
 
 

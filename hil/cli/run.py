@@ -15,6 +15,7 @@ from hil.cli.progress import reporting
 if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
     from hil.procedure.results import Result
+    from hil.recording.mcap_writer import OnFailure
 
 
 @click.command()
@@ -34,12 +35,14 @@ if TYPE_CHECKING:
     "--dry-run", "dry", is_flag=True, help="Print steps, check limits and trajectories, move nothing."
 )
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@click.option("--on-recording-failure", "on_failure", type=click.Choice(["stop", "go-on"]), default="stop",
+              show_default=True, help="When the disk no longer takes recording or journal.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int,
     start_pose: str | None, realtime: bool,
     faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
-    answers: Path | None, as_json: bool,
+    answers: Path | None, on_failure: OnFailure, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure: a path to a Python file, or the name of a shipped one."""
     from hil.procedure.bench_source import BenchSource
@@ -59,20 +62,21 @@ def command(
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
     source = source.changed(overrides=start.asked_start(source.config))
-    result = _run(proc, source, _folder(proc, out, resume), parameters, answers, resume)
-    report = _write_report(result)
+    result = _run(proc, source, _folder(proc, out, resume), parameters, answers, resume, on_failure)
+    report, code = _report_of(result)
     if as_json:
-        tree = result.to_json() | {"folder": str(result.folder), "report": str(report)}
+        tree = result.to_json() | {"folder": str(result.folder), "report": report}
         click.echo(json.dumps(tree, allow_nan=False))
     else:
         click.echo(_text(result))
-        click.echo(f"report: {report}")
-    return result.exit_code
+        click.echo(f"report: {report or 'could not be written'}")
+    return code
 
 
 def _run(
-    proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None, resume: bool
-) -> Result:
+    proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None,
+    resume: bool, on_failure: OnFailure,
+) -> Result:  # fmt: skip
     from hil.clock import MonotonicClock
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
@@ -85,7 +89,7 @@ def _run(
                 folder=folder, clock=MonotonicClock(),
                 started=datetime.now().astimezone().isoformat(timespec="seconds"), parameters=parameters,
                 operator=operator, report=report, tell=lambda text: click.echo(f"hil: {text}", err=True),
-                resume=resume,
+                resume=resume, on_recording_failure=on_failure,
             ),
         )  # fmt: skip
 
@@ -104,10 +108,19 @@ def _folder(proc: Procedure, out: Path | None, resume: bool) -> Path:
     return found[-1]
 
 
-def _write_report(result: Result) -> Path:
+def _report_of(result: Result) -> tuple[str | None, int]:
+    """Path of the report, None where the disk does not take it, and the exit code of the run."""
+    from hil.errors import HilError
+    from hil.procedure.results import KEEPING
     from hil.report.run_page import write_run_page
 
-    return write_run_page(result.folder)
+    if any(e.step == KEEPING for e in result.teardown_errors):
+        return None, result.exit_code
+    try:
+        return str(write_run_page(result.folder)), result.exit_code
+    except HilError as error:
+        click.echo(f"hil: {error}", err=True)
+        return None, result.exit_code or error.exit_code
 
 
 def _plan_text(plan: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.clock import NS_PER_S, Clock, nanoseconds
-from hil.errors import HilError, UsageError
+from hil.errors import DataError, HilError, RecordingError, UsageError
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
 from hil.procedure.interrupts import Interrupts
@@ -17,6 +17,7 @@ from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.notebook import Notebook, slug
 from hil.procedure.operator import Operator
+from hil.recording.mcap_writer import OnFailure
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -51,6 +52,7 @@ class Context(Notebook):
         report: Report,
         interrupts: Interrupts,
         past: Mapping[str, list[Entry]],
+        on_recording_failure: OnFailure = "stop",
     ) -> None:
         super().__init__(folder, declared, journal)
         self.parameters, self.source = parameters, source
@@ -59,6 +61,9 @@ class Context(Notebook):
         self.clock, self.started = clock, started
         self._report, self._interrupts = report, interrupts
         self._past = dict(past)
+        self._on_recording_failure: OnFailure = on_recording_failure
+        self._recorders: list[RunRecorder] = []
+        self._recorder: RunRecorder | None = None
         self._seen: set[str] = set()
         self._bench: Bench | None = None
         self.held: Held | None = None
@@ -105,7 +110,7 @@ class Context(Notebook):
         if source.real and (again or prompt):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
-        bench.add_sink(self._recorder(bench.header(), label, lossless=source.virtual))
+        self._record(bench, label, lossless=source.virtual)
         bench.add_sink(self.guard)
         try:
             bench.__enter__()
@@ -124,17 +129,42 @@ class Context(Notebook):
                 bench.__exit__(None, None, None)
             finally:
                 self.held = bench.held
+                if self._recorder is not None and self._recorder.shortfall:
+                    name, why = self._recorder.path.name, self._recorder.shortfall
+                    self._note_lost(f"{name} is not complete: {why}")
 
-    def _recorder(self, header: Mapping[str, object], label: str, *, lossless: bool) -> RunRecorder:
+    def unrecorded(self) -> RecordingError | None:
+        """What the run has to end with when cycles are missing from its recordings; None if it need not."""
+        return next(filter(None, (r.objection() for r in self._recorders)), None)
+
+    def _note_lost(self, text: str) -> None:
+        """A note that is left even where the journal does not take it."""
+        with suppress(HilError):
+            self._journal.add("note", {"text": text})
+        self.findings.notes.append(text)
+
+    def _record(self, bench: Bench, label: str, *, lossless: bool) -> None:
+        """Have a bench recorded; one that cannot be is an error unless the run may go on without."""
         stem = f"recording_{slug(label)}" if label else "recording"
         path, number = self.folder / f"{stem}.mcap", 1
         while path.exists():
             number += 1
             path = self.folder / f"{stem}-{number}.mcap"
-        recorder = RunRecorder(str(path), header, self._interrupts, lossless=lossless)
+        policy, self._recorder = self._on_recording_failure, None
+        try:
+            recorder = RunRecorder(
+                str(path), bench.header(), self._interrupts, lossless=lossless, on_failure=policy
+            )
+        except DataError as error:
+            if policy == "stop":
+                raise
+            self._note_lost(str(error))
+            return
+        bench.add_sink(recorder)
+        self._recorder = recorder
+        self._recorders.append(recorder)
         self.findings.recordings.append(path.name)
         self._journal.add("recording", {"path": path.name})
-        return recorder
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:

@@ -8,7 +8,7 @@ from hil.clock import nanoseconds, seconds
 from hil.errors import StepTimeoutError
 from hil.interfaces import Sink
 from hil.procedure.interrupts import Interrupts
-from hil.recording.mcap_writer import McapRecorder
+from hil.recording.mcap_writer import McapRecorder, OnFailure
 from hil.signals import CycleRecord
 
 _GAP_NS = nanoseconds(10.0)
@@ -60,9 +60,17 @@ class LoopGuard(Sink):
 class RunRecorder(McapRecorder):
     """A recorder that no signal interrupts in the middle of a record."""
 
-    def __init__(self, path: str, header: Mapping[str, object], interrupts: Interrupts, *, lossless: bool):
+    def __init__(
+        self,
+        path: str,
+        header: Mapping[str, object],
+        interrupts: Interrupts,
+        *,
+        lossless: bool,
+        on_failure: OnFailure,
+    ) -> None:
         self._interrupts = interrupts
-        super().__init__(path, header, lossless=lossless)
+        super().__init__(path, header, lossless=lossless, on_failure=on_failure)
 
     def write(self, record: CycleRecord) -> None:
         """Take one record."""

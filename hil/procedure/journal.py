@@ -7,13 +7,18 @@ dropped; any other damage is named and refused, because a run continued from it 
 from __future__ import annotations
 
 import json
+import logging
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.errors import ConfigError
+from hil.errors import ConfigError, RecordingError
+from hil.recording.mcap_writer import OnFailure
+
+LOG = logging.getLogger(__name__)
 
 SCHEMA = 1
 NAME = "journal.jsonl"
@@ -30,10 +35,15 @@ class Journal:
 
     Args:
         path: the file; created if it does not exist.
+        on_failure: whether a run has to `stop`, or may `go-on`, once an entry cannot be kept.
+
+    Attributes:
+        failure: why the journal ended before the run; empty if it did not.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, on_failure: OnFailure = "stop") -> None:
+        self.path, self.on_failure = path, on_failure
+        self.failure = ""
         try:
             self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
         except OSError as error:
@@ -46,16 +56,30 @@ class Journal:
         """Append one entry; `data` holds JSON values.
 
         Raises:
-            ConfigError: the disk does not take it.
+            RecordingError: the disk does not take it, and the run is to stop then.
         """
+        if self.failure and self.on_failure == "go-on":
+            return
         line = json.dumps({"kind": kind, **data}, default=str) + "\n"
+        end = os.fstat(self._fd).st_size
         try:
             left = memoryview(line.encode())
             while left:
                 left = left[os.write(self._fd, left) :]
             os.fsync(self._fd)
         except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be written ({error.strerror})") from None
+            with suppress(OSError):
+                os.ftruncate(self._fd, end)
+            self.failure = f"cannot be written ({error.strerror})"
+            if self.on_failure == "go-on":
+                LOG.warning(
+                    "%s: %s; the run goes on without it and cannot be resumed", self.path, self.failure
+                )
+                return
+            raise RecordingError(
+                str(self.path), self.failure,
+                remedy="make room and continue with --resume; --on-recording-failure go-on drives on without",
+            ) from None  # fmt: skip
 
     def close(self) -> None:
         """Let go of the file. Idempotent."""

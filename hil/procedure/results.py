@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ from hil.procedure.measurements import Measurement, Verdict
 SCHEMA = 1
 RESULT = "result.json"
 JUNIT = "junit.xml"
+KEEPING = "keeping the results"
+"""Step named by the error of a result that could not be written."""
 
 
 @dataclass(frozen=True)
@@ -166,8 +169,13 @@ def _sentence(row: Mapping[str, Any]) -> str:
 
 def _replace(path: Path, text: str) -> None:
     partial = path.with_name(path.name + ".part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, path)
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError:
+        with suppress(OSError):
+            partial.unlink()
+        raise
 
 
 def _finite(value: Any) -> Any:

@@ -6,16 +6,27 @@ the results folder is complete.
 
 from __future__ import annotations
 
+import errno
 import inspect
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hil.clock import NS_PER_S, Clock
 from hil.config.bench import BenchConfig
 from hil.config.recorded import changed_since
-from hil.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, ConfigError, HilError
+from hil.errors import (
+    EXIT_ABORTED,
+    EXIT_DEVICE,
+    EXIT_USAGE,
+    Aborted,
+    ConfigError,
+    DataError,
+    HilError,
+    RecordingError,
+)
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.context import Context, Report
 from hil.procedure.declaration import Procedure
@@ -24,7 +35,10 @@ from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_to
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
-from hil.procedure.results import RESULT, Failure, Result, git_revision, judge, write_result
+from hil.procedure.results import KEEPING, RESULT, Failure, Result, git_revision, judge, write_result
+from hil.recording.mcap_writer import OnFailure
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 @dataclass(frozen=True)
@@ -40,6 +54,8 @@ class RunOptions:
         report: progress (what, done, total).
         tell: receives lines for the operator.
         resume: continue from the journal in `folder`.
+        on_recording_failure: whether the run has to `stop`, or may `go-on`, once what it does can no longer
+            be kept in its recordings and its journal.
     """
 
     folder: Path
@@ -50,6 +66,7 @@ class RunOptions:
     report: Report = lambda what, done, total: None
     tell: Callable[[str], None] = lambda text: None
     resume: bool = False
+    on_recording_failure: OnFailure = "stop"
 
 
 def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
@@ -64,7 +81,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     header = _header(proc, parameters, source)
     past = _past(options, header, source.config)
     interrupts = Interrupts(options.tell)
-    journal = Journal(options.folder / NAME)
+    journal = Journal(options.folder / NAME, options.on_recording_failure)
     try:
         if past is None:
             journal.add("run", {**header, "started": options.started})
@@ -73,7 +90,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         context = Context(
             parameters, source, options.folder, declared=declared, journal=journal, clock=options.clock,
             started=options.started, operator=options.operator, report=options.report, interrupts=interrupts,
-            past=past.checkpoints if past else {},
+            past=past.checkpoints if past else {}, on_recording_failure=options.on_recording_failure,
         )  # fmt: skip
         begin_ns = options.clock.now_ns()
         with interrupts.installed():
@@ -81,11 +98,22 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
         facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics}
         late += _not_held(context, error or next(iter(late), None))
-        result = conclude(proc, context, declared, error, late, facts)
-        write_result(result)
-        journal.add("end", {"verdict": result.verdict.value})
+        result = _kept(conclude(proc, context, declared, error, late, facts))
+        with suppress(RecordingError):
+            journal.add("end", {"verdict": result.verdict.value})
     finally:
         journal.close()
+    return result
+
+
+def _kept(result: Result) -> Result:
+    """The result, written into its folder; where that fails, the result with that error in it."""
+    try:
+        write_result(result)
+    except DataError as problem:
+        failure = Failure(type(problem).__name__, str(problem), KEEPING, EXIT_ABORTED)
+        verdict = Verdict.ABORTED if result.verdict is Verdict.ABORTED else Verdict.ERROR
+        return replace(result, verdict=verdict, teardown_errors=(*result.teardown_errors, failure))
     return result
 
 
@@ -139,6 +167,9 @@ def _execute(
         if context.opened is not None:
             statistics = context.opened.statistics.summary()
         _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
+        lost = context.unrecorded()
+        if error is None and lost is not None:
+            error = _failure(lost, context, "recording")
     return error, late, statistics
 
 
@@ -168,7 +199,8 @@ def _failure(problem: BaseException, context: Context, where: str = "") -> Failu
     if isinstance(problem, HilError):
         code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
         return Failure(type(problem).__name__, str(problem), step, code)
-    code = EXIT_ABORTED if isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
+    no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
+    code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
     return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code)
 
 

@@ -86,13 +86,20 @@ class McapRecorder(Sink):
 
     def objection(self) -> RecordingError | None:
         """What the loop is stopped with once a cycle is not kept; None before, and where it may go on."""
-        if self.on_failure == "go-on" or not (self.failure or self.dropped):
+        if self.on_failure == "go-on" or not self.shortfall:
             return None
-        why = self.failure or f"the disk does not keep up: {self.dropped} cycles dropped"
         return RecordingError(
-            str(self.path), f"recording failed ({why}); the robot was stopped, what came before can be read",
+            str(self.path),
+            f"recording failed ({self.shortfall}); the robot was stopped, what came before can be read",
             remedy="make room or record elsewhere; --on-recording-failure go-on drives on unrecorded",
-        )  # fmt: skip
+        )
+
+    @property
+    def shortfall(self) -> str:
+        """Why cycles are missing from the recording; empty while all are in it."""
+        if self.dropped and not self.failure:
+            return f"the disk does not keep up: {self.dropped} cycles dropped"
+        return self.failure
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
         """Keep something that belongs between two cycles, such as how a run starts.

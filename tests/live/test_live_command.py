@@ -4,6 +4,8 @@ import contextlib
 import io
 import json
 import os
+import re
+import resource
 import signal
 import socket
 import subprocess
@@ -28,13 +30,14 @@ PATIENT = {"safety.servo_stale_s": 2.0, "servos.fail_after_s": 5.0, "servos.repl
 
 
 def live(folder, *options):
-    """A running `hil live` on an emulated bench that allows for a busy host."""
+    """A running `hil live` in a folder, on an emulated bench that allows for a busy host."""
     bench = folder / "bench.toml"
     tree = load_bench("emulated", overrides=PATIENT).model_dump(mode="json", by_alias=True, exclude_none=True)
     bench.write_bytes(tomli_w.dumps(tree).encode())
     return subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
     )  # fmt: skip
 
 
@@ -151,10 +154,73 @@ def _some(path):
     return path.exists() and path.stat().st_size > 150_000
 
 
+def test_every_session_is_recorded_under_its_date_unless_told_otherwise(tmp_path):
+    process = live(tmp_path, "--duration", "0.5")
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    (path,) = (tmp_path / "out" / "live").iterdir()
+    assert re.fullmatch(r"\d{8}-\d{6}-\d{3}\.mcap", path.name)
+    assert f"recording to {path.relative_to(tmp_path)}" in err
+    told = json.loads(out)["recording"]
+    assert told["path"] == str(path.relative_to(tmp_path))
+    assert told["written"] == sum(1 for _ in read_cycles(path)) > 50
+    assert verified(path)[1]["identical"]
+
+    process = live(tmp_path, "--duration", "0.5", "--no-record")
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    assert len(list((tmp_path / "out" / "live").iterdir())) == 1
+    assert "recording" not in json.loads(out)
+
+
+def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").write_text("a file")
+    assert main(["live", "--duration", "0.1"]) == 2
+    said = capsys.readouterr().err
+    assert "out/live: cannot be created" in said
+    assert "--no-record" in said
+
+
+@pytest.mark.parametrize(("policy", "code"), [("stop", 4), ("go-on", 0)])
+def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
+    """The thread that writes finds no room while the robot is driven; nobody else's files are touched."""
+    path = tmp_path / "run.mcap"
+    process = live(
+        tmp_path, "--command", "udp:0", "--record", str(path), "--duration", "8",
+        "--on-recording-failure", policy,
+    )  # fmt: skip
+    port = int(process.stderr.readline().rsplit(":", 1)[1])
+    limited = False
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        while process.poll() is None:
+            sender.sendto(b"v 0.02 0 0\n", ("127.0.0.1", port))
+            if not limited and _some(path):
+                resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (250_000, 250_000))
+                limited = True
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(0.05)
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == code, err
+    summary = json.loads(out)
+    assert "File too large" in summary["recording"]["failure"]
+    problems = []
+    records = list(read_cycles(path, problems))
+    assert len(records) == summary["recording"]["written"] > 50
+    assert "ends early" in problems[0]
+    if policy == "go-on":
+        assert summary["ended"] == "duration"
+        return
+    assert str(path) in summary["ended"]
+    assert f"hil: {path}: recording failed" in err
+    assert summary["timing"]["cycles"] < 700
+
+
 def test_what_contradicts_itself_is_refused():
     for options in (
         ["--trajectory", "a.csv", "--command", "stdin"],
         ["--command", "tcp:1"],
         ["--replay", "a.csv", "--command", "stdin"],
+        ["--record", "a.mcap", "--no-record"],
     ):
         assert main(["live", *options]) == 2

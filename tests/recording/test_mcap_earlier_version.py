@@ -1,4 +1,4 @@
-"""A recording that version 0.1.0 made, before frames, encoders and clock offsets were in it, goes on being read."""
+"""A recording of version 0.1.0, without frames, encoders and clock offset, goes on being read."""
 
 from pathlib import Path
 
