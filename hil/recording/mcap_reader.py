@@ -20,6 +20,7 @@ from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
 from hil.recording.ros_messages import octets_of, text_of
 from hil.signals import CycleRecord
 
+NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 _RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
@@ -57,7 +58,13 @@ class RecordingReader:
     def _open(self) -> tuple[dict[str, Any], CycleDecoder]:
         from mcap.records import Chunk, Metadata
 
-        remedy = "recordings of other robots need a topic mapping (--topics FILE)"
+        if self.path.is_dir() or self.path.suffix == ".db3":
+            raise DataError(
+                str(self.path),
+                "is not a recording of this project",
+                expected="a .mcap file",
+                remedy=NEEDS_TOPICS,
+            )
         for record in _records(self.path, []):
             if isinstance(record, Metadata) and record.name == METADATA:
                 try:
@@ -71,7 +78,7 @@ class RecordingReader:
                     ) from None
             if isinstance(record, Chunk):
                 break
-        raise DataError(str(self.path), "holds no cycle records of this project", remedy=remedy)
+        raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""

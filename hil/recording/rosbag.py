@@ -1,4 +1,4 @@
-"""Reads rosbag2 MCAP recordings of a real robot through a topic mapping in TOML.
+"""Reads rosbag2 recordings (MCAP or SQLite) of a real robot through a topic mapping in TOML.
 
 The mapping says which joints are which wheel and where ground truth comes from::
 
@@ -19,6 +19,7 @@ Stamps are those of the message headers; a header without a stamp falls back to 
 from __future__ import annotations
 
 import hashlib
+import sqlite3
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -43,6 +44,9 @@ _POSES = (
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "nav_msgs/msg/Odometry",
 )
+_STORAGES = (".mcap", ".db3")
+_REPAIR = {".mcap": "repair it with `mcap recover`", ".db3": "repair it with `sqlite3 FILE .recover`"}
+_REINDEX = "write its metadata.yaml afresh with `ros2 bag reindex`"
 _Names = tuple[str, str, str, str]
 _Signs = tuple[Literal[1, -1], Literal[1, -1], Literal[1, -1], Literal[1, -1]]
 
@@ -94,13 +98,25 @@ def read_topic_map(path: str | Path) -> TopicMap:
         raise ConfigError(f"{path}: not valid TOML ({error})") from None
 
 
+def is_bag(path: Path) -> bool:
+    """Whether a path looks like a rosbag2 recording: a folder with its metadata, or a storage file."""
+    return (path / "metadata.yaml").exists() if path.is_dir() else path.suffix in _STORAGES
+
+
+def bags_in(folder: Path) -> list[Path]:
+    """Bags of a folder, by name: itself if it is one, else those that lie in it."""
+    return [folder] if is_bag(folder) else sorted(p for p in folder.iterdir() if is_bag(p))
+
+
 def read_bag(path: str | Path, topics: TopicMap) -> Recording:
-    """Wheels and ground truth of a bag: a `.mcap` file or a rosbag2 folder.
+    """Wheels and ground truth of a bag: a rosbag2 folder, or a `.mcap` or `.db3` file of one.
 
     Raises:
         DataError: unreadable, a topic or joint is missing, or the data cannot be used.
     """
     file = Path(path)
+    if file.is_dir() and not is_bag(file):
+        _refuse_folder(file)
     wheel_rows: list[tuple[float, list[float]]] = []
     truth_rows: list[tuple[float, list[float]]] = []
     for topic, t_s, message in _messages(file, (topics.wheels.topic, topics.truth.topic)):
@@ -117,6 +133,19 @@ def read_bag(path: str | Path, topics: TopicMap) -> Recording:
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
     )
+
+
+def _refuse_folder(folder: Path) -> None:
+    """Raises `DataError` for a folder that is no bag, with the bags that lie in it."""
+    names = [p.name for p in bags_in(folder)]
+    if names:
+        raise DataError(
+            str(folder), f"is a folder of {len(names)} recordings ({', '.join(names)})", remedy="name one"
+        )
+    raise DataError(
+        str(folder), "is a folder without a rosbag2 recording",
+        expected="metadata.yaml with its files, or a .mcap or .db3 file",
+    )  # fmt: skip
 
 
 def _log(rows: list[tuple[float, list[float]]], width: int) -> Log:
@@ -151,12 +180,21 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float,
                 t_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
                 origin_ns = t_ns if origin_ns is None else origin_ns
                 yield connection.topic, (t_ns - origin_ns) / NS_PER_S, message
-    except (AnyReaderError, ReaderError, OSError) as error:
+    except (AnyReaderError, ReaderError, OSError, *_database_errors()) as error:
         raise DataError(
             str(path),
             f"is not a readable rosbag2 recording ({error})",
-            remedy="repair it with `mcap recover`",
+            remedy=_REPAIR.get(path.suffix, _REINDEX),
         ) from None
+
+
+def _database_errors() -> tuple[type[Exception], ...]:
+    """What the database below `rosbags` raises; which one that is depends on its version."""
+    try:
+        import apsw
+    except ImportError:
+        return (sqlite3.Error,)
+    return sqlite3.Error, apsw.Error
 
 
 def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:

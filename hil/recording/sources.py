@@ -8,6 +8,7 @@ from pathlib import Path
 from hil.calibration.datasets import Recording
 from hil.errors import DataError
 from hil.recording import export, plain_csv, public_csv, rosbag
+from hil.recording.mcap_reader import NEEDS_TOPICS
 
 Job = Callable[[], Recording]
 
@@ -17,7 +18,8 @@ def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = Non
 
     Args:
         paths: files and folders.
-        topics: topic mapping of another robot; every `.mcap` file and rosbag2 folder is then one of its bags.
+        topics: topic mapping of another robot; every `.mcap` and `.db3` file and rosbag2 folder is then one
+            of its bags.
 
     Raises:
         DataError: a path that does not exist or holds no recording.
@@ -32,7 +34,7 @@ def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = Non
             raise DataError(
                 str(path),
                 "holds no recording",
-                expected="odom_N.csv + abs_N.csv pairs, plain .csv files or .mcap recordings",
+                expected="odom_N.csv + abs_N.csv pairs, plain .csv files, .mcap recordings or rosbag2 bags",
             )
         jobs += found
     if not jobs:
@@ -57,20 +59,35 @@ def read_recordings(
 
 
 def _folder(folder: Path, mapping: rosbag.TopicMap | None) -> list[Job]:
-    if mapping is not None and (folder / "metadata.yaml").exists():
-        return [lambda: rosbag.read_bag(folder, mapping)]
+    if rosbag.is_bag(folder):
+        return [_bag(folder, mapping)]
     pairs = public_csv.find_pairs(folder)
     if pairs:
         return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
-    files = sorted(f for kind in ("*.csv", "*.csv.gz", "*.mcap") for f in folder.glob(kind))
-    return [_file(f, mapping) for f in files]
+    bags = rosbag.bags_in(folder)
+    tables = sorted(f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind))
+    if mapping is not None:
+        return [_file(t, mapping) for t in tables] + [_bag(b, mapping) for b in bags]
+    files = sorted([*tables, *folder.glob("*.mcap")])
+    if bags and not files:
+        names = ", ".join(b.name for b in bags)
+        raise DataError(
+            str(folder), f"holds rosbag2 recordings of another robot ({names})", remedy=NEEDS_TOPICS
+        )
+    return [_file(f, None) for f in files]
+
+
+def _bag(path: Path, mapping: rosbag.TopicMap | None) -> Job:
+    if mapping is None:
+        raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
+    return lambda: rosbag.read_bag(path, mapping)
 
 
 def _file(path: Path, mapping: rosbag.TopicMap | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist")
-    if path.suffix == ".mcap" and mapping is not None:
-        return lambda: rosbag.read_bag(path, mapping)
+    if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
+        return _bag(path, mapping)
     if path.suffix == ".mcap":
         return lambda: export.to_recording(path)
     if public_csv.is_pair_file(path):

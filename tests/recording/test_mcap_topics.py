@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import sqlite3
 
 import numpy as np
 import pytest
@@ -26,8 +27,7 @@ RATE_HZ = 50
 SPEED_M_S = 0.1
 
 
-@pytest.fixture
-def bag(tmp_path):
+def write_bag(folder, storage=StoragePlugin.MCAP):
     """Six seconds: at rest, then straight ahead; the right wheels count backwards."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
@@ -37,8 +37,7 @@ def bag(tmp_path):
     point, quaternion = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Quaternion"]
     vector, twist = types["geometry_msgs/msg/Vector3"], types["geometry_msgs/msg/Twist"]
     with_covariance = types["geometry_msgs/msg/PoseWithCovariance"]
-    folder = tmp_path / "line_x_1"
-    with Writer(folder, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+    with Writer(folder, version=9, storage_plugin=storage) as writer:
         wheels = writer.add_connection("/wheels", joint.__msgtype__, typestore=store)
         truth = writer.add_connection("/vicon", pose.__msgtype__, typestore=store)
         for k in range(6 * RATE_HZ):
@@ -64,9 +63,19 @@ def bag(tmp_path):
                 twist=still,
             )  # fmt: skip
             writer.write(truth, t_ns, store.serialize_cdr(message, pose.__msgtype__))
-    topics = tmp_path / "topics.toml"
-    topics.write_text(MAPPING)
-    return folder, topics
+    return folder
+
+
+@pytest.fixture
+def topics(tmp_path):
+    path = tmp_path / "topics.toml"
+    path.write_text(MAPPING)
+    return path
+
+
+@pytest.fixture
+def bag(tmp_path, topics):
+    return write_bag(tmp_path / "line_x_1"), topics
 
 
 def hil(*arguments):
@@ -103,3 +112,83 @@ def test_without_a_mapping_the_remedy_is_named(bag, capsys):
     (file,) = folder.glob("*.mcap")
     assert main(["evaluate", str(file)]) == 2
     assert "--topics" in capsys.readouterr().err
+
+
+def database(folder):
+    (file,) = write_bag(folder, StoragePlugin.SQLITE3).glob("*.db3")
+    return file
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_a_database_file_is_read_without_its_folder(tmp_path, topics, described):
+    """Before Jazzy such files did not carry the definitions of their messages."""
+    file = tmp_path / "line_x_4.db3"
+    database(tmp_path / "line_x_4").rename(file)
+    if not described:
+        with contextlib.closing(sqlite3.connect(file)) as connection, connection:
+            for table in ("schema", "message_definitions", "metadata"):
+                connection.execute(f"DROP TABLE {table}")
+    code, table = hil("evaluate", file, "--topics", topics)
+    assert code == 0
+    assert table["motions"]["line_x"]["final_position_m"] < 1e-3
+    assert hil("export", file, "--topics", topics)[1]["rows"] == 6 * RATE_HZ
+    assert hil("replay", file, "--topics", topics, "--estimator", "odometry")[0] == 0
+
+
+def test_every_bag_of_a_folder_is_a_recording(tmp_path, topics):
+    many = tmp_path / "many"
+    many.mkdir()
+    write_bag(many / "line_x_1")
+    write_bag(many / "line_x_2", StoragePlugin.SQLITE3)
+    database(tmp_path / "line_x_3").rename(many / "line_x_3.db3")
+    (many / "notes").mkdir()
+    code, table = hil("evaluate", many, "--topics", topics)
+    assert (code, table["recordings"], table["motions"]["line_x"]["n"]) == (0, 3, 3)
+
+
+@pytest.mark.parametrize("command", ["export", "replay"])
+def test_a_folder_of_bags_is_refused_with_their_names_where_one_is_wanted(tmp_path, topics, capsys, command):
+    many = tmp_path / "many"
+    many.mkdir()
+    write_bag(many / "line_x_1")
+    write_bag(many / "line_x_2")
+    assert main([command, str(many), "--topics", str(topics)]) == 2
+    said = capsys.readouterr().err
+    assert f"{many}: is a folder of 2 recordings (line_x_1, line_x_2); name one" in said
+    assert main([command, str(tmp_path / "many" / "line_x_1"), "--topics", str(topics)]) == 0
+    capsys.readouterr()
+    (tmp_path / "none").mkdir()
+    assert main([command, str(tmp_path / "none"), "--topics", str(topics)]) == 2
+    assert "without a rosbag2 recording" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["evaluate", "export", "replay"])
+def test_without_a_mapping_no_kind_of_bag_is_taken_for_something_else(tmp_path, capsys, command):
+    many = tmp_path / "many"
+    many.mkdir()
+    file = database(many / "line_x_1")
+    for given in (file, many / "line_x_1", many):
+        assert main([command, str(given)]) == 2
+        said = capsys.readouterr().err
+        assert f"{given}: " in said
+        assert "--topics FILE" in said
+        assert "CSV" not in said
+
+
+def test_a_damaged_database_is_named(tmp_path, topics, capsys):
+    file = database(tmp_path / "line_x_1")
+    whole = file.read_bytes()
+    torn = bytearray(whole)
+    torn[len(whole) // 2 : len(whole) * 3 // 4] = b"\xff" * (len(whole) * 3 // 4 - len(whole) // 2)
+    for content in (
+        whole[: len(whole) // 2],
+        bytes(torn),
+        b"",
+        b"SQLite format 3\0" + bytes(90),
+        b"garbage" * 50,
+    ):
+        file.write_bytes(content)
+        assert main(["evaluate", str(file), "--topics", str(topics)]) == 2
+        said = capsys.readouterr().err
+        assert f"{file}: is not a readable rosbag2 recording" in said
+        assert "sqlite3 FILE .recover" in said
