@@ -110,9 +110,9 @@ class Context(Notebook):
         if source.real and (again or prompt):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
-        self._record(bench, label, lossless=source.virtual)
-        bench.add_sink(self.guard)
         try:
+            self._record(bench, label, lossless=source.virtual)
+            bench.add_sink(self.guard)
             bench.__enter__()
         except BaseException:
             bench.close()

@@ -83,7 +83,7 @@ def test_the_operator_may_choose_to_go_on(tmp_path, full_disk):
 
 
 def test_the_robot_rests_after_such_a_stop(tmp_path, full_disk):
-    full_disk(400_000)
+    full_disk(250_000)
     bench = hil.open_bench("emulated", seed=4)
     bench.add_sink(McapRecorder(tmp_path / "run.mcap", bench.header(), lossless=True))
     with bench:
