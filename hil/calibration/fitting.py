@@ -22,6 +22,7 @@ from hil.kinematics import WheelGeometry
 
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4
+_STEPS_IN_A_BOX = 100
 _BAD_WEIGHT = 0.3
 _CLEARLY_BETTER = 0.7
 
@@ -115,7 +116,12 @@ def _linear(stage: Problem) -> Problem:
 
 
 def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_limit: int = 10) -> Fit:
-    """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way."""
+    """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way.
+
+    Where a box stands in for the prior, directions that the data leave open are flat: the last fit then goes
+    on to its end, so that the box decides them and not the number of steps.
+    """
+    last_limit = last_limit if problem.setting.bounds is None else _STEPS_IN_A_BOX
     z, weights = problem.nominal, problem.weights
     robust = problem.setting.robust
     powers = chain(problem.setting)

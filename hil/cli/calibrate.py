@@ -29,7 +29,9 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
     "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: the setting's]."
 )
 @click.option(
-    "--bounds", type=click.FloatRange(0.0, 0.5, min_open=True), help="Hard relative bounds, e.g. 0.05."
+    "--bounds",
+    type=click.FloatRange(0.0, 0.5, min_open=True),
+    help="Hard bounds instead of the prior: share of a length, rad of a zero, e.g. 0.05.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the stochastic methods.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")

@@ -108,7 +108,7 @@ def _draw_errors(axes: Axes, motion: str, before: Sequence[Track], after: Sequen
 
 def _parameters(result: Calibration) -> Figure:
     z, nominal = result.fit.solution.z, result.fit.problem.nominal
-    unit = np.where(np.arange(len(z)) < 12, 0.01 * np.abs(nominal), np.radians(1.0))
+    unit = np.where(np.arange(len(z)) < 12, 0.01 * result.fit.problem.sizes, np.radians(1.0))
     half = np.nan_to_num(result.intervals.quantile * result.intervals.std / unit)
     prior = result.fit.problem.prior_std / unit
     figure = Figure(figsize=(8.4, 3.4), layout="constrained")
