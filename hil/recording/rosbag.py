@@ -28,6 +28,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.clock import NS_PER_S
 from hil.errors import ConfigError, DataError
 from hil.geometry import yaw_of_quat
@@ -94,7 +95,7 @@ def read_topic_map(path: str | Path) -> TopicMap:
         raise ConfigError(f"{path}: not valid TOML ({error})") from None
 
 
-def read_bag(path: str | Path, topics: TopicMap) -> Recording:
+def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None) -> Recording:
     """Wheels and ground truth of a bag: a `.mcap` file or a rosbag2 folder.
 
     Raises:
@@ -116,6 +117,7 @@ def read_bag(path: str | Path, topics: TopicMap) -> Recording:
         motion=file.stem.rpartition("_")[0] or file.stem,
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
+        nominal=nominal,
     )
 
 

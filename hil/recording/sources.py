@@ -6,18 +6,22 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
+from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.recording import export, plain_csv, public_csv, rosbag
 
 Job = Callable[[], Recording]
 
 
-def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = None) -> list[Job]:
+def find_recordings(
+    paths: Sequence[str | Path], topics: str | Path | None = None, nominal: Nominal | None = None
+) -> list[Job]:
     """Readers for every run under the given files and folders, in a fixed order.
 
     Args:
         paths: files and folders.
         topics: topic mapping of another robot; every `.mcap` file and rosbag2 folder is then one of its bags.
+        nominal: robot that they are read for, see `build_recording`.
 
     Raises:
         DataError: a path that does not exist or holds no recording.
@@ -27,7 +31,7 @@ def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = Non
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)
-        found = _folder(path, mapping) if path.is_dir() else [_file(path, mapping)]
+        found = _folder(path, mapping, nominal) if path.is_dir() else [_file(path, mapping, nominal)]
         if not found:
             raise DataError(
                 str(path),
@@ -45,9 +49,10 @@ def read_recordings(
     progress: Callable[[int, int], None] | None = None,
     *,
     topics: str | Path | None = None,
+    nominal: Nominal | None = None,
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each."""
-    jobs = find_recordings(paths, topics)
+    jobs = find_recordings(paths, topics, nominal)
     out = []
     for number, job in enumerate(jobs, start=1):
         out.append(job())
@@ -56,26 +61,26 @@ def read_recordings(
     return out
 
 
-def _folder(folder: Path, mapping: rosbag.TopicMap | None) -> list[Job]:
+def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> list[Job]:
     if mapping is not None and (folder / "metadata.yaml").exists():
-        return [lambda: rosbag.read_bag(folder, mapping)]
+        return [lambda: rosbag.read_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
     if pairs:
-        return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
+        return [lambda o=o, a=a: public_csv.read_pair(o, a, nominal) for o, a in pairs]  # type: ignore[misc]
     files = sorted(f for kind in ("*.csv", "*.csv.gz", "*.mcap") for f in folder.glob(kind))
-    return [_file(f, mapping) for f in files]
+    return [_file(f, mapping, nominal) for f in files]
 
 
-def _file(path: Path, mapping: rosbag.TopicMap | None) -> Job:
+def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist")
     if path.suffix == ".mcap" and mapping is not None:
-        return lambda: rosbag.read_bag(path, mapping)
+        return lambda: rosbag.read_bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return lambda: export.to_recording(path)
+        return lambda: export.to_recording(path, nominal=nominal)
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
-        return lambda: public_csv.read_pair(odom, public_csv.partner(odom))
-    return lambda: plain_csv.read_plain(path)
+        return lambda: public_csv.read_pair(odom, public_csv.partner(odom), nominal)
+    return lambda: plain_csv.read_plain(path, nominal)
