@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -30,9 +30,7 @@ from hil.clock import NS_PER_S, Clock
 from hil.errors import DataError
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
-
-Report = Callable[[str, int, int], None]
-"""Progress: (what, done, total)."""
+from hil.progress import WHOLE, Report, silent
 
 _VALIDATION_BLOCK_S = 0.5
 
@@ -154,7 +152,7 @@ def calibrate(
     seed: int = 0,
     nominal: Nominal | None = None,
     validate: bool = True,
-    report: Report = lambda what, done, total: None,
+    report: Report = silent,
 ) -> Calibration:
     """Fit the odometry parameters to recordings and judge the result.
 
@@ -228,6 +226,12 @@ def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit |
     return fit(reduce_recordings(recordings, setting.block_s, setting.signal), setting, nominal)
 
 
+def _fold_done(report: Report, what: str, before: int, in_all: int, done: int, total: int) -> None:
+    """One more fold of a cross-validation, `before` of `in_all` being those of the others."""
+    report(WHOLE, before + done, in_all)
+    report(what, done, total)
+
+
 def _cross_validation(
     recordings: Sequence[Recording],
     blocks: Blocks,
@@ -241,16 +245,17 @@ def _cross_validation(
     runs = [(setting, blocks, found.solution.z, "")]
     if paper is not None:
         runs.append((paper.problem.setting, paper.problem.blocks, paper.solution.z, "paper_"))
-    repetitions = repetition_numbers(blocks.motions)
+    folds: dict[str, Sequence[object]] = {
+        "leave_one_repetition_out": repetition_numbers(blocks.motions),
+        "leave_one_motion_out": blocks.motions,
+    }
+    folds = {name: groups for name, groups in folds.items() if len(set(groups)) > 1}
+    before, total = 0, len(runs) * sum(len(set(groups)) for groups in folds.values())
     for kind, reduced, start, prefix in runs:
-        folds: dict[str, Sequence[object]] = {
-            "leave_one_repetition_out": repetitions,
-            "leave_one_motion_out": blocks.motions,
-        }
         for name, groups in folds.items():
-            if len(set(groups)) > 1:
-                tables[prefix + name] = cross_validate(
-                    recordings, reduced, kind, nominal, start, groups,
-                    lambda done, total, what=prefix + name: report(what.replace("_", " "), done, total),  # type: ignore[misc]
-                )  # fmt: skip
+            progress = partial(_fold_done, report, f"{prefix}{name}".replace("_", " "), before, total)
+            tables[prefix + name] = cross_validate(
+                recordings, reduced, kind, nominal, start, groups, progress
+            )  # fmt: skip
+            before += len(set(groups))
     return tables

@@ -17,7 +17,7 @@ from hil.config.bench import BenchConfig
 from hil.config.recorded import changed_since
 from hil.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, ConfigError, HilError
 from hil.procedure.bench_source import BenchSource
-from hil.procedure.context import Context, Report
+from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
@@ -25,6 +25,7 @@ from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import RESULT, Failure, Result, git_revision, judge, write_result
+from hil.progress import Report, silent
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class RunOptions:
     started: str
     parameters: dict[str, Any]
     operator: Operator = field(default_factory=Terminal)
-    report: Report = lambda what, done, total: None
+    report: Report = silent
     tell: Callable[[str], None] = lambda text: None
     resume: bool = False
 

@@ -103,7 +103,9 @@ def test_a_spoiled_calibration_file_lists_every_problem(tmp_path):
 BENCH = """
 schema = 1
 name = "small"
+[environment]
 surface = "floor"
+tilt_rad = 0.0
 [robot]
 wheel_x_m = [0.1, -0.1, -0.1, 0.1]
 wheel_y_m = [0.075, 0.075, -0.075, -0.075]

@@ -17,6 +17,7 @@ from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.clock import MonotonicClock
 from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
+from hil.progress import WHOLE
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()
@@ -183,6 +184,16 @@ def test_injected_truth_on_ten_seeds_and_interval_coverage():
         hits.append(np.abs(wrong) <= result.intervals.quantile * result.intervals.twist_std)
     assert max(errors) <= 1.8e-3
     assert 0.88 <= np.mean(hits) <= 0.99
+
+
+def test_the_cross_validations_tell_how_far_all_of_them_are(recordings):
+    told = []
+    few = [r for r in recordings if r.motion in ("line_x", "line_y")]
+    setting = replace(RECOMMENDED, model="exact", choose_model=False)
+    calibrate(few, setting, CLOCK, report=lambda *now: told.append(now))
+    whole = [(done, total) for what, done, total in told if what == WHOLE]
+    assert whole == [(k, 8) for k in range(1, 9)]
+    assert ("paper leave one motion out", 2, 2) in told
 
 
 def test_rigid_commands_determine_six_of_the_papers_twelve_parameters(recordings):
