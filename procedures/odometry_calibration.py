@@ -28,6 +28,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.versions import versions
 from procedures.parts.odometry_collecting import (
     MOTIONS,
+    Collected,
     MotionName,
     Repetition,
     Sizes,
@@ -159,8 +160,21 @@ def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration:
     folder = ctx.folder / "recordings" / label.replace(" ", "_")
     first = (number - 1) * p.repetitions
     jobs = [Repetition(folder, p.motions, first + k + 1, p.sizes) for k in range(repetitions)]
-    names = collect(ctx, label, jobs, calibration, p.processes)
+    names = collect(ctx, label, jobs, calibration, p.processes, _so_far(p, label, number))
     return Driven(label, read_round(folder, names), odometry_in(calibration, ctx.source.config))
+
+
+def _so_far(p: Parameters, label: str, number: int) -> Collected:
+    """Where the drive with this number stands; a run that goes on beyond `min_rounds` grows by a round."""
+    span = f"{p.min_rounds}" if p.min_rounds == p.max_rounds else f"{p.min_rounds} to {p.max_rounds}"
+    validating = label == "validation"
+    rounds = number - 1 if validating else max(p.min_rounds, number)
+    per_round = len(p.motions) * p.repetitions
+    return Collected(
+        label if validating else f"{label} of {span}",
+        before=(number - 1) * per_round,
+        expected=rounds * per_round + len(p.motions) * p.validation_repetitions,
+    )
 
 
 def _keep(ctx: Context, name: str, result: Calibration) -> Path:

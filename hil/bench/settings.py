@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.alignment import AlignmentParameters, Mount
+from hil.calibration.nominal import Nominal
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.config.robot import GRAVITY_M_S2
@@ -68,6 +69,14 @@ def geometry_of(config: BenchConfig) -> WheelGeometry:
         load=4.0 * load_shares(config),
         creep_ratio=robot.creep_ratio,
     )
+
+
+def nominal_of(config: BenchConfig) -> Nominal:
+    """The configured robot on paper, as calibration and evaluation take it."""
+    limits_rad = [config.control.steering_limit_rad, config.safety.steering_limit_rad]
+    if config.servos is not None:
+        limits_rad.append(config.servos.steer_limit_rad)
+    return Nominal(geometry_of(config), min(limits_rad), f"bench {config.name}")
 
 
 def load_shares(config: BenchConfig) -> Array:

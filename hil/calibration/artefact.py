@@ -73,6 +73,8 @@ class CalibrationFile(BaseModel):
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
         tyres: for `creep` only.
+        driven_m: how far its recordings drove in each direction (`hil.calibration.driven`), empty in files
+            of earlier versions.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
@@ -98,6 +100,7 @@ class CalibrationFile(BaseModel):
     verdict: Literal["", "PASS", "MARGINAL", "FAIL"] = ""
     made_for: MadeFor | None = None
     tyres: Tyres | None = None
+    driven_m: dict[str, float] = {}
 
     @model_validator(mode="after")
     def _tyres_known(self) -> CalibrationFile:
@@ -192,6 +195,7 @@ def calibration_file(
         "previous": dict(previous or {}),
         "verdict": verdict,
         "made_for": made_for,
+        "driven_m": result.driven.to_json(),
     }
     if result.setting.model == "creep":
         tree["tyres"] = result.geometry.tyres()
@@ -214,8 +218,9 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
 
 
 def write_calibration(
-    path: Path, result: Calibration, *, created: str, software: Mapping[str, str]
-) -> CalibrationFile:
+    path: Path, result: Calibration, *, created: str, software: Mapping[str, str],
+    made_for: MadeFor | None = None,
+) -> CalibrationFile:  # fmt: skip
     """Write a calibration; an older file of that name is kept under its version number.
 
     Args:
@@ -223,9 +228,12 @@ def write_calibration(
         result: what to write.
         created: date and time, ISO 8601.
         software: versions that it was made with.
+        made_for: servos that it belongs to, where the bench is known.
     """
     previous, version = _keep_previous(path)
-    file = calibration_file(result, created=created, software=software, version=version, previous=previous)
+    file = calibration_file(
+        result, created=created, software=software, version=version, previous=previous, made_for=made_for
+    )
     save_calibration(path, file)
     return file
 
@@ -261,7 +269,11 @@ def keep(path: Path) -> dict[str, str]:
     old = read_calibration(path)
     kept, content = kept_path(path, old.version), path.read_bytes()
     if not kept.exists():
-        kept.write_bytes(content)
+        try:
+            kept.write_bytes(content)
+        except OSError as error:
+            kept.unlink(missing_ok=True)
+            raise ConfigError(f"{kept}: cannot be written ({error.strerror or error})") from None
     elif kept.read_bytes() != content:
         raise ConfigError(
             f"{kept}: exists and differs from version {old.version} in {path}",

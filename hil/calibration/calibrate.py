@@ -3,22 +3,25 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
+from hil.calibration.caveats import caveats
 from hil.calibration.datasets import Recording
+from hil.calibration.driven import Driven, check_geometry, driven
 from hil.calibration.evaluation import Track, cost, track
-from hil.calibration.fitting import Fit, fit
+from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, Jackknife, identifiability, jackknife
-from hil.calibration.motion_models import make_model
+from hil.calibration.nominal import Nominal
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
     Table,
     cross_validate,
+    deployed,
     repeatability,
     repetition_numbers,
     score,
@@ -27,9 +30,7 @@ from hil.clock import NS_PER_S, Clock
 from hil.errors import DataError
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
-
-Report = Callable[[str, int, int], None]
-"""Progress: (what, done, total)."""
+from hil.progress import WHOLE, Report, silent
 
 _VALIDATION_BLOCK_S = 0.5
 
@@ -38,14 +39,15 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `kept_cost` is the cost before and after on the recordings that were not rejected; `wall_s` is the
-    compute time of the calibration itself, `validation_s` that of the cross-validations.
+    `robot` is what errors before are counted from; `kept_cost` is the cost before and after on the recordings
+    that were not rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the
+    cross-validations.
     """
 
     method: str
     seed: int
     setting: Setting
-    nominal: WheelGeometry
+    robot: Nominal
     fit: Fit
     spectrum: Identifiability
     intervals: Jackknife
@@ -61,9 +63,19 @@ class Calibration:
     validation_s: float
 
     @property
+    def nominal(self) -> WheelGeometry:
+        """The geometry on paper that the fit started from."""
+        return self.robot.geometry
+
+    @property
     def geometry(self) -> WheelGeometry:
         """The calibrated geometry."""
         return self.fit.geometry
+
+    @property
+    def driven(self) -> Driven:
+        """How far the recordings drive in each direction."""
+        return driven(self.fit.problem.blocks, self.nominal)
 
     @property
     def twist(self) -> Array:
@@ -71,10 +83,7 @@ class Calibration:
 
         Least squares of the fitted model's body motion on the nominal model's, over the recordings.
         """
-        wheel_rad = self.fit.problem.blocks.wheel_rad.reshape(-1, 8)
-        fitted = make_model(self.setting.model, wheel_rad, self.nominal).motion(self.fit.solution.z)
-        plain = make_model("exact", wheel_rad, self.nominal).motion(self.nominal.vector())
-        return np.asarray(np.linalg.lstsq(plain, fitted, rcond=None)[0].T, dtype=np.float64)
+        return twist_between(self.fit, self.nominal)
 
     def to_json(self) -> dict[str, object]:
         """JSON of `hil calibrate` (`design.md`); keys may be added, never renamed."""
@@ -88,6 +97,8 @@ class Calibration:
             "signal": self.setting.signal,
             "seed": self.seed,
             "recordings": len(self.recordings),
+            "geometry": self.robot.to_json(),
+            "driven_m": self.driven.to_json(),
             "cost_before": self.cost_before,
             "cost_after": self.cost_after,
             "cost_before_without_rejected": self.kept_cost[0],
@@ -139,9 +150,9 @@ def calibrate(
     *,
     method: str = "lm",
     seed: int = 0,
-    nominal: WheelGeometry | None = None,
+    nominal: Nominal | None = None,
     validate: bool = True,
-    report: Report = lambda what, done, total: None,
+    report: Report = silent,
 ) -> Calibration:
     """Fit the odometry parameters to recordings and judge the result.
 
@@ -157,13 +168,15 @@ def calibrate(
         report: progress callback (what, done, total).
 
     Raises:
-        DataError: nothing to fit, or a signal that the recordings lack.
+        DataError: nothing to fit, a signal that the recordings lack, or the geometry of another robot.
     """
     if not recordings:
         raise DataError("", "no recordings", expected="at least one")
     begin_ns = clock.now_ns()
-    cad = nominal if nominal is not None else WheelGeometry.nominal()
+    robot = nominal if nominal is not None else Nominal()
+    cad = robot.geometry
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    check_geometry(blocks, robot)
     progress = partial(report, f"{method} generations")
     found = fit(blocks, setting, cad, method=method, seed=seed, progress=progress)
     setting = found.problem.setting
@@ -174,12 +187,17 @@ def calibrate(
     intervals = jackknife(found, cad)
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
-    tables = _validation(recordings, blocks, setting, cad, found, paper, report) if validate else {}
+    applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
+    tables: dict[str, Table] = {}
+    if validate:
+        tables = {"nominal": score(recordings, cad, setting), "in_sample": applied.parameters,
+                  "deployed_as_twist": applied.twist}  # fmt: skip
+        tables |= _cross_validation(recordings, blocks, setting, cad, found, paper, report)
     return Calibration(
         method=method,
         seed=seed,
         setting=setting,
-        nominal=cad,
+        robot=robot,
         fit=found,
         spectrum=spectrum,
         intervals=intervals,
@@ -189,7 +207,7 @@ def calibrate(
         validation=tables,
         floor=repeatability(recordings),
         recordings=tuple(recordings),
-        warnings=_warnings(recordings, found, spectrum, paper),
+        warnings=caveats(recordings, found, spectrum, paper, tables, applied),
         evaluations=evaluations,
         wall_s=(fitted_ns - begin_ns) / NS_PER_S,
         validation_s=(clock.now_ns() - fitted_ns) / NS_PER_S,
@@ -208,7 +226,13 @@ def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit |
     return fit(reduce_recordings(recordings, setting.block_s, setting.signal), setting, nominal)
 
 
-def _validation(
+def _fold_done(report: Report, what: str, before: int, in_all: int, done: int, total: int) -> None:
+    """One more fold of a cross-validation, `before` of `in_all` being those of the others."""
+    report(WHOLE, before + done, in_all)
+    report(what, done, total)
+
+
+def _cross_validation(
     recordings: Sequence[Recording],
     blocks: Blocks,
     setting: Setting,
@@ -217,45 +241,21 @@ def _validation(
     paper: Fit | None,
     report: Report,
 ) -> dict[str, Table]:
-    tables = {"nominal": score(recordings, nominal, setting)}
-    tables["in_sample"] = score(recordings, found.geometry, setting)
+    tables: dict[str, Table] = {}
     runs = [(setting, blocks, found.solution.z, "")]
     if paper is not None:
         runs.append((paper.problem.setting, paper.problem.blocks, paper.solution.z, "paper_"))
-    repetitions = repetition_numbers(blocks.motions)
+    folds: dict[str, Sequence[object]] = {
+        "leave_one_repetition_out": repetition_numbers(blocks.motions),
+        "leave_one_motion_out": blocks.motions,
+    }
+    folds = {name: groups for name, groups in folds.items() if len(set(groups)) > 1}
+    before, total = 0, len(runs) * sum(len(set(groups)) for groups in folds.values())
     for kind, reduced, start, prefix in runs:
-        folds: dict[str, Sequence[object]] = {
-            "leave_one_repetition_out": repetitions,
-            "leave_one_motion_out": blocks.motions,
-        }
         for name, groups in folds.items():
-            if len(set(groups)) > 1:
-                tables[prefix + name] = cross_validate(
-                    recordings, reduced, kind, nominal, start, groups,
-                    lambda done, total, what=prefix + name: report(what.replace("_", " "), done, total),  # type: ignore[misc]
-                )  # fmt: skip
+            progress = partial(_fold_done, report, f"{prefix}{name}".replace("_", " "), before, total)
+            tables[prefix + name] = cross_validate(
+                recordings, reduced, kind, nominal, start, groups, progress
+            )  # fmt: skip
+            before += len(set(groups))
     return tables
-
-
-def _warnings(
-    recordings: Sequence[Recording], found: Fit, spectrum: Identifiability, paper: Fit | None
-) -> tuple[str, ...]:
-    out = [line for r in recordings for line in r.warnings()]
-    if len(recordings) == 1:
-        out.append("one recording only: no interval, no cross-validation; repeat the motion")
-    out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
-    if spectrum.at_bound:
-        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound))
-    if spectrum.unobservable:
-        out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
-    total = len(found.solution.z)
-    out.append(
-        f"the data determine {spectrum.determined} directions of the {total} parameters; "
-        "single parameters are effective values, only their combinations are measured"
-    )
-    if paper is not None:
-        out.append(
-            f"under the paper's setting the data determine {identifiability(paper).determined} of its "
-            f"{len(paper.solution.z)} parameters; the bounds decide the rest"
-        )
-    return tuple(out)

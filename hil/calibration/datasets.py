@@ -12,14 +12,14 @@ from typing import SupportsInt
 
 import numpy as np
 
+from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.geometry import Array
-from hil.kinematics import NOMINAL_RADIUS_M
 
 _GAP_S = 0.1
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
-_STEERING_LIMIT_RAD = 3.5
+_DEGREES_MARGIN_RAD = 1.4
 _ROTATION_RAD = 5.0
 _ROTATION_PATH_M = 0.3
 
@@ -85,6 +85,7 @@ def build_recording(
     motion: str = "",
     sources: tuple[str, ...] = (),
     sha256: tuple[str, ...] = (),
+    nominal: Nominal | None = None,
 ) -> Recording:
     """Repair and check the two logs of a run.
 
@@ -95,11 +96,12 @@ def build_recording(
         motion: group name; classified from the ground truth when empty.
         sources: files it was read from.
         sha256: digests of those files, in the same order.
+        nominal: robot that units and motion are judged by, the CAD model by default.
 
     Raises:
         DataError: too short, no ground truth, no overlap in time, or units that cannot be right.
     """
-    where = sources[0] if sources else name
+    where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
     repairs: dict[str, int] = {}
     t_s, w, receive_s = _clean(wheels, 8, "wheel", repairs)
     truth_t_s, pose, truth_receive_s = _clean(truth, 3, "ground-truth", repairs)
@@ -117,10 +119,10 @@ def build_recording(
         raise DataError(where, f"wheels and ground truth share {max(overlap_s, 0):.2f} s", expected=">= 1 s")
     angle = _unwrap_jumps(w[:, :4], repairs)
     pose = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
-    _check_units(where, angle, w[:, 4:8], pose)
+    _check_units(where, angle, w[:, 4:8], pose, robot)
     return Recording(
         name=name,
-        motion=motion or classify(angle, w[:, 4:8], pose),
+        motion=motion or classify(angle, pose, robot.radius_m),
         t_s=t_s,
         wheel_angle_rad=angle,
         steering_rad=w[:, 4:8].copy(),
@@ -174,15 +176,16 @@ def _unwrap_jumps(angle: Array, repairs: dict[str, int]) -> Array:
     return np.asarray(np.unwrap(angle, axis=0), dtype=np.float64)
 
 
-def _check_units(where: str, angle: Array, steering: Array, pose: Array) -> None:
-    if np.max(np.abs(steering)) > _STEERING_LIMIT_RAD:
+def _check_units(where: str, angle: Array, steering: Array, pose: Array, nominal: Nominal) -> None:
+    limit_rad = nominal.steering_limit_rad
+    if np.max(np.abs(steering)) > limit_rad + _DEGREES_MARGIN_RAD:
         raise DataError(
             where,
             f"steering angles reach {np.max(np.abs(steering)):.1f}",
-            expected="rad, within +-120 deg",
+            expected=f"rad, within +-{np.degrees(limit_rad):.0f} deg",
             remedy="convert degrees to radians",
         )
-    rolled_m = float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * NOMINAL_RADIUS_M
+    rolled_m = _rolled_m(angle, nominal.radius_m)
     span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
     if span_m > 20.0 * rolled_m + 1.0:
         raise DataError(
@@ -200,10 +203,21 @@ def _check_units(where: str, angle: Array, steering: Array, pose: Array) -> None
         )
 
 
-def classify(angle: Array, steering: Array, pose: Array) -> str:
-    """Motion name from what the robot did: one of the paper's six, or `other`."""
+def _rolled_m(angle: Array, radius_m: float) -> float:
+    """Way that the wheels rolled, mean of the four, m."""
+    return float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * radius_m
+
+
+def classify(angle: Array, pose: Array, radius_m: float) -> str:
+    """Motion name from what the robot did: one of the paper's six, or `other`.
+
+    Args:
+        angle: (n, 4) cumulative wheel angles, rad.
+        pose: (m, 3) ground truth, m, m, rad unwrapped.
+        radius_m: of the wheels.
+    """
     turn = float(pose[-1, 2] - pose[0, 2])
-    path_m = float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * NOMINAL_RADIUS_M
+    path_m = _rolled_m(angle, radius_m)
     sense = "ccw" if turn > 0 else "cw"
     if abs(turn) > _ROTATION_RAD:
         span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.calibration.blocks import Blocks
+from hil.calibration.motion_models import linear_matrix, make_model
 from hil.calibration.problem import Problem, Setting
 from hil.calibration.solvers import Progress, Solution, interior_point, levenberg_marquardt, solve
 from hil.geometry import Array
@@ -22,6 +23,7 @@ from hil.kinematics import WheelGeometry
 
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4
+_STEPS_IN_A_BOX = 100
 _BAD_WEIGHT = 0.3
 _CLEARLY_BETTER = 0.7
 
@@ -115,7 +117,12 @@ def _linear(stage: Problem) -> Problem:
 
 
 def _robust_prefit(problem: Problem, rounds_at_ends: int = _REWEIGHTINGS, last_limit: int = 10) -> Fit:
-    """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way."""
+    """Chain of Levenberg-Marquardt fits with Cauchy weights updated along the way.
+
+    Where a box stands in for the prior, directions that the data leave open are flat: the last fit then goes
+    on to its end, so that the box decides them and not the number of steps.
+    """
+    last_limit = last_limit if problem.setting.bounds is None else _STEPS_IN_A_BOX
     z, weights = problem.nominal, problem.weights
     robust = problem.setting.robust
     powers = chain(problem.setting)
@@ -158,13 +165,22 @@ def _fold(problem: Problem, start: Array) -> Fit:
     return _robust_prefit(fixed.counting_with(problem), rounds_at_ends=2, last_limit=5)
 
 
+def twist_between(found: Fit, nominal: WheelGeometry) -> Array:
+    """C (3, 3) that deploys a fit of any model with nominal odometry.
+
+    Least squares of the fitted model's body motion on the nominal model's, over the recordings.
+    """
+    wheel_rad = found.problem.blocks.wheel_rad.reshape(-1, 8)
+    fitted = make_model(found.problem.setting.model, wheel_rad, nominal).motion(found.solution.z)
+    plain = make_model("exact", wheel_rad, nominal).motion(nominal.vector())
+    return np.asarray(np.linalg.lstsq(plain, fitted, rcond=None)[0].T, dtype=np.float64)
+
+
 def twist_correction(z: Array, nominal: WheelGeometry) -> Array:
     """C (3, 3): actual body twist = C times the twist that nominal odometry reports.
 
     All that rigid-body commands can show about the parameters (`facts/calibration.md`, headline 1);
     deployed with nominal inverse kinematics it avoids the directions that the data leave free.
     """
-    from hil.calibration.motion_models import linear_matrix
-
     per_wheel = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]
     return np.asarray(linear_matrix(z, "exact") @ per_wheel, dtype=np.float64)

@@ -13,7 +13,7 @@ from hil.geometry import Array
 from hil.kinematics import WheelGeometry
 
 _PRIOR_ONLY = 0.9
-_BOUND_SLACK = 1e-6
+_BOUND_SLACK = 1e-4
 _DEGREES_OF_FREEDOM = 8
 _DIRECTION_NAMES = 3
 
@@ -27,7 +27,7 @@ class Identifiability:
         information: data information over prior information per direction, largest first.
         determined: number of directions whose information exceeds the prior's.
         directions: the determined ones in words.
-        at_bound: parameters on the box.
+        at_bound: parameters on the box, or so near to it that the box decides them.
         unobservable: parameters whose spread the data reduce by less than a tenth.
         std_ratio: (m,) posterior over prior standard deviation.
     """
@@ -46,7 +46,7 @@ def identifiability(fit: Fit) -> Identifiability:
     problem, z = fit.problem, fit.solution.z
     errors, slopes = problem.errors_and_jacobian(z)
     mask = problem.blocks.mask
-    unit = np.where(np.arange(len(z)) < 12, 0.01 * np.abs(problem.nominal), np.radians(1.0))
+    unit = np.where(np.arange(len(z)) < 12, 0.01 * problem.sizes, np.radians(1.0))
     flat = (slopes * unit * 1e3)[mask > 0].reshape(-1, len(z))
     spectrum = np.linalg.svd(flat.T @ flat / len(errors[mask > 0]), compute_uv=False) ** 0.5
     spread = problem.prior_std
@@ -60,7 +60,6 @@ def identifiability(fit: Fit) -> Identifiability:
     determined = int(np.count_nonzero(values > 1.0))
     box = problem.upper - problem.lower
     near = (z - problem.lower <= _BOUND_SLACK * box) | (problem.upper - z <= _BOUND_SLACK * box)
-    near &= np.isfinite(box)
     return Identifiability(
         singular_values=spectrum,
         information=values,

@@ -24,6 +24,7 @@ PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i 
 
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2
+_REACH = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,8 @@ class Setting:
         offsets: whether the four steering zeros are free.
         sigma: residual scale (m, m, rad); None for the paper's plain sum.
         prior_length, prior_radius: relative standard deviations; prior_offset_rad absolute.
-        bounds: relative half width of a hard box, None for none.
+        bounds: relative half width of a hard box (of a steering zero: in radians, since an angle of 0.05 rad
+            moves a wheel's way by 5 % of its length); None for a prior instead.
         block_s: length of a block.
         robust: Cauchy weight per recording.
         by_motion: a recording stands out only if it differs from the others of its motion; a motion that
@@ -75,20 +77,19 @@ class Problem:
 
     Attributes:
         nominal: (m,) start and prior mean; `prior_std` (m,).
+        sizes: (m,) what relative figures of a parameter refer to, see `sizes`.
         tyres: geometry that brings loads and creep ratio; not fitted.
-        lower, upper: (m,) box, infinite where there is none.
+        lower, upper: (m,) box that every method keeps to; where the setting has none, ten prior standard
+            deviations, which only senseless data reach.
         weights: (R,) per recording, 1 until `reweigh`.
     """
 
     def __init__(self, blocks: Blocks, setting: Setting, nominal: WheelGeometry) -> None:
         self.blocks, self.setting, self.tyres = blocks, setting, nominal
         self.nominal = nominal.vector()[: 16 if setting.offsets else 12].copy()
-        self.prior_std = prior_std(self.nominal, setting)
-        reach = np.inf if setting.bounds is None else setting.bounds
-        half = (
-            np.abs(self.nominal) * reach if setting.bounds is not None else np.full_like(self.nominal, reach)
-        )
-        half[12:] = np.inf
+        self.sizes = sizes(self.nominal)
+        self.prior_std = prior_std(self.sizes, setting)
+        half = _REACH * self.prior_std if setting.bounds is None else setting.bounds * self.sizes
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
         self._count = [0]
@@ -199,13 +200,21 @@ class Problem:
         return np.asarray(np.clip(z, self.lower, self.upper), dtype=np.float64)
 
 
-def prior_std(nominal: Array, setting: Setting) -> Array:
-    """Prior standard deviation (m,) of each parameter."""
-    out = np.empty_like(nominal)
-    out[:8] = setting.prior_length * np.abs(nominal[:8])
-    out[8:12] = setting.prior_radius * np.abs(nominal[8:12])
-    out[12:] = setting.prior_offset_rad
-    return out
+def sizes(nominal: Array) -> Array:
+    """What relative figures refer to, (m,): a position, a radius, a radian for steering zeros.
+
+    A position near an axis of the body counts with half of the largest one, so that it is not held fixed.
+    """
+    positions = np.abs(nominal[:8])
+    return np.concatenate(
+        [np.maximum(positions, 0.5 * positions.max()), np.abs(nominal[8:12]), np.ones(len(nominal) - 12)]
+    )
+
+
+def prior_std(of: Array, setting: Setting) -> Array:
+    """Prior standard deviation (m,) of parameters with the `sizes` (m,)."""
+    share = np.repeat([setting.prior_length, setting.prior_radius, setting.prior_offset_rad], [8, 4, 4])
+    return np.asarray(share[: len(of)] * of, dtype=np.float64)
 
 
 def _integrate_all(start: Array, motion: Array) -> Array:

@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import TypeAlias
 
 import numpy as np
-import numpy.typing as npt
+from scipy.optimize import lsq_linear
 
 from hil.calibration.problem import Problem
 from hil.errors import UsageError
 from hil.geometry import Array
 
 METHODS = ("lm", "interior-point", "ga", "pso")
-BoolArray: TypeAlias = npt.NDArray[np.bool_]
 Progress = Callable[[int, int], None]
 
 _LM_LIMIT = 200
@@ -78,17 +76,13 @@ def solve(
 
 
 def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> Solution:
-    """Levenberg-Marquardt with an active set on the box (More 1978; Kanzow et al. 2004)."""
+    """Levenberg-Marquardt whose damped steps are solved within the box (More 1978; Kanzow et al. 2004)."""
     z, damping = problem.clip(z0), 1e-3
     value, gradient, hessian = problem.gradient_terms(z)
     history, iterations, converged = [value], 0, False
     while iterations < limit and not converged:
         iterations += 1
-        free = ~(((z <= problem.lower) & (gradient > 0)) | ((z >= problem.upper) & (gradient < 0)))
-        if not free.any():
-            converged = True
-            break
-        trial, expected = _box_step(problem, z, gradient, hessian, free, damping)
+        trial, expected = _box_step(problem, z, gradient, hessian, damping)
         if expected <= _RELATIVE_STEP * max(value, 1e-12):
             converged = True
             break
@@ -108,37 +102,32 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
 
 
 def _box_step(
-    problem: Problem, z: Array, gradient: Array, hessian: Array, free: BoolArray, damping: float
+    problem: Problem, z: Array, gradient: Array, hessian: Array, damping: float
 ) -> tuple[Array, float]:
-    """Damped step that stays in the box: parameters that hit it are fixed and the rest solved again."""
-    free = np.array(free, dtype=bool)
-    step = np.zeros_like(z)
-    scale = np.maximum(np.diag(hessian), 1e-12)
-    for _ in range(len(z) + 1):
-        fixed = np.flatnonzero(~free)
-        rhs = -(gradient + hessian[:, fixed] @ step[fixed])[free]
-        block = hessian[np.ix_(free, free)] + damping * np.diag(scale[free])
-        step[free] = np.linalg.solve(block, rhs)
-        out: BoolArray = free & ((z + step < problem.lower) | (z + step > problem.upper))
-        if not out.any():
-            break
-        step[out] = problem.clip(z + step)[out] - z[out]
-        free &= ~out
-        if not free.any():
-            break
-    trial = problem.clip(z + step)
+    """Best damped Gauss-Newton step within the box: where it ends, and by how much the cost should fall.
+
+    The step s minimises 2 g's + s'(H + damping diag H)s, which is |A s - b|^2 with A'A = H + ... and
+    A'b = -g; with parameters scaled by the root of diag H the matrix is well conditioned. A step cut off at
+    the box parameter by parameter would stop at corners where the cost still falls along a side.
+    """
+    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-12))
+    values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale) + damping * np.eye(len(z)))
+    root = np.sqrt(np.maximum(values, 1e-14))
+    found = lsq_linear(
+        root[:, None] * vectors.T,
+        -(vectors.T @ (gradient / scale)) / root,
+        (scale * (problem.lower - z), scale * (problem.upper - z)),
+        method="bvls",
+        max_iter=10 * len(z),
+    )
+    trial = problem.clip(z + found.x / scale)
     moved = trial - z
     return trial, float(-(2 * gradient @ moved + moved @ hessian @ moved))
 
 
 def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
-    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19).
-
-    A problem without a box gets one of ten prior standard deviations, which never binds.
-    """
-    reach = 10.0 * problem.prior_std
-    lower = np.where(np.isfinite(problem.lower), problem.lower, problem.nominal - reach)
-    upper = np.where(np.isfinite(problem.upper), problem.upper, problem.nominal + reach)
+    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19)."""
+    lower, upper = problem.lower, problem.upper
     span = upper - lower
     z = np.clip(z0, lower + 1e-3 * span, upper - 1e-3 * span)
     value, gradient, hessian = problem.gradient_terms(z)

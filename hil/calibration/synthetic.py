@@ -12,11 +12,12 @@ steering dither, capture noise, jittery stamps.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.contact_laws import least_dissipation
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry, inverse, projection, wheel_vectors
@@ -42,11 +43,13 @@ class HiddenRobot:
         geometry: true wheel positions, radii and steering zeros.
         load: (4,) relative normal loads, mean 1.
         contact: `viscous` or `coulomb`.
+        nominal: what the robot is on paper; it is commanded as if that were true.
     """
 
     geometry: WheelGeometry
     load: Array
     contact: str = "viscous"
+    nominal: Nominal = field(default_factory=Nominal)
 
     def twist_correction(self, nominal: WheelGeometry) -> Array:
         """True C (3, 3) for viscous contact: actual twist of a twist that nominal odometry reports."""
@@ -62,10 +65,20 @@ class HiddenRobot:
         return np.asarray(pull @ u.T, dtype=np.float64)
 
 
-def hidden_robot(seed: int, *, offsets_deg: float = 1.5, contact: str = "viscous") -> HiddenRobot:
-    """A robot with lengths 3 % and radii 2.5 % off at most, steering zeros of 1 to 2 deg, uneven loads."""
+def hidden_robot(
+    seed: int, *, offsets_deg: float = 1.5, contact: str = "viscous", nominal: Nominal | None = None
+) -> HiddenRobot:
+    """A robot with lengths 3 % and radii 2.5 % off at most, steering zeros of 1 to 2 deg, uneven loads.
+
+    Args:
+        seed: of what is drawn.
+        offsets_deg: middle of the range of the steering zeros; 0 for none.
+        contact: `viscous` or `coulomb`.
+        nominal: the robot on paper, the CAD model by default; loads vary about its own.
+    """
     rng = np.random.default_rng([seed, 1])
-    cad = WheelGeometry.nominal()
+    paper = nominal if nominal is not None else Nominal()
+    cad = paper.geometry
     zero = rng.uniform(offsets_deg - 0.5, offsets_deg + 0.5, 4) * rng.choice([-1.0, 1.0], 4)
     zero -= zero.mean()
     return HiddenRobot(
@@ -75,8 +88,9 @@ def hidden_robot(seed: int, *, offsets_deg: float = 1.5, contact: str = "viscous
             cad.radius_m * (1 + rng.uniform(-0.025, 0.025, 4)),
             np.radians(zero) if offsets_deg > 0 else np.zeros(4),
         ),
-        rng.uniform(0.85, 1.15, 4),
+        cad.load * rng.uniform(0.85, 1.15, 4),
         contact,
+        paper,
     )
 
 
@@ -129,9 +143,9 @@ def simulate(
         slip_bursts: how many times the body slides for a second, by millimetres.
         corrupted: a wheel slips for a third of the run and the capture system jumps.
     """
-    cad = WheelGeometry.nominal()
+    cad = robot.nominal.geometry
     t_s = np.arange(0.0, duration_s(motion), _STEP_S)
-    speed, steering = _commands(cad, commanded_twist(motion, t_s - _REST_S))
+    speed, steering = _commands(robot.nominal, commanded_twist(motion, t_s - _REST_S))
     rate = _lag(speed / cad.radius_m, _WHEEL_LAG_S)
     heading = steering + rng.normal(0.0, _DITHER_RAD, steering.shape)
     pull_rate = rate.copy()
@@ -150,7 +164,9 @@ def simulate(
         window = slice(start, start + round(1.0 / _STEP_S))
         body[window] += rng.normal(0.0, 1.0, 3) * np.array([4e-3, 4e-3, 8e-3]) * _STEP_S
     start_pose = np.r_[rng.normal(0, 1e-3, 2), rng.normal(0, 5e-3)]
-    return _record(name, motion, t_s, rate, heading, integrate(start_pose, body), rng, corrupted)
+    return _record(
+        robot.nominal, name, motion, t_s, rate, heading, integrate(start_pose, body), rng, corrupted
+    )
 
 
 def _perturb(body: Array, draw: Array) -> Array:
@@ -163,11 +179,11 @@ def _perturb(body: Array, draw: Array) -> Array:
     return np.asarray(turned, dtype=np.float64)
 
 
-def _commands(cad: WheelGeometry, twist: Array) -> tuple[Array, Array]:
-    """Signed wheel speeds and continuous steering within +-120 deg; angles are held at rest."""
-    speed, steering = inverse(cad, twist)
+def _commands(nominal: Nominal, twist: Array) -> tuple[Array, Array]:
+    """Signed wheel speeds and continuous steering within the limit; angles are held at rest."""
+    speed, steering = inverse(nominal.geometry, twist)
     moving = np.any(twist != 0.0, axis=1)
-    flip = np.abs(steering) > np.radians(120.0)
+    flip = np.abs(steering) > nominal.steering_limit_rad
     steering = np.where(flip, steering - np.sign(steering) * np.pi, steering)
     speed = np.where(flip, -speed, speed)
     index = np.maximum.accumulate(np.where(moving, np.arange(len(moving)), 0))
@@ -196,7 +212,7 @@ def _contact(robot: HiddenRobot, u: Array) -> Array:
 
 
 def _record(
-    name: str, motion: str, t_s: Array, rate: Array, heading: Array, pose: Array,
+    nominal: Nominal, name: str, motion: str, t_s: Array, rate: Array, heading: Array, pose: Array,
     rng: np.random.Generator, corrupted: bool,
 ) -> Recording:  # fmt: skip
     angle = np.vstack([np.zeros(4), np.cumsum(0.5 * (rate[1:] + rate[:-1]) * _STEP_S, axis=0)])
@@ -216,7 +232,7 @@ def _record(
     receive = t_s[every] + rng.exponential(0.002, len(t_s[every]))
     return build_recording(
         name, Log(t_s[every], wheels, receive), Log(at_s, truth, at_s + rng.exponential(0.001, len(at_s))),
-        motion=motion,
+        motion=motion, nominal=nominal,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,14 +64,38 @@ def cross_validate(
     return _table(tracks)
 
 
-def score(recordings: Sequence[Recording], geometry: WheelGeometry, setting: Setting) -> Table:
-    """Errors by motion of one geometry."""
+def score(
+    recordings: Sequence[Recording],
+    geometry: WheelGeometry,
+    setting: Setting,
+    correction: Array | None = None,
+) -> Table:
+    """Errors by motion of one geometry, or of a twist correction (3, 3) on top of it."""
     tracks: dict[str, list[Track]] = {}
     for recording in recordings:
         tracks.setdefault(recording.motion, []).append(
-            track(recording, geometry, setting.model, setting.signal)
+            track(recording, geometry, setting.model, setting.signal, correction)
         )
     return _table(tracks)
+
+
+@dataclass(frozen=True)
+class Deployed:
+    """Errors by motion of one calibration, applied as wheel parameters and as a twist correction."""
+
+    parameters: Table
+    twist: Table
+
+
+def deployed(
+    recordings: Sequence[Recording], geometry: WheelGeometry, nominal: WheelGeometry, correction: Array,
+    setting: Setting,
+) -> Deployed:  # fmt: skip
+    """Score both ways to apply a calibration: `geometry`, or `correction` (3, 3) of nominal odometry."""
+    return Deployed(
+        score(recordings, geometry, setting),
+        score(recordings, nominal, replace(setting, model="exact"), correction),
+    )
 
 
 def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.progress import reporting
+from hil.cli.robots import BENCH, configured, on_paper
 from hil.kinematics import MODELS
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
+    from hil.config.bench import BenchConfig
 
 _METHODS = ("lm", "interior-point", "ga", "pso")
 
@@ -29,19 +31,21 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
     "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: the setting's]."
 )
 @click.option(
-    "--bounds", type=click.FloatRange(0.0, 0.5, min_open=True), help="Hard relative bounds, e.g. 0.05."
+    "--bounds",
+    type=click.FloatRange(0.0, 0.5, min_open=True),
+    help="Hard bounds instead of the prior: share of a length, rad of a zero, e.g. 0.05.",
 )
 @click.option("--seed", default=0, show_default=True, help="Seed of the stochastic methods.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
+@BENCH
 @click.option("--out", type=click.Path(path_type=Path), help="Write calibration.toml here.")
 @click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,
-    bounds: float | None, seed: int, no_validation: bool, out: Path | None, topics: Path | None,
-    plots: Path | None,
-    as_json: bool,
+    bounds: float | None, seed: int, no_validation: bool, bench: str | None, out: Path | None,
+    topics: Path | None, plots: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Calibrate the odometry on recordings with ground truth."""
     from hil.calibration.calibrate import calibrate
@@ -50,16 +54,21 @@ def command(
     from hil.recording.sources import read_recordings
 
     chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
+    config = configured(bench)
+    robot = on_paper(config)
+    _check_outputs(out, plots)
     with reporting() as report:
-        recordings = read_recordings(data, lambda done, total: report("reading", done, total), topics=topics)
+        recordings = read_recordings(
+            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot
+        )
         result = calibrate(
-            recordings, chosen, MonotonicClock(), method=method, seed=seed,
+            recordings, chosen, MonotonicClock(), method=method, seed=seed, nominal=robot,
             validate=not no_validation, report=report,
         )  # fmt: skip
     for line in result.warnings:
         click.echo(f"warning: {line}", err=True)
     if out is not None:
-        _write(out, result)
+        _write(out, result, config)
     if plots is not None:
         from hil.report.calibration_page import write_calibration_page
 
@@ -68,16 +77,30 @@ def command(
     return 0
 
 
-def _write(out: Path, result: Calibration) -> None:
+def _check_outputs(out: Path | None, plots: Path | None) -> None:
+    """Refuse what cannot be written before the work, not after it."""
+    from hil.calibration.artefact import next_version
+    from hil.files import check_file, check_folder
+
+    if out is not None:
+        check_file(out)
+        next_version(out)
+    if plots is not None:
+        check_folder(plots)
+
+
+def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
     import numpy as np
 
     from hil import __version__
     from hil.calibration.artefact import write_calibration
+    from hil.calibration.shelf import made_for
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     file = write_calibration(
-        out, result, created=created, software={"hil": __version__, "numpy": np.__version__}
-    )
+        out, result, created=created, software={"hil": __version__, "numpy": np.__version__},
+        made_for=None if config is None else made_for(config),
+    )  # fmt: skip
     click.echo(f"wrote {out} (version {file.version})", err=True)
 
 
@@ -95,6 +118,7 @@ def _text(result: Calibration) -> str:
         f"{result.method}, setting {result.setting.name} ({result.setting.model}, {result.setting.signal}), "
         f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
         f"in {result.wall_s:.2f} s",
+        f"from {result.robot.in_words()}",
         *_kept(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]

@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from hil.cli.progress import reporting
+from hil.cli.robots import BENCH, configured, on_paper
 from hil.kinematics import MODELS
 
 if TYPE_CHECKING:
     from hil.calibration.artefact import CalibrationFile
     from hil.calibration.datasets import Recording
     from hil.calibration.evaluation import Track
+    from hil.calibration.nominal import Nominal
 
+_BLOCK_S = 0.1
 _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 
 
@@ -30,66 +34,119 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     "--deploy", type=click.Choice(["parameters", "twist"]), default="parameters", show_default=True,
     help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
 )  # fmt: skip
+@BENCH
 @click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
-    deploy: str, topics: Path | None, plots: Path | None, as_json: bool,
+    deploy: str, bench: str | None, topics: Path | None, plots: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files."""
-    from hil.calibration.artefact import read_calibration
     from hil.calibration.evaluation import evaluate
     from hil.errors import UsageError
+    from hil.files import check_folder
     from hil.recording.sources import read_recordings
 
     if deploy == "twist" and calibration is None:
         raise UsageError("--deploy twist needs --calibration FILE")
-    file = read_calibration(calibration) if calibration is not None else None
+    if plots is not None:
+        check_folder(plots)
+    file, robot = _robot(calibration, bench)
     with reporting() as report:
-        recordings = read_recordings(data, lambda done, total: report("reading", done, total), topics=topics)
+        recordings = read_recordings(
+            data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot
+        )
     used_model = model or (file.model if file else "exact")
     used_signal = signal or (file.signal if file else "position")
-    tracks = _tracks(recordings, file, used_model, used_signal, deploy)
+    tracks = _tracks(recordings, file, robot, used_model, used_signal, deploy)
     table = evaluate(tracks)
     table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
+    table["geometry"] = robot.to_json()
     warnings = [line for r in recordings for line in r.warnings()]
+    warnings += _doubts(recordings, file, robot, used_signal, deploy)
     table["warnings"] = warnings
     for line in warnings:
         click.echo(f"warning: {line}", err=True)
     if plots is not None:
         from hil.report.calibration_page import write_evaluation_page
 
-        nominal = _tracks(recordings, None, used_model, used_signal, "parameters") if file else None
+        nominal = _tracks(recordings, None, robot, used_model, used_signal, "parameters") if file else None
         click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table)}", err=True)
     click.echo(json.dumps(table) if as_json else _text(table))
     return 0
 
 
+def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile | None, Nominal]:
+    """The calibration, and the robot on paper: the calibration's own, else the bench's, else the CAD model.
+
+    Raises:
+        ConfigError: the calibration was made for another robot than the bench's.
+    """
+    from hil.calibration.artefact import read_calibration
+    from hil.calibration.shelf import check_made_for
+
+    config = configured(bench)
+    robot = on_paper(config)
+    if calibration is None:
+        return None, robot
+    file = read_calibration(calibration)
+    if config is not None:
+        check_made_for(file, config, str(calibration))
+    return file, replace(robot, geometry=file.nominal_geometry, source=str(calibration))
+
+
 def _tracks(
-    recordings: list[Recording], file: CalibrationFile | None, model: str, signal: str, deploy: str
-) -> list[Track]:
+    recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, model: str, signal: str,
+    deploy: str,
+) -> list[Track]:  # fmt: skip
     from hil.calibration.evaluation import track
-    from hil.kinematics import WheelGeometry
 
     if file is not None and deploy == "twist":
         return [track(r, file.nominal_geometry, "exact", signal, file.twist) for r in recordings]
-    geometry = file.geometry if file is not None else WheelGeometry.nominal()
+    geometry = file.geometry if file is not None else robot.geometry
     return [track(r, geometry, model, signal) for r in recordings]
 
 
-def _text(table: dict[str, object]) -> str:
+def _doubts(
+    recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, signal: str, deploy: str
+) -> list[str]:
+    """What these errors must be judged by: another robot's geometry, motions that were never fitted."""
+    from hil.calibration.blocks import reduce_recordings
+    from hil.calibration.caveats import beyond_driven, worse_as_twist
+    from hil.calibration.driven import Driven, mismatch
+    from hil.calibration.problem import make_setting
+    from hil.calibration.validation import deployed
+
+    blocks = reduce_recordings(recordings, _BLOCK_S, signal)
+    found = mismatch(blocks, robot)
+    out = [f"{found}; {robot.in_words()}; name the robot's bench file with --bench"] if found else []
+    if file is None:
+        return out
+    if file.driven_m:
+        out += beyond_driven(blocks, robot.geometry, Driven.from_json(file.driven_m))
+    if deploy == "twist":
+        setting = make_setting("recommended", model=file.model, signal=signal)
+        out += worse_as_twist(
+            deployed(recordings, file.geometry, file.nominal_geometry, file.twist, setting), file.model
+        )
+    return out
+
+
+def _text(table: dict[str, Any]) -> str:
+    geometry = table["geometry"]
     lines = [
         f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
         f"cost J = {table['cost']:.1f}",
+        f"robot on paper: {geometry['source']}",
         f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
     ]
-    motions: dict[str, dict[str, float]] = table["motions"]  # type: ignore[assignment]
+    motions: dict[str, dict[str, float]] = table["motions"]
     for name, row in motions.items():
         lines.append(
             f"{name:14}" + "".join(f"{row[c]:10.4f}" for c in _COLUMNS)
             + f"{row['rmse_position_m'] * 1e3:10.2f}{row['rmse_theta_rad'] * 57.29578:10.2f}"
         )  # fmt: skip
-    mean: dict[str, float] = table["mean"]  # type: ignore[assignment]
+    mean: dict[str, float] = table["mean"]
     lines.append(f"{'mean':74}{mean['rmse_position_m'] * 1e3:10.2f}{mean['rmse_theta_rad'] * 57.29578:10.2f}")
     return "\n".join(lines)

@@ -1,39 +1,92 @@
-"""Progress on stderr: a rich bar on a terminal, elsewhere a plain line per tenth of the work."""
+"""Progress on stderr with the time left: bars on a terminal, elsewhere a line per tenth of the work."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
 import click
 
+from hil.clock import Clock, MonotonicClock
+from hil.progress import WHOLE, Pace, Report, in_words, silent
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
+
 
 @contextmanager
-def reporting(quiet: bool = False) -> Iterator[Callable[[str, int, int], None]]:
-    """Yield `report(what, done, total)`."""
+def reporting(quiet: bool = False, clock: Clock | None = None) -> Iterator[Report]:
+    """Yield `report(what, done, total)`.
+
+    Args:
+        quiet: say nothing.
+        clock: for the time left, the host's by default.
+    """
+    times = clock if clock is not None else MonotonicClock()
     if quiet:
-        yield lambda what, done, total: None
+        yield silent
     elif sys.stderr.isatty():
-        from rich.console import Console
-        from rich.progress import Progress, TaskID
-
-        with Progress(console=Console(stderr=True), transient=True) as bars:
-            tasks: dict[str, TaskID] = {}
-
-            def show(what: str, done: int, total: int) -> None:
-                if what not in tasks:
-                    tasks[what] = bars.add_task(what, total=total)
-                bars.update(tasks[what], completed=done, total=total)
-
-            yield show
+        with _bars(times) as report:
+            yield report
     else:
-        tenths: dict[str, int] = {}
+        yield _Lines(times)
 
-        def say(what: str, done: int, total: int) -> None:
-            tenth = 10 * done // max(total, 1)
-            if tenths.get(what) != tenth or done == total:
-                tenths[what] = tenth
-                click.echo(f"{what}: {done}/{total}", err=True)
 
-        yield say
+class _Lines:
+    """A line per tenth of each piece of work; pieces of one go are named once."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._paces: dict[str, Pace] = {}
+        self._tenths: dict[str, int] = {}
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        pace = self._paces.setdefault(what, Pace(self._clock))
+        pace.update(done, total)
+        if what == WHOLE:
+            return
+        tenth = 10 * done // max(total, 1)
+        again = what in self._tenths and (total == 1 or (self._tenths[what] == tenth and done != total))
+        self._tenths[what] = tenth
+        if again:
+            return
+        words = what if total == 1 else f"{what}: {done}/{total}"
+        left = self._left(pace)
+        click.echo(f"{words}, {left}" if left else words, err=True)
+
+    def _left(self, pace: Pace) -> str:
+        """Of the whole work where that is known, else of this piece."""
+        whole = self._paces.get(WHOLE)
+        if whole is not None and whole.left_s is not None:
+            return f"{in_words(whole.left_s)} {WHOLE}"
+        return in_words(pace.left_s)
+
+
+@contextmanager
+def _bars(clock: Clock) -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, ProgressColumn, Task, TextColumn
+    from rich.text import Text
+
+    class Left(ProgressColumn):
+        """Time left, counting down between reports."""
+
+        def render(self, task: Task) -> Text:
+            pace: Pace = task.fields["pace"]
+            return Text("" if task.finished else in_words(pace.left_s), style="progress.remaining")
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), Left())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+        tasks: dict[str, tuple[TaskID, Pace]] = {}
+
+        def show(what: str, done: int, total: int) -> None:
+            if what not in tasks:
+                pace = Pace(clock)
+                tasks[what] = bars.add_task(what, total=total, pace=pace), pace
+            task, pace = tasks[what]
+            pace.update(done, total)
+            bars.update(task, completed=done, total=total, visible=done < total or what == WHOLE)
+
+        yield show

@@ -12,12 +12,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.progress import reporting
-from hil.errors import DataError, UsageError
-from hil.files import write_text
+from hil.errors import ConfigError, DataError, UsageError
+from hil.files import check_file, write_text
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.estimator.tuning import Score, TruthRun, Tuned
+    from hil.kinematics import WheelGeometry
 
 _DEFAULT = ("wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m")
 
@@ -48,6 +54,8 @@ def command(
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS."""
     from hil.estimator.tuning import score, tune
 
+    if out is not None:
+        check_file(out)
     config, runs = _read(recordings, bench, calibration)
     held = _read(check, bench, calibration)[1] if check else []
     pair: tuple[Score, Score] | None = None
@@ -57,6 +65,7 @@ def command(
         "values": dict(found.values),
         "fitted": {"before": asdict(found.before), "after": asdict(found.after)},
         "evaluations": found.evaluations,
+        "geometry": _geometry(runs[0].geometry, bench),
     }
     if held:
         pair = (score(config.estimator, held), score(found.config, held))
@@ -77,6 +86,7 @@ def _read(
     config, runs = None, []
     for path in paths:
         opened = open_recording(path, bench=bench, calibration=calibration)
+        _same_robot(path, opened.header, opened.bench.config)
         config = config or opened.bench.config
         for run in opened.runs:
             if run.start is None:
@@ -93,29 +103,47 @@ def _read(
     return config, runs
 
 
+def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None:
+    """Refuse a bench file whose wheels are not those of the robot that a recording names."""
+    recorded: dict[str, Any] = header.get("config", {}).get("robot", {})
+    mine = config.robot.model_dump()
+    keys = ("wheel_x_m", "wheel_y_m", "wheel_radius_m")
+    problems = [
+        f"robot.{k}: {list(recorded[k])} there, {list(mine[k])} in the bench file"
+        for k in keys if k in recorded and list(recorded[k]) != list(mine[k])
+    ]  # fmt: skip
+    if problems:
+        raise ConfigError(
+            f"{path}: was recorded with another robot than that of the bench {config.name!r}",
+            problems=tuple(problems), remedy="give that robot's bench file, or leave --bench out",
+        )  # fmt: skip
+
+
+def _geometry(used: WheelGeometry, bench: str | None) -> dict[str, object]:
+    """The wheels that the estimators read with, as results name them."""
+    from hil.calibration.nominal import Nominal
+
+    source = "the recording" if bench is None else f"the recording, else bench {bench}"
+    described = Nominal(used, source=source).to_json()
+    del described["steering_limit_rad"]
+    return described
+
+
 def _write(out: Path, bench: str | None, found: Tuned) -> None:
     """The fitted tables, in a checked copy of the bench file where one was given."""
     import tomli_w
 
-    from hil.config.bench import validate
+    from hil.config.bench import find_bench, validate
 
     tree: dict[str, Any] = {}
-    if bench is not None and Path(bench).is_file():
-        tree = _parsed(Path(bench))
+    if bench is not None:
+        tree = tomllib.loads(find_bench(bench)[0])
     for name, value in found.values.items():
         table, key = name.split(".")
         tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")
     if "schema" in tree:
         validate(tree, str(out))
     write_text(out, tomli_w.dumps(tree))
-
-
-def _parsed(path: Path) -> dict[str, Any]:
-    if sys.version_info >= (3, 11):
-        import tomllib
-    else:
-        import tomli as tomllib
-    return tomllib.loads(path.read_text(encoding="utf-8"))
 
 
 def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:

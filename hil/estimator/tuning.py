@@ -9,7 +9,7 @@ factor: no derivative, no randomness, the same result every time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,6 +21,7 @@ from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
 from hil.geometry import Array, wrap_array
 from hil.kinematics import WheelGeometry
+from hil.progress import Report, silent
 from hil.signals import Measurements, RobotState
 
 CHECK_EVERY_NS = 500_000_000
@@ -128,7 +129,7 @@ def tune(
     runs: Sequence[TruthRun],
     names: Sequence[str],
     evaluations: int = 60,
-    report: Callable[[str, int, int], None] = lambda what, done, total: None,
+    report: Report = silent,
 ) -> Tuned:
     """Fit noise figures.
 

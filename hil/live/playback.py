@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
-from hil.bench.settings import geometry_of, with_wheel_model
+from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
+from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.recorded import recorded_bench
 from hil.controller.joint_script import SCRIPT, JointScript
@@ -91,11 +92,10 @@ def open_recording(
         DataError, ConfigError: it cannot be read.
     """
     problems: list[str] = []
-    if topics is not None:
-        found = read_bag(path, read_topic_map(topics))
-        return _foreign(path, bench, calibration, lambda: [to_run(found)])
-    if path.suffix != ".mcap":
-        return _foreign(path, bench, calibration, lambda: map(to_run, read_recordings([path])))
+    if topics is not None or path.suffix != ".mcap":
+        config = load_bench(bench or _FOREIGN_BENCH)
+        found = _read_foreign(path, topics, nominal_of(config))
+        return OpenedRecording(path, _bench(config, None, calibration, {}), {}, True, [], found)
     header = read_header(path)
     if bench is not None:
         config = load_bench(bench)
@@ -115,9 +115,12 @@ def open_recording(
     )  # fmt: skip
 
 
-def _foreign(path: Path, bench: str | None, calibration: Path | None, read: Any) -> OpenedRecording:
-    made = _bench(load_bench(bench or _FOREIGN_BENCH), None, calibration, {})
-    return OpenedRecording(path, made, {}, True, [], read)
+def _read_foreign(path: Path, topics: Path | None, robot: Nominal) -> Any:
+    """Reads the runs of a bag, which is opened at once, or of a CSV file."""
+    if topics is None:
+        return lambda: map(to_run, read_recordings([path], nominal=robot))
+    found = read_bag(path, read_topic_map(topics), robot)
+    return lambda: [to_run(found)]
 
 
 def _bench(

@@ -17,13 +17,13 @@ from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.notebook import Notebook, slug
 from hil.procedure.operator import Operator
+from hil.progress import WHOLE, Report
 from hil.recording.mcap_writer import OnFailure
 
 if TYPE_CHECKING:
     from hil.bench import Bench
     from hil.bench.holding import Held
 
-Report = Callable[[str, int, int], None]
 STEP_LIMIT_S = 1800.0
 
 
@@ -250,8 +250,17 @@ class Context(Notebook):
         """Add time that a bench of this run has driven in another process, s."""
         self.guard.driven_ns += nanoseconds(driven_s)
 
-    def progress(self, what: str, done: int, total: int) -> None:
-        """Say how far the work is."""
+    def progress(self, what: str, done: int, total: int, whole: tuple[int, int] | None = None) -> None:
+        """Say how far the work is.
+
+        Args:
+            what: piece of work, in words.
+            done: how much of it is done, of
+            total: in units of its own.
+            whole: (done, total) of the whole run, where that can be told: the time left is then its.
+        """
+        if whole is not None:
+            self._report(WHOLE, *whole)
         self._report(what, done, total)
 
     def on_teardown(self, action: Callable[[], None], title: str = "teardown") -> None:

@@ -28,7 +28,7 @@ from hil.errors import (
     RecordingError,
 )
 from hil.procedure.bench_source import BenchSource
-from hil.procedure.context import Context, Report
+from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
@@ -36,6 +36,7 @@ from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, RESULT, Failure, Result, git_revision, judge, write_result
+from hil.progress import Report, silent
 from hil.recording.mcap_writer import OnFailure
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -63,7 +64,7 @@ class RunOptions:
     started: str
     parameters: dict[str, Any]
     operator: Operator = field(default_factory=Terminal)
-    report: Report = lambda what, done, total: None
+    report: Report = silent
     tell: Callable[[str], None] = lambda text: None
     resume: bool = False
     on_recording_failure: OnFailure = "stop"

@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.clock import NS_PER_S
 from hil.errors import DataError, UsageError
 from hil.geometry import Array
@@ -138,12 +139,15 @@ def _wheel_log(samples: Iterable[WheelMeasurement], origin_ns: int) -> Log:
     )
 
 
-def to_recording(path: str | Path, problems: list[str] | None = None) -> Recording:
+def to_recording(
+    path: str | Path, problems: list[str] | None = None, nominal: Nominal | None = None
+) -> Recording:
     """One of our recordings as input of evaluation and calibration.
 
     Args:
         path: the MCAP file; the motion is its name before the last `_`.
         problems: receives what could not be read; without it damage raises.
+        nominal: robot that it is read for, see `build_recording`.
 
     Raises:
         DataError: unreadable, or without wheels or ground truth.
@@ -159,4 +163,5 @@ def to_recording(path: str | Path, problems: list[str] | None = None) -> Recordi
         motion=file.stem.rpartition("_")[0] or file.stem,
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),),
+        nominal=nominal,
     )

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.geometry import Array
 from hil.recording.public_csv import read_bytes
@@ -22,8 +23,8 @@ TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
 
 
-def read_plain(path: Path) -> Recording:
-    """Read one run.
+def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
+    """Read one run of a robot, the CAD model by default.
 
     Raises:
         DataError: missing columns, damaged file, no usable rows.
@@ -51,6 +52,7 @@ def read_plain(path: Path) -> Recording:
         motion=stem.rpartition("_")[0] or stem,
         sources=(str(path),),
         sha256=(hashlib.sha256(data).hexdigest(),),
+        nominal=nominal,
     )
 
 

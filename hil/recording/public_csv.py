@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.geometry import Array
 
@@ -77,8 +78,8 @@ def _run_key(path: Path) -> tuple[int, str]:
     return (int(run) if run.isdigit() else 1 << 30, run)
 
 
-def read_pair(odom: Path, absolute: Path) -> Recording:
-    """Read one run; its motion is classified from what the robot did.
+def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Recording:
+    """Read one run of a robot, the CAD model by default; its motion is classified from what it did.
 
     Raises:
         DataError: missing columns, damaged file, no usable rows.
@@ -98,6 +99,7 @@ def read_pair(odom: Path, absolute: Path) -> Recording:
         _log(truth_rows, truth),
         sources=(str(odom), str(absolute)),
         sha256=tuple(hashlib.sha256(b).hexdigest() for b in (wheel_bytes, truth_bytes)),
+        nominal=nominal,
     )
 
 

@@ -29,6 +29,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.clock import NS_PER_S
 from hil.errors import ConfigError, DataError
 from hil.geometry import yaw_of_quat
@@ -108,7 +109,7 @@ def bags_in(folder: Path) -> list[Path]:
     return [folder] if is_bag(folder) else sorted(p for p in folder.iterdir() if is_bag(p))
 
 
-def read_bag(path: str | Path, topics: TopicMap) -> Recording:
+def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None) -> Recording:
     """Wheels and ground truth of a bag: a rosbag2 folder, or a `.mcap` or `.db3` file of one.
 
     Raises:
@@ -132,6 +133,7 @@ def read_bag(path: str | Path, topics: TopicMap) -> Recording:
         motion=file.stem.rpartition("_")[0] or file.stem,
         sources=(str(file),),
         sha256=(hashlib.sha256(file.read_bytes()).hexdigest(),) if file.is_file() else (),
+        nominal=nominal,
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
+from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
@@ -13,13 +14,16 @@ from hil.recording.mcap_reader import NEEDS_TOPICS
 Job = Callable[[], Recording]
 
 
-def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = None) -> list[Job]:
+def find_recordings(
+    paths: Sequence[str | Path], topics: str | Path | None = None, nominal: Nominal | None = None
+) -> list[Job]:
     """Readers for every run under the given files and folders, in a fixed order.
 
     Args:
         paths: files and folders.
         topics: topic mapping of another robot; every `.mcap` and `.db3` file and rosbag2 folder is then one
             of its bags.
+        nominal: robot that they are read for, see `build_recording`.
 
     Raises:
         DataError: a path that does not exist or holds no recording.
@@ -29,7 +33,7 @@ def find_recordings(paths: Sequence[str | Path], topics: str | Path | None = Non
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)
-        found = _folder(path, mapping) if path.is_dir() else [_file(path, mapping)]
+        found = _folder(path, mapping, nominal) if path.is_dir() else [_file(path, mapping, nominal)]
         if not found:
             raise DataError(
                 str(path),
@@ -47,9 +51,10 @@ def read_recordings(
     progress: Callable[[int, int], None] | None = None,
     *,
     topics: str | Path | None = None,
+    nominal: Nominal | None = None,
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each."""
-    jobs = find_recordings(paths, topics)
+    jobs = find_recordings(paths, topics, nominal)
     out = []
     for number, job in enumerate(jobs, start=1):
         out.append(job())
@@ -58,41 +63,41 @@ def read_recordings(
     return out
 
 
-def _folder(folder: Path, mapping: rosbag.TopicMap | None) -> list[Job]:
+def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> list[Job]:
     if rosbag.is_bag(folder):
-        return [_bag(folder, mapping)]
+        return [_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
     if pairs:
-        return [lambda o=o, a=a: public_csv.read_pair(o, a) for o, a in pairs]  # type: ignore[misc]
+        return [lambda o=o, a=a: public_csv.read_pair(o, a, nominal) for o, a in pairs]  # type: ignore[misc]
     bags = rosbag.bags_in(folder)
     tables = sorted(f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind))
     if mapping is not None:
-        return [_file(t, mapping) for t in tables] + [_bag(b, mapping) for b in bags]
+        return [_file(t, mapping, nominal) for t in tables] + [_bag(b, mapping, nominal) for b in bags]
     files = sorted([*tables, *folder.glob("*.mcap")])
     if bags and not files:
         names = ", ".join(b.name for b in bags)
         raise DataError(
             str(folder), f"holds rosbag2 recordings of another robot ({names})", remedy=NEEDS_TOPICS
         )
-    return [_file(f, None) for f in files]
+    return [_file(f, None, nominal) for f in files]
 
 
-def _bag(path: Path, mapping: rosbag.TopicMap | None) -> Job:
+def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
-    return lambda: rosbag.read_bag(path, mapping)
+    return lambda: rosbag.read_bag(path, mapping, nominal)
 
 
-def _file(path: Path, mapping: rosbag.TopicMap | None) -> Job:
+def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
     if not path.exists():
         raise DataError(str(path), "does not exist")
     if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
-        return _bag(path, mapping)
+        return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return lambda: export.to_recording(path)
+        return lambda: export.to_recording(path, nominal=nominal)
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
-        return lambda: public_csv.read_pair(odom, public_csv.partner(odom))
-    return lambda: plain_csv.read_plain(path)
+        return lambda: public_csv.read_pair(odom, public_csv.partner(odom), nominal)
+    return lambda: plain_csv.read_plain(path, nominal)

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate, track
 from hil.calibration.problem import PARAMETER_NAMES
-from hil.files import write_text
+from hil.files import staged, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -34,7 +34,7 @@ def write_evaluation_page(
     title = f"Odometry of {table['recordings']} recordings"
     facts = [f"model {table['model']}, signal {table['signal']}, cost J = {table['cost']:.2f}"]
     facts.append(f"calibration: {calibrated}" if calibrated else "nominal parameters")
-    return _write(folder, title, facts, [_error_table("errors", table)], figures)
+    return _write(folder, title, facts, table.get("warnings", []), [_error_table("errors", table)], figures)
 
 
 def write_calibration_page(folder: Path, result: Calibration) -> Path:
@@ -50,14 +50,15 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
         f"cost J {result.cost_before:.2f} before, {result.cost_after:.2f} after; without the rejected "
         f"recordings {result.kept_cost[0]:.2f} and {result.kept_cost[1]:.2f}",
-        *result.warnings[-4:],
+        f"robot on paper: {result.robot.in_words()}",
     ]
     tables = [
         _error_table("Before", evaluate(before)),
         _error_table("After", evaluate(after)),
         *_validation_tables(result),
     ]
-    return _write(folder, f"Calibration on {len(result.recordings)} recordings", facts, tables, figures)
+    title = f"Calibration on {len(result.recordings)} recordings"
+    return _write(folder, title, facts, result.warnings, tables, figures)
 
 
 def _path_figures(before: Sequence[Track], after: Sequence[Track] | None) -> dict[str, Figure]:
@@ -108,7 +109,7 @@ def _draw_errors(axes: Axes, motion: str, before: Sequence[Track], after: Sequen
 
 def _parameters(result: Calibration) -> Figure:
     z, nominal = result.fit.solution.z, result.fit.problem.nominal
-    unit = np.where(np.arange(len(z)) < 12, 0.01 * np.abs(nominal), np.radians(1.0))
+    unit = np.where(np.arange(len(z)) < 12, 0.01 * result.fit.problem.sizes, np.radians(1.0))
     half = np.nan_to_num(result.intervals.quantile * result.intervals.std / unit)
     prior = result.fit.problem.prior_std / unit
     figure = Figure(figsize=(8.4, 3.4), layout="constrained")
@@ -180,18 +181,19 @@ def _validation_tables(result: Calibration) -> list[dict[str, Any]]:
 
 
 def _write(
-    folder: Path, title: str, facts: Sequence[str], tables: Sequence[Mapping[str, Any]],
-    figures: Mapping[str, Figure],
+    folder: Path, title: str, facts: Sequence[str], warnings: Sequence[str],
+    tables: Sequence[Mapping[str, Any]], figures: Mapping[str, Figure],
 ) -> Path:  # fmt: skip
-    folder.mkdir(parents=True, exist_ok=True)
     images = []
-    for name, figure in figures.items():
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=_DPI, bbox_inches="tight")
-        (folder / f"{name}.png").write_bytes(buffer.getvalue())
-        images.append((name, base64.b64encode(buffer.getvalue()).decode("ascii")))
-    environment = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True)
-    page = environment.get_template("calibration.html").render(
-        title=title, facts=facts, tables=tables, images=images
-    )
-    return write_text(folder / "index.html", page)
+    with staged(folder) as parts:
+        for name, figure in figures.items():
+            buffer = io.BytesIO()
+            figure.savefig(buffer, format="png", dpi=_DPI, bbox_inches="tight")
+            (parts / f"{name}.png").write_bytes(buffer.getvalue())
+            images.append((name, base64.b64encode(buffer.getvalue()).decode("ascii")))
+        environment = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True)
+        page = environment.get_template("calibration.html").render(
+            title=title, facts=facts, warnings=warnings, tables=tables, images=images
+        )
+        write_text(parts / "index.html", page)
+    return folder / "index.html"

@@ -153,10 +153,34 @@ def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:
     return [read_plain(folder / name) for name in names]
 
 
+@dataclass(frozen=True)
+class Collected:
+    """Where a round stands in the whole run, for progress.
+
+    Attributes:
+        title: the round in words, `round 2 of 2 to 4`.
+        before: recordings of the rounds before it.
+        expected: recordings of the whole run, as far as it can be foreseen.
+    """
+
+    title: str
+    before: int
+    expected: int
+
+
 def collect(
-    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
-) -> list[str]:
+    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int,
+    so_far: Collected,
+) -> list[str]:  # fmt: skip
     """Drive repetitions, each in a fresh world and a checkpoint; in several processes where time is virtual.
+
+    Args:
+        ctx: of the run.
+        label: of the round, `round 2`.
+        repetitions: what to drive.
+        calibration: parameters to drive with, the bench's own without.
+        processes: how many at once.
+        so_far: the round's place in the run.
 
     Returns:
         File names in order; the same whatever the number of processes.
@@ -164,10 +188,17 @@ def collect(
     titles = {f"{label}, repetition {k}": r for k, r in enumerate(repetitions, start=1)}
     missing = [r for title, r in titles.items() if not ctx.finished(title)]
     names: list[str] = []
+    recordings = sum(len(r.motions) for r in repetitions)
+
+    def told() -> None:
+        whole = (so_far.before + len(names), so_far.expected)
+        ctx.progress(f"{so_far.title}, recording", len(names), recordings, whole)
+
     with ctx.step(label), closing(_driven(ctx, label, missing, calibration, processes)) as driven:
-        for number, title in enumerate(titles, start=1):
+        told()
+        for title in titles:
             names += ctx.checkpoint(title, lambda: next(driven))
-            ctx.progress(label, number, len(titles))
+            told()
     return names
 
 

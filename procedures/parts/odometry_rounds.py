@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.bench.settings import geometry_of
+from hil.bench.settings import geometry_of, nominal_of
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.datasets import Recording
@@ -79,7 +79,7 @@ def improve(ctx: Context, recordings: Sequence[Recording], setting: Setting, met
     """
     return calibrate(
         recordings, setting, ctx.clock, method=method, seed=ctx.seed,
-        nominal=geometry_of(ctx.source.config), validate=False, report=ctx.progress,
+        nominal=nominal_of(ctx.source.config), validate=False, report=ctx.progress,
     )  # fmt: skip
 
 

@@ -1,7 +1,10 @@
 """`hil evaluate`, `hil calibrate`, `hil demo-data` as a user calls them."""
 
 import json
+import os
+import shutil
 
+import numpy as np
 import pytest
 
 from hil.calibration.artefact import read_calibration
@@ -95,3 +98,178 @@ def test_a_spoiled_calibration_file_lists_every_problem(tmp_path):
     path.write_text("schema = ")
     with pytest.raises(ConfigError, match="not valid TOML"):
         read_calibration(path)
+
+
+BENCH = """
+schema = 1
+name = "small"
+[environment]
+surface = "floor"
+tilt_rad = 0.0
+[robot]
+wheel_x_m = [0.1, -0.1, -0.1, 0.1]
+wheel_y_m = [0.075, 0.075, -0.075, -0.075]
+wheel_radius_m = [0.04, 0.04, 0.04, 0.04]
+centre_of_mass_m = [-0.02, 0.0, 0.05]
+[control]
+steering_limit_rad = 1.7
+"""
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """Bench file and generated data of a robot of other proportions."""
+    folder = tmp_path_factory.mktemp("small")
+    (folder / "bench.toml").write_text(BENCH)
+    assert (
+        main(["demo-data", str(folder / "data"), "--bench", str(folder / "bench.toml"), "--seed", "2"]) == 0
+    )
+    return folder / "bench.toml", folder / "data"
+
+
+def test_a_robot_of_other_proportions_is_calibrated_with_its_bench_file(small, tmp_path, capsys):
+    bench, data = small
+    truth = json.loads((data / "truth.json").read_text())
+    assert np.allclose(truth["r_m"], 0.04, rtol=0.03)
+    out = tmp_path / "c.toml"
+    code, found = run_json(capsys, "calibrate", data, "--bench", bench, "--out", out)
+    assert code == 0
+    assert found["geometry"]["source"] == "bench small"
+    assert found["geometry"]["x_w_m"] == [0.1, -0.1, -0.1, 0.1]
+    assert found["geometry"]["steering_limit_rad"] == 1.7
+    assert found["geometry"]["load"][1] > 1.1 > 0.9 > found["geometry"]["load"][0]
+    assert not found["at_bound"]
+    tables = found["validation"]
+    held_out = tables["leave_one_repetition_out"]["mean"]["rmse_position_m"]
+    assert held_out < 4e-3 < 0.15 * tables["nominal"]["mean"]["rmse_position_m"]
+    assert np.mean(found["parameters"]["r_m"]) == pytest.approx(np.mean(truth["r_m"]), rel=2e-3)
+    _, nominal = run_json(capsys, "evaluate", data, "--bench", bench)
+    _, after = run_json(capsys, "evaluate", data, "--bench", bench, "--calibration", out)
+    assert nominal["geometry"]["r_m"] == [0.04] * 4
+    assert after["mean"]["rmse_position_m"] < 0.15 * nominal["mean"]["rmse_position_m"]
+    assert read_calibration(out).nominal.r_m == (0.04,) * 4
+
+
+def test_without_the_bench_file_another_robot_is_told_apart(small, tmp_path, capsys):
+    _, data = small
+    assert main(["calibrate", str(data)]) == 2
+    told = capsys.readouterr().err
+    assert "the geometry does not fit the recordings" in told
+    assert "--bench" in told
+    assert "built-in CAD" in told
+    code, table = run_json(capsys, "evaluate", data)
+    assert code == 0
+    assert any("--bench" in line for line in table["warnings"])
+    assert table["geometry"]["source"].startswith("built-in CAD")
+
+
+def test_a_calibration_of_another_robot_is_refused_beside_its_bench(small, data, tmp_path, capsys):
+    out = tmp_path / "ours.toml"
+    assert main(["calibrate", str(data), "--no-validation", "--out", str(out)]) == 0
+    assert main(["evaluate", str(data), "--calibration", str(out), "--bench", str(small[0])]) == 2
+    assert "made for another robot" in capsys.readouterr().err
+
+
+def test_text_and_json_name_the_robot_and_what_is_missing(data, tmp_path, capsys):
+    folder = tmp_path / "no_line_y"
+    folder.mkdir()
+    for file in data.glob("*.csv"):
+        if not file.name.startswith("line_y"):
+            shutil.copy(file, folder)
+    out, page = tmp_path / "c.toml", tmp_path / "page"
+    args = ["calibrate", str(folder), "--no-validation", "--model", "creep", "--out", str(out)]
+    assert main([*args, "--plots", str(page)]) == 0
+    said = capsys.readouterr()
+    assert "warning: no recording drives sideways on its own" in said.err
+    assert "built-in CAD" in said.out
+    assert "no recording drives sideways on its own" in (page / "index.html").read_text()
+    code, table = run_json(capsys, "evaluate", data, "--calibration", out, "--plots", tmp_path / "e")
+    assert code == 0
+    (line,) = [w for w in table["warnings"] if "no recording of the calibration" in w]
+    assert line.startswith("line_y drives sideways")
+    assert line.split(":")[0] in (tmp_path / "e" / "index.html").read_text()
+
+
+def test_evaluation_says_where_a_twist_loses(tmp_path, capsys):
+    folder, out = tmp_path / "d", tmp_path / "c.toml"
+    args = ["--contact", "coulomb", "--seed", "3", "--repetitions", "2"]
+    assert main(["demo-data", str(folder), *args]) == 0
+    assert (
+        main(["calibrate", str(folder), "--model", "dry-friction", "--no-validation", "--out", str(out)]) == 0
+    )
+    assert "with --deploy twist errors grow" in capsys.readouterr().err
+    _, twist = run_json(capsys, "evaluate", folder, "--calibration", out, "--deploy", "twist")
+    assert any("with --deploy twist errors grow" in line for line in twist["warnings"])
+    _, plain = run_json(capsys, "evaluate", folder, "--calibration", out)
+    assert not any("--deploy twist" in line for line in plain["warnings"])
+
+
+BAD_FOLDERS = ("file", "file/below", "{proc}/folder")
+
+
+def outputs(data):
+    calibrate = ["calibrate", str(data), "--no-validation"]
+    return {
+        "demo-data": (["demo-data"], "", BAD_FOLDERS),
+        "evaluate --plots": (["evaluate", str(data)], "--plots", BAD_FOLDERS),
+        "calibrate --plots": (calibrate, "--plots", BAD_FOLDERS),
+        "calibrate --out": (calibrate, "--out", ("folder", "file/c.toml", "{proc}/c.toml", "file")),
+        "tune --out": (["tune", "nothing.mcap"], "--out", ("folder", "file/e.toml", "{proc}/e.toml")),
+    }
+
+
+@pytest.mark.parametrize(
+    "command", ["demo-data", "evaluate --plots", "calibrate --plots", "calibrate --out", "tune --out"]
+)
+def test_what_cannot_be_written_is_named_before_the_work(data, tmp_path, capsys, monkeypatch, command):
+    """On a file, below a file, where nobody may write: exit 2, the path, no traceback, nothing left."""
+    words, option, targets = outputs(data)[command]
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("kept")
+    worked = []
+    monkeypatch.setattr("hil.recording.sources.read_recordings", lambda *a, **k: worked.append(a))
+    monkeypatch.setattr("hil.calibration.synthetic.make_set", lambda *a, **k: worked.append(a))
+    for target in targets:
+        path = target.format(proc="/proc/self") if "{" in target else str(tmp_path / target)
+        capsys.readouterr()
+        assert main([*words, *([option] if option else []), path]) == 2, target
+        told = capsys.readouterr()
+        assert path in told.err
+        assert "Traceback" not in told.err
+        assert told.out == ""
+    assert worked == []
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder"]
+    assert (tmp_path / "file").read_text() == "kept"
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may write anywhere")
+def test_a_read_only_folder_is_named(data, tmp_path, capsys):
+    locked = tmp_path / "locked"
+    locked.mkdir(mode=0o500)
+    for words in (["demo-data", str(locked)], ["evaluate", str(data), "--plots", str(locked / "p")]):
+        assert main(words) == 2
+        assert "Permission denied" in capsys.readouterr().err
+    assert list(locked.iterdir()) == []
+
+
+def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
+    """The room runs out after three recordings: what was there stays, nothing new appears."""
+    from hil.recording import plain_csv
+
+    real, written = plain_csv.write_plain, []
+
+    def write(path, recording):
+        if len(written) == 3:
+            raise OSError(28, "No space left on device")
+        written.append(path)
+        real(path, recording)
+
+    monkeypatch.setattr(plain_csv, "write_plain", write)
+    (tmp_path / "old").mkdir()
+    (tmp_path / "old" / "mine.txt").write_text("kept")
+    for folder, left in (("new", None), ("old", ["mine.txt"])):
+        written.clear()
+        assert main(["demo-data", str(tmp_path / folder), "--repetitions", "1"]) == 2
+        told = capsys.readouterr().err
+        assert f"{tmp_path / folder}: cannot be written (No space left on device)" in told
+        assert not (tmp_path / folder).exists() if left is None else os.listdir(tmp_path / folder) == left

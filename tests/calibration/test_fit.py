@@ -17,6 +17,7 @@ from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
 from hil.clock import MonotonicClock
 from hil.errors import DataError, UsageError
 from hil.kinematics import WheelGeometry
+from hil.progress import WHOLE
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()
@@ -71,6 +72,33 @@ def test_all_four_methods_meet(recordings, setting):
         assert np.all(z <= result.problem.upper + 1e-12)
         polished = result.solution.objective_before_polish is not None
         assert polished == (method in ("ga", "pso"))
+
+
+@pytest.mark.parametrize("model", ["paper", "creep"])
+def test_all_four_methods_keep_to_one_box_and_meet_in_it(recordings, model):
+    """Steering zeros that no prior holds: 0.05 is 5 % of a length, and 0.05 rad of an angle."""
+    setting = make_setting("recommended", model=model, signal="velocity", bounds=0.05)
+    blocks = reduce_recordings(recordings, 0.3, setting.signal)
+    found = {m: fit(blocks, setting, CAD, method=m, seed=3) for m in METHODS}
+    best = min(f.solution.objective for f in found.values())
+    named = {m: set(identifiability(f).at_bound) for m, f in found.items()}
+    for method, result in found.items():
+        moved = np.abs(result.solution.z - CAD.vector())
+        assert np.all(moved[:12] <= 0.05 * np.abs(CAD.vector()[:12]) + 1e-12), method
+        assert np.all(moved[12:] <= 0.05 + 1e-12), method
+        assert result.solution.objective <= 1.001 * best, method
+        assert named[method] == named["lm"] != set()
+
+
+def test_a_wheel_on_an_axis_of_the_body_is_not_held_there():
+    """A relative prior or bound of a position that is zero on paper would otherwise have no width."""
+    cross = WheelGeometry([0.2, 0.0, -0.2, 0.0], [0.0, 0.2, 0.0, -0.2], np.full(4, 0.04))
+    robot = hidden_robot(3)
+    data = make_set(robot, 3, ["rotation_ccw", "line_x"], 1)
+    for setting in (PAPER, replace(RECOMMENDED, model="exact")):
+        problem = Problem(reduce_recordings(data, 0.3), setting, cross)
+        assert np.all(problem.prior_std > 0)
+        assert np.all(problem.upper > problem.lower)
 
 
 def test_a_steering_angle_off_in_one_motion_shifts_the_result_as_foreseen(recordings):
@@ -156,6 +184,16 @@ def test_injected_truth_on_ten_seeds_and_interval_coverage():
         hits.append(np.abs(wrong) <= result.intervals.quantile * result.intervals.twist_std)
     assert max(errors) <= 1.8e-3
     assert 0.88 <= np.mean(hits) <= 0.99
+
+
+def test_the_cross_validations_tell_how_far_all_of_them_are(recordings):
+    told = []
+    few = [r for r in recordings if r.motion in ("line_x", "line_y")]
+    setting = replace(RECOMMENDED, model="exact", choose_model=False)
+    calibrate(few, setting, CLOCK, report=lambda *now: told.append(now))
+    whole = [(done, total) for what, done, total in told if what == WHOLE]
+    assert whole == [(k, 8) for k in range(1, 9)]
+    assert ("paper leave one motion out", 2, 2) in told
 
 
 def test_rigid_commands_determine_six_of_the_papers_twelve_parameters(recordings):

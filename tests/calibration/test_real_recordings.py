@@ -1,10 +1,13 @@
 """What the authors' own recordings must show: Table II, and a calibration that beats the paper's."""
 
+import numpy as np
 import pytest
 
+from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track
-from hil.calibration.problem import RECOMMENDED
+from hil.calibration.fitting import fit
+from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.clock import MonotonicClock
 from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
@@ -48,3 +51,13 @@ def test_held_out_errors_of_the_recommended_setting(recordings):
             assert row["rmse_position_m"] <= max(tables["nominal"][motion]["rmse_position_m"], 0.030)
     assert tables["paper_leave_one_repetition_out"]["mean"]["rmse_position_m"] > 7e-3
     assert result.cost_after < 0.02 * result.cost_before
+
+
+def test_hard_bounds_hold_steering_zeros_too_and_by_every_gradient_method(recordings):
+    """`--model paper --signal velocity --bounds 0.05`: zeros used to run to 16 deg under one method only."""
+    setting = make_setting("recommended", model="paper", signal="velocity", bounds=0.05)
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    found = [fit(blocks, setting, WheelGeometry.nominal(), method=m) for m in ("lm", "interior-point")]
+    for result in found:
+        assert np.max(np.abs(result.solution.z[12:])) <= 0.05 + 1e-12
+    assert found[0].solution.objective == pytest.approx(found[1].solution.objective, rel=1e-4)

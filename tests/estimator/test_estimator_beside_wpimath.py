@@ -1,11 +1,13 @@
 """Side by side with WPILib's pose estimator on its own kind of accuracy stream, 20 seeds in one run.
 
 Wheels with 5 % of speed noise, an absolute heading with 0.05 rad, a pose with 0.1 m and 0.05 rad at 10 Hz
-that comes 250 ms late, 20 ms steps, 8.72 s (`facts/estimation.md`, oracles).
+that comes 250 ms late, 20 ms steps, 8.72 s. WPILib's filter is run twice: with the standard deviations that
+its own accuracy test ships, and with those that do best on this very stream.
 """
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from wpimath.estimator import SwerveDrive4PoseEstimator
 from wpimath.geometry import Pose2d, Rotation2d, Translation2d
 from wpimath.kinematics import SwerveDrive4Kinematics, SwerveModulePosition
@@ -55,8 +57,11 @@ def stream(seed):
     return np.array(truth), distances, angles, headings, vision
 
 
-def theirs(distances, angles, headings, vision, vision_sigma=(0.45, 0.45, 0.45)):
-    """With the weights of its own accuracy test; they do better here than the true sigmas."""
+SHIPPED = (0.45, 0.45, 0.45)
+
+
+def theirs(distances, angles, headings, vision, vision_sigma):
+    """Only the ratio of vision to odometry sigmas counts, axis by axis, so odometry's stay at 0.1."""
     kinematics = SwerveDrive4Kinematics(
         *[Translation2d(float(x), float(y)) for x, y in zip(X, Y, strict=True)]
     )
@@ -113,19 +118,60 @@ def errors(path, truth):
     return np.hypot(*(path - truth[:, :2]).T)
 
 
-@pytest.mark.parametrize("kind", ["ekf", "ukf"])
-def test_accuracy_is_better_than_wpimath(kind):
-    """Mean over all steps and worst of any step: at most 0.025 m and 0.10 m, and both below theirs."""
-    own, other = [], []
-    for seed in range(20):
-        truth, *rest = stream(seed)
-        own.append(errors(ours(*rest, kind), truth))
-        other.append(errors(theirs(*rest), truth))
+def summary(paths, truths):
+    """Mean error over all steps and worst of any step, m."""
+    every = np.array([errors(path, truth) for path, truth in zip(paths, truths, strict=True)])
+    return float(every.mean()), float(every.max())
+
+
+@pytest.fixture(scope="module")
+def streams():
+    return [stream(seed) for seed in range(20)]
+
+
+@pytest.fixture(scope="module")
+def wpimath(streams):
+    """(mean, worst) as shipped, tuned, and the sigmas of position and heading that tuning found.
+
+    Tuned on the streams that it is scored on, which is more than a user could do and in its favour.
+    """
+    truths = [truth for truth, *_ in streams]
+
+    def scored(sigma):
+        return summary([theirs(*rest, vision_sigma=sigma) for _, *rest in streams], truths)
+
+    def spread(logs):
+        position, heading = np.exp(logs)
+        return (position, position, heading)
+
+    first = np.log([[1.0, 1.0], [3.0, 1.0], [1.0, 5.0]])
+    options = {"xatol": 0.05, "fatol": 2e-5, "maxfev": 80, "initial_simplex": first}
+    found = minimize(lambda logs: scored(spread(logs))[0], first[0], method="Nelder-Mead", options=options)
+    return scored(SHIPPED), scored(spread(found.x)), np.exp(found.x)
+
+
+def test_tuning_helps_wpimath(wpimath):
+    """The comparison is with its best: without tuning it would be no measure of the filter."""
+    shipped, tuned, sigmas = wpimath
     print(
-        f"{kind}: mean {np.mean(own):.4f} m, worst {np.max(own):.4f} m; "
-        f"wpimath: mean {np.mean(other):.4f} m, worst {np.max(other):.4f} m"
+        f"wpimath as shipped: mean {shipped[0]:.4f} m, worst {shipped[1]:.4f} m; tuned (vision sigmas "
+        f"{sigmas[0]:.2f} m, {sigmas[1]:.1f} rad): mean {tuned[0]:.4f} m, worst {tuned[1]:.4f} m"
     )
-    assert np.mean(own) <= 0.025
-    assert np.max(own) <= 0.10
-    assert np.mean(own) < np.mean(other)
-    assert np.max(own) < np.max(other)
+    assert tuned[0] < 0.65 * shipped[0]
+    assert tuned[1] < 0.75 * shipped[1]
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_accuracy_is_better_than_wpimath(streams, wpimath, kind):
+    """At most 0.025 m and 0.10 m; below theirs at its best, by what docs/estimation.md states."""
+    mean, worst = summary([ours(*rest, kind) for _, *rest in streams], [truth for truth, *_ in streams])
+    shipped, tuned, _ = wpimath
+    print(
+        f"{kind}: mean {mean:.4f} m, worst {worst:.4f} m; "
+        f"lead over wpimath as shipped {shipped[0] / mean:.1f}, tuned {tuned[0] / mean:.1f}"
+    )
+    assert mean <= 0.025
+    assert worst <= 0.10
+    assert mean < tuned[0] < shipped[0]
+    assert worst < tuned[1] < shipped[1]
+    assert tuned[0] / mean == pytest.approx(1.3, abs=0.1)

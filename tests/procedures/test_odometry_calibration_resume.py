@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -65,11 +66,23 @@ def nobody_left(group):
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory):
+def whole_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("whole") / "run"
-    done = subprocess.run(command(folder, 1), capture_output=True, timeout=DEADLINE_S)
+    done = subprocess.run(command(folder, 1), capture_output=True, timeout=DEADLINE_S, text=True)
     assert done.returncode in (0, 1), done.stderr
-    return json.loads(done.stdout)
+    return done
+
+
+@pytest.fixture(scope="module")
+def undisturbed(whole_run):
+    return json.loads(whole_run.stdout)
+
+
+def test_progress_tells_round_recording_and_the_time_that_is_left(whole_run):
+    lines = whole_run.stderr.splitlines()
+    (line,) = [text for text in lines if text.startswith("round 2 of 2, recording: 1/2")]
+    assert re.search(r", (about \d+ (s|min)|a few seconds) left in all$", line)
+    assert any(text.startswith("validation, recording") for text in lines)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,135 @@
+"""What the user of a calibration has to know about it, in sentences: `warnings` of the result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hil.calibration.blocks import Blocks
+from hil.calibration.datasets import Recording
+from hil.calibration.driven import DIRECTIONS, Driven, driven, lever_m, undriven
+from hil.calibration.fitting import Fit
+from hil.calibration.identifiability import Identifiability, identifiability
+from hil.calibration.motion_models import make_model
+from hil.calibration.validation import Deployed, Table
+from hil.kinematics import WheelGeometry
+from hil.odometry import integrate
+
+RECORD = {
+    "forward": "line_x (straight ahead, 2 m or more)",
+    "sideways": "line_y (straight to the side, 2 m or more)",
+    "turning": "rotation_ccw and rotation_cw (turns on the spot)",
+}
+_CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
+_MUCH = 1.5
+_POSITION, _HEADING = "rmse_position_m", "rmse_theta_rad"
+
+
+def caveats(
+    recordings: Sequence[Recording],
+    found: Fit,
+    spectrum: Identifiability,
+    paper: Fit | None,
+    tables: Mapping[str, Table],
+    deployed: Deployed,
+) -> tuple[str, ...]:
+    """Every sentence: repairs first, then what weakens the result, then what it means.
+
+    Args:
+        recordings: what was fitted.
+        found: the fit.
+        spectrum: what the data determine under it.
+        paper: the paper's setting on the same data, where it could be fitted.
+        tables: validation by name, empty without.
+        deployed: errors of the result on the recordings.
+    """
+    out = [line for r in recordings for line in r.warnings()]
+    if len(recordings) == 1:
+        out.append("one recording only: no interval, no cross-validation; repeat the motion")
+    out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
+    if spectrum.at_bound:
+        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound))
+    if spectrum.unobservable:
+        out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
+    out += extrapolating(found)
+    out += unpredicted(tables)
+    out += worse_as_twist(deployed, found.problem.setting.model)
+    total = len(found.solution.z)
+    out.append(
+        f"the data determine {spectrum.determined} directions of the {total} parameters; "
+        "single parameters are effective values, only their combinations are measured"
+    )
+    if paper is not None:
+        out.append(
+            f"under the paper's setting the data determine {identifiability(paper).determined} of its "
+            f"{len(paper.solution.z)} parameters; the bounds decide the rest"
+        )
+    return tuple(out)
+
+
+def extrapolating(found: Fit) -> list[str]:
+    """Directions that no recording drives on its own: how far the result goes there, what to record."""
+    nominal = found.problem.tyres.with_vector(found.problem.nominal)
+    return [
+        f"no recording drives {name} on its own, so there the calibration extrapolates, as parameters and "
+        f"with --deploy twist (a metre {name} ends {_parting(found, nominal, name)} from where nominal "
+        f"odometry ends); record {RECORD[name]} at least twice"
+        for name in driven(found.problem.blocks, nominal).missing
+    ]
+
+
+def beyond_driven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> list[str]:
+    """Motions of other recordings that go where a calibration's own, which drove `known`, did not."""
+    return [
+        f"{motion} drives {' and '.join(names)}, which no recording of the calibration did: it extrapolates; "
+        f"calibrate again with {' and '.join(RECORD[n] for n in names)}"
+        for motion, names in undriven(blocks, nominal, known).items()
+    ]
+
+
+def _parting(found: Fit, nominal: WheelGeometry, name: str) -> str:
+    """How far apart fitted and nominal odometry end after a metre in one direction (at the wheels)."""
+    steps, twist = 100, np.zeros(3)
+    twist[DIRECTIONS.index(name)] = 1.0 / steps / (lever_m(nominal) if name == "turning" else 1.0)
+    wheel_rad = np.tile(nominal.projection() @ twist / np.repeat(nominal.radius_m, 2), (steps, 1))
+    fitted = make_model(found.problem.setting.model, wheel_rad, nominal).motion(found.solution.z)
+    here, there = (integrate(np.zeros(3), m)[-1] for m in (fitted, np.tile(twist, (steps, 1))))
+    gap = here - there
+    return f"{1e3 * np.hypot(gap[0], gap[1]):.0f} mm and {abs(np.degrees(gap[2])):.1f} deg"
+
+
+def unpredicted(tables: Mapping[str, Table]) -> list[str]:
+    """Motions that a fit to the others predicts worse than nominal parameters do."""
+    left_out, nominal = tables.get("leave_one_motion_out", {}), tables.get("nominal", {})
+    out = []
+    for motion, row in left_out.items():
+        before = nominal[motion]
+        lost_m, lost_rad = row[_POSITION] - before[_POSITION], row[_HEADING] - before[_HEADING]
+        if motion != "mean" and (lost_m > _CLEARLY_M or lost_rad > _CLEARLY_RAD):
+            out.append(
+                f"a fit without {motion} predicts it worse than nominal parameters do ({_errors(row)} "
+                f"against {_errors(before)}): motions that are not among the recordings may come out as "
+                f"badly; keep {motion} among them and record every motion that the robot is going to drive"
+            )
+    return out
+
+
+def worse_as_twist(deployed: Deployed, model: str) -> list[str]:
+    """Motions on which `--deploy twist` loses much of what the parameters reach, in one line."""
+    lost = []
+    for motion, row in deployed.parameters.items():
+        other = deployed.twist[motion]
+        far = other[_POSITION] - row[_POSITION] > _CLEARLY_M and other[_POSITION] > _MUCH * row[_POSITION]
+        if motion != "mean" and far:
+            lost.append(f"{motion} ({_errors(other)} against {_errors(row)})")
+    if not lost:
+        return []
+    return [
+        f"with --deploy twist errors grow on {', '.join(lost)}: one 3x3 matrix cannot stand in for the model "
+        f"{model} there; deploy the parameters"
+    ]
+
+
+def _errors(row: Mapping[str, float]) -> str:
+    return f"{1e3 * row[_POSITION]:.1f} mm, {np.degrees(row[_HEADING]):.2f} deg"

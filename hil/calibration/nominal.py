@@ -1,0 +1,47 @@
+"""The robot as it is on paper: what recordings are read with, and where a fit starts from."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from hil.kinematics import WheelGeometry
+
+
+@dataclass(frozen=True)
+class Nominal:
+    """A robot before any calibration; without arguments the CAD model of the 4WIS4WID robot.
+
+    Attributes:
+        geometry: wheel positions and radii, with loads and creep ratio as far as they are known.
+        steering_limit_rad: largest steering angle to either side, rad.
+        source: where these figures are from, for messages and results.
+    """
+
+    geometry: WheelGeometry = field(default_factory=WheelGeometry.nominal)
+    steering_limit_rad: float = math.radians(120.0)
+    source: str = "built-in CAD of the 4WIS4WID robot"
+
+    @property
+    def radius_m(self) -> float:
+        """Mean wheel radius, m."""
+        return float(self.geometry.radius_m.mean())
+
+    def to_json(self) -> dict[str, object]:
+        """As results name the geometry that was used: lists in wheel order FL, BL, BR, FR."""
+        return {
+            "source": self.source,
+            "x_w_m": self.geometry.x_m.tolist(),
+            "y_w_m": self.geometry.y_m.tolist(),
+            "r_m": self.geometry.radius_m.tolist(),
+            "steering_limit_rad": self.steering_limit_rad,
+            **self.geometry.tyres(),
+        }
+
+    def in_words(self) -> str:
+        """One line with the figures in mm."""
+        x, y, r = (
+            "/".join(f"{1e3 * value:.4g}" for value in values)
+            for values in (self.geometry.x_m, self.geometry.y_m, self.geometry.radius_m)
+        )
+        return f"x {x} mm, y {y} mm, radius {r} mm ({self.source})"
