@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import struct
 import sys
 import time
@@ -16,7 +17,7 @@ import serial
 CHIP_ID, QUATERNION, GRAVITY, OPERATING_MODE = 0x00, 0x20, 0x2E, 0x3D
 CONFIGURE, INERTIAL = 0x00, 0x08
 READ_ANSWER, STATUS, WRITTEN = 0xBB, 0xEE, 0x01
-DURATION_S = 2.0
+DURATION_S, PATIENCE_S = 2.0, 60.0
 
 
 def read(port: serial.Serial, register: int, count: int) -> bytes:
@@ -45,10 +46,20 @@ def write(port: serial.Serial, register: int, value: int) -> None:
     raise SystemExit(f"register 0x{register:02X} cannot be written: {told.hex() or 'silence'}")
 
 
+def endpoints(path: str) -> dict:
+    """What `hil emulate` says of its devices; waits for the file, which appears when they answer."""
+    end = time.monotonic() + PATIENCE_S
+    while not (os.path.exists(path) and os.path.getsize(path)):
+        if time.monotonic() > end:
+            raise SystemExit(f"{path} has not appeared: is `hil emulate --out {path}` running?")
+        time.sleep(0.1)
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
+
+
 def main() -> None:
     """Identify, configure, read."""
-    with open(sys.argv[1], encoding="utf-8") as file:
-        where = json.load(file)["imu"]
+    where = endpoints(sys.argv[1])["imu"]
     with serial.Serial(where["port"], where["baud"], timeout=0.1) as port:
         print(f"chip id 0x{read(port, CHIP_ID, 1)[0]:02X}")
         write(port, OPERATING_MODE, CONFIGURE)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import sys
 import time
 
@@ -16,6 +17,7 @@ TORQUE_ENABLE, GOAL_VELOCITY, PRESENT_POSITION = 64, 104, 132
 RAD_PER_COUNT = 2.0 * math.pi / 4096
 RAD_S_PER_COUNT = 0.229 * 2.0 * math.pi / 60.0
 TURN_COUNTS, TURN_S = 44, 1.0
+PATIENCE_S = 60.0
 
 
 def signed(value: int) -> int:
@@ -40,10 +42,20 @@ def ask(call, *arguments):
     raise SystemExit(f"{call.__name__}{arguments[1:]}: result {result}, error {error}")
 
 
+def endpoints(path: str) -> dict:
+    """What `hil emulate` says of its devices; waits for the file, which appears when they answer."""
+    end = time.monotonic() + PATIENCE_S
+    while not (os.path.exists(path) and os.path.getsize(path)):
+        if time.monotonic() > end:
+            raise SystemExit(f"{path} has not appeared: is `hil emulate --out {path}` running?")
+        time.sleep(0.1)
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
+
+
 def main() -> None:
     """Find, read, turn."""
-    with open(sys.argv[1], encoding="utf-8") as file:
-        where = json.load(file)["servos"]
+    where = endpoints(sys.argv[1])["servos"]
     ids = where["ids"]
     port, packets = PortHandler(where["port"]), PacketHandler(2.0)
     if not (port.openPort() and port.setBaudRate(where["baud"])):

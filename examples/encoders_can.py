@@ -6,13 +6,14 @@ Usage: python encoders_can.py endpoints.json
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 
 import can
 import cantools
 
-DURATION_S = 2.0
+DURATION_S, PATIENCE_S = 2.0, 60.0
 OCF, COF, LIN = 1 << 5, 1 << 4, 1 << 3
 
 
@@ -22,10 +23,20 @@ def degrees(word: int) -> float | None:
     return (word >> 6) * 360.0 / 4096 if good else None
 
 
+def endpoints(path: str) -> dict:
+    """What `hil emulate` says of its devices; waits for the file, which appears when they answer."""
+    end = time.monotonic() + PATIENCE_S
+    while not (os.path.exists(path) and os.path.getsize(path)):
+        if time.monotonic() > end:
+            raise SystemExit(f"{path} has not appeared: is `hil emulate --out {path}` running?")
+        time.sleep(0.1)
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
+
+
 def main() -> None:
     """Listen, decode, count."""
-    with open(sys.argv[1], encoding="utf-8") as file:
-        where = json.load(file)["can"]
+    where = endpoints(sys.argv[1])["can"]
     database = cantools.database.load_file(where["dbc"])
     angles: dict[str, float] = {}
     frames = bad = 0

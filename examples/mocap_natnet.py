@@ -6,18 +6,29 @@ Usage: python mocap_natnet.py endpoints.json
 from __future__ import annotations
 
 import json
+import os
 import sys
 import time
 
 from natnet import DataDescriptions, DataFrame, NatNetClient
 
-DURATION_S = 2.0
+DURATION_S, PATIENCE_S = 2.0, 60.0
+
+
+def endpoints(path: str) -> dict:
+    """What `hil emulate` says of its devices; waits for the file, which appears when they answer."""
+    end = time.monotonic() + PATIENCE_S
+    while not (os.path.exists(path) and os.path.getsize(path)):
+        if time.monotonic() > end:
+            raise SystemExit(f"{path} has not appeared: is `hil emulate --out {path}` running?")
+        time.sleep(0.1)
+    with open(path, encoding="utf-8") as file:
+        return json.load(file)
 
 
 def main() -> None:
     """Connect, listen, count."""
-    with open(sys.argv[1], encoding="utf-8") as file:
-        where = json.load(file)["mocap"]
+    where = endpoints(sys.argv[1])["mocap"]
     frames: list[DataFrame] = []
     names: dict[int, str] = {}
 

@@ -15,7 +15,7 @@ from hil.bench.repeating import repeating_robot
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.errors import ConfigError, HilError, UsageError
-from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
 from hil.fakes.faults import Fault, FaultPlan
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
@@ -30,6 +30,7 @@ from hil.fakes.tracker import T265, TrackerFace, TrackerTruthOptions
 from hil.fakes.world import World, random_stream
 
 _IMU_LATENCY_S = 0.001
+_MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}
 _NUMBERS = itertools.count(1)
 
 T = TypeVar("T")
@@ -107,8 +108,11 @@ def open_emulation(
     clock: Clock | None = None,
     lifeline: int | None = None,
     await_start: bool = False,
+    standard_ports: bool = False,
 ) -> EmulationServer:
     """The emulated devices of a bench at the wire, in real time, for any client.
+
+    Motion capture is served at the ports that the configuration names, else at free ones.
 
     Args:
         config: the bench; its emulated devices are served.
@@ -118,6 +122,7 @@ def open_emulation(
         clock: what the world follows; the host's monotonic clock by default.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
         await_start: world time stands still until a byte comes down the lifeline.
+        standard_ports: motion capture at Motive's ports, CAN in python-can's own multicast group.
 
     Raises:
         FaultNotSupportedError, DeviceError, UsageError.
@@ -133,7 +138,7 @@ def open_emulation(
     faces: dict[str, Face] = {}
     try:
         for name in names:
-            faces["can" if name == "encoders" else name] = _FACES[name](config, world)
+            faces["can" if name == "encoders" else name] = _FACES[name](config, world, standard_ports)
         world.faults.check()
     except HilError:
         for face in faces.values():
@@ -211,32 +216,43 @@ def _mocap(config: BenchConfig, world: World) -> NatNetServer:
     assert mocap is not None
     body: dict[str, Any] = {"body": mocap.body} if isinstance(mocap.body, str) else {"body_id": mocap.body}
     return NatNetServer(
-        world, options=_options(MocapTruthOptions, config, "mocap"), up_axis=mocap.up_axis, **body
-    )
+        world, options=_options(MocapTruthOptions, config, "mocap"), up_axis=mocap.up_axis,
+        command_port=mocap.command_port, data_port=mocap.data_port, multicast=mocap.multicast, **body,
+    )  # fmt: skip
 
 
-def _servo_face(config: BenchConfig, world: World) -> Face:
+def _servo_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
     assert config.servos is not None
     nominal: dict[str, object] = {"baud": config.servos.baud, "ids": list(config.servos.ids)}
     return SerialPty(_servos(config, world), nominal)
 
 
-def _imu_face(config: BenchConfig, world: World) -> Face:
+def _imu_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
     assert config.imu is not None
     return SerialPty(_imu(config, world), {"baud": config.imu.baud})
 
 
-def _can_face(config: BenchConfig, world: World) -> Face:
+def _can_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
     assert config.encoders is not None
-    address = f"239.74.163.{2 + os.getpid() % 250}"
+    address = DEFAULT_GROUP if standard_ports else f"239.74.163.{2 + os.getpid() % 250}"
     return CanFace(_encoders(config, world, "can"), address=address, dbc=config.encoders.dbc_path)
 
 
+def _tracker_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
+    return TrackerFace(_tracker(config, world))
+
+
+def _mocap_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
+    assert config.mocap is not None
+    chosen = {k: getattr(config.mocap, k) for k in _MOTIVE_PORTS if k in config.mocap.model_fields_set}
+    return NatNetFace(_mocap(config, world), **(_MOTIVE_PORTS if standard_ports else chosen))
+
+
 _SERIAL: dict[str, Callable[[BenchConfig, World, str], SerialLine]] = {"servos": _servos, "imu": _imu}
-_FACES: dict[str, Callable[[BenchConfig, World], Face]] = {
+_FACES: dict[str, Callable[[BenchConfig, World, bool], Face]] = {
     "servos": _servo_face,
     "imu": _imu_face,
     "encoders": _can_face,
-    "tracker": lambda config, world: TrackerFace(_tracker(config, world)),
-    "mocap": lambda config, world: NatNetFace(_mocap(config, world)),
+    "tracker": _tracker_face,
+    "mocap": _mocap_face,
 }

@@ -109,7 +109,8 @@ def _reach(endpoints: Mapping[str, Mapping[str, Any]]) -> Connections:
         elif name == "tracker":
             values[name] = {"endpoint": FeedEndpoint(host=found["host"], port=found["port"])}
         else:
-            values[name] = {k: found[k] for k in ("server", "command_port", "data_port", "multicast")}
+            where = {k: found[k] for k in ("server", "command_port", "data_port", "multicast")}
+            values[name] = {**where, "local_address": found["server"]}
     return Connections(values)
 
 

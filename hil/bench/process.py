@@ -21,6 +21,7 @@ from hil.errors import DeviceError
 
 _START_S = 60.0
 _END_S = 5.0
+_FREE_PORTS = {"mocap": {"command_port", "data_port"}}  # only this process asks there: runs go side by side
 
 
 class EmulatorProcess:
@@ -37,7 +38,8 @@ class EmulatorProcess:
 
     def __init__(self, config: BenchConfig, *, seed: int, faults: Sequence[str]) -> None:
         with tempfile.NamedTemporaryFile("wb", suffix=".toml", delete=False) as file:
-            tomli_w.dump(config.model_dump(mode="json", by_alias=True, exclude_none=True), file)
+            tree = config.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=_FREE_PORTS)
+            tomli_w.dump(tree, file)
         self._config = Path(file.name)
         command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", file.name]
         command += ["--lifeline", "--await-start"]

@@ -8,6 +8,8 @@ import json
 import os
 import signal
 import sys
+from functools import partial
+from pathlib import Path
 from types import FrameType
 
 import click
@@ -24,26 +26,44 @@ _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 @click.option("--only", default="", metavar="NAMES", help="Devices, separated by commas [default: all].")
 @click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
+@click.option(
+    "--standard-ports", is_flag=True,
+    help="Motion capture at Motive's ports 1510 and 1511, CAN in python-can's own multicast group.",
+)  # fmt: skip
+@click.option(
+    "--out", type=click.Path(path_type=Path),
+    help="Write the line here as well, once everything answers; removed at the end.",
+)  # fmt: skip
 @click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")
 @click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
 @click.option("--await-start", is_flag=True, help="World time stands still until a byte on standard input.")
 def command(
-    bench: str, only: str, seed: int, faults: tuple[str, ...], lifeline: bool, await_start: bool
-) -> int:
+    bench: str, only: str, seed: int, faults: tuple[str, ...], standard_ports: bool, out: Path | None,
+    lifeline: bool, await_start: bool,
+) -> int:  # fmt: skip
     """Serve emulated devices on PTYs, a CAN interface and loopback UDP.
 
     Prints one JSON line of endpoints on stdout, then runs until SIGINT or SIGTERM and ends with 0.
     Devices that the bench file calls real are emulated as well when they are named with --only.
+
+    With --out the line also appears, whole, as a file once every device answers; what an earlier run left
+    there is removed at the start, and the file is removed again when the emulator ends in order.
+
+    Motion capture is served at [mocap] command_port and data_port where the bench file names them, else
+    at free ports; it streams to [mocap] multicast, or to each client. Nothing leaves this host.
     """
     from hil.bench import open_emulation
+    from hil.cli.endpoints import EndpointsFile
     from hil.config.bench import load_bench
 
+    file = EndpointsFile(out) if out is not None else None
     names = tuple("encoders" if n == "can" else n for n in only.split(",") if n)
     config = load_bench(bench, emulate=names or ("all",))
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(
-        config, only=names, seed=seed, faults=faults, lifeline=descriptor, await_start=await_start
-    )
+        config, only=names, seed=seed, faults=faults, lifeline=descriptor, await_start=await_start,
+        standard_ports=standard_ports,
+    )  # fmt: skip
 
     def leave(signum: int, frame: FrameType | None) -> None:
         server.stop()
@@ -51,9 +71,14 @@ def command(
     for number in _ENDS:
         signal.signal(number, leave)
     _as_prompt_as_hardware(config.loop.fifo_priority)
-    click.echo(json.dumps(server.endpoints()))
+    line = json.dumps(server.endpoints())
+    click.echo(line)
     sys.stdout.flush()
-    server.run()
+    try:
+        server.run(ready=partial(file.write, line) if file is not None else None)
+    finally:
+        if file is not None:
+            file.remove()
     return EXIT_PASS
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import select
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol
 
 from hil.clock import NS_PER_S, Clock
@@ -83,11 +83,18 @@ class EmulationServer:
         """Make `run` return soon; safe to call from a signal handler."""
         self._running = False
 
-    def run(self) -> None:
-        """Serve until `stop`; always closes the faces."""
+    def run(self, ready: Callable[[], None] | None = None) -> None:
+        """Serve until `stop`; always closes the faces.
+
+        Args:
+            ready: called once, when time runs and every device is being served.
+        """
         try:
             while self._running:
                 self.step()
+                if ready is not None and self._running and not self._waiting:
+                    ready()
+                    ready = None
         finally:
             self.close()
 

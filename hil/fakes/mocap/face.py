@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import heapq
 import itertools
 import socket
@@ -17,16 +18,32 @@ from hil.fakes.world import NEVER_NS
 _LARGEST = 65535
 
 
+def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceError:
+    remedy = "choose another host or command port"
+    if error.errno == errno.EADDRINUSE:
+        remedy = (
+            f"end the program that holds it (`ss -lunp sport = :{port}` names it: another emulator, or "
+            "Motive), or choose another mocap.command_port"
+        )
+    return DeviceError(
+        device,
+        f"the emulated capture server cannot be served ({error.strerror or error})",
+        port=f"{host}:{port}",
+        expected="a local IPv4 address and a free UDP port",
+        remedy=remedy,
+    )
+
+
 class NatNetFace(Face, Outlet):
     """One server on one UDP socket.
 
     Args:
         server: the emulated capture system.
-        host: local IPv4 address to serve on; multicast leaves by it too.
+        host: local IPv4 address to serve on; multicast leaves by it too, and never leaves the host.
         command_port, data_port: numbers; 0 takes free ones. They replace those of the server.
 
     Raises:
-        DeviceError: the port cannot be used.
+        DeviceError: the command port cannot be used. (The data port belongs to the clients.)
     """
 
     def __init__(
@@ -40,18 +57,13 @@ class NatNetFace(Face, Outlet):
             self._socket.bind((host, command_port))
             interface = socket.inet_aton(host)
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, interface)
+            self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
             self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_LOOP, 1)
             self._socket.setblocking(False)
             server.data_port = data_port or free_udp_port(host)
         except OSError as error:
             self._socket.close()
-            raise DeviceError(
-                server.name,
-                f"the emulated capture server cannot be served ({error})",
-                port=f"{host}:{command_port}",
-                expected="a local IPv4 address and free UDP ports",
-                remedy="choose others",
-            ) from None
+            raise _cannot_serve(server.name, host, command_port, error) from None
         self._host, server.command_port = self._socket.getsockname()[:2]
         server.attach(self)
 

@@ -1,0 +1,150 @@
+"""The file of `hil emulate --out`: whole, there when everything answers, gone before and after."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import serial
+from emulators import END_S, emulator
+
+from hil.cli import main
+from hil.cli.endpoints import EndpointsFile
+from hil.errors import UsageError
+
+ROOT = Path(__file__).parents[2]
+START_S = 60.0
+STALE = json.dumps({"imu": {"port": "/dev/pts/999", "baud": 115200}})
+
+
+def appears(file, process, seconds=START_S):
+    """What is in the file as soon as it is there."""
+    end = time.monotonic() + seconds
+    while not file.exists():
+        assert process.poll() is None, process.stderr.read()
+        assert time.monotonic() < end, "the file has not appeared"
+        time.sleep(0.005)
+    return json.loads(file.read_text())
+
+
+def test_when_the_file_is_there_every_servo_answers_at_once(tmp_path):
+    file = tmp_path / "endpoints.json"
+    with emulator("--only", "servos,imu", "--out", str(file)) as running:
+        where = appears(file, running.process)
+        with serial.Serial(where["servos"]["port"], where["servos"]["baud"], timeout=2.0) as port:
+            for servo_id in (1, 8):
+                port.write(ping(servo_id))
+                told = port.read(14)
+                assert len(told) == 14, f"servo {servo_id} is silent"
+                assert told[4] == servo_id
+        assert running.endpoints() == where
+        assert [p.name for p in tmp_path.iterdir()] == ["endpoints.json"]
+        running.process.terminate()
+        assert running.process.wait(END_S) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_file_waits_for_world_time_to_begin(tmp_path):
+    """Before that no device answers."""
+    file = tmp_path / "endpoints.json"
+    with emulator("--only", "imu", "--await-start", "--out", str(file)) as running:
+        running.endpoints()
+        with pytest.raises(AssertionError, match="not appeared"):
+            appears(file, running.process, seconds=0.5)
+        running.process.stdin.write("\n")
+        running.process.stdin.flush()
+        assert set(appears(file, running.process)) == {"imu"}
+
+
+def ping(servo_id):
+    head = bytes((0xFF, 0xFF, 0xFD, 0x00, servo_id, 3, 0, 1))
+    crc = 0
+    for byte in head:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005) & 0xFFFF if crc & 0x8000 else crc << 1
+    return head + bytes((crc & 0xFF, crc >> 8))
+
+
+def test_what_an_earlier_run_left_is_gone_from_the_start(tmp_path):
+    file = tmp_path / "endpoints.json"
+    file.write_text(STALE)
+    assert main(["emulate", "--only", "imx", "--out", str(file)]) == 2
+    assert not file.exists()
+    file.write_text("")
+    EndpointsFile(file)
+    assert not file.exists()
+
+
+@pytest.mark.parametrize("text", ["my notes", '{"schema": 1}', "[1]", "{not json"])
+def test_a_file_that_is_not_endpoints_is_never_touched(tmp_path, capsys, text):
+    file = tmp_path / "notes"
+    file.write_text(text)
+    assert main(["emulate", "--only", "imu", "--out", str(file)]) == 2
+    assert file.read_text() == text
+    assert "holds something else" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("where", ["missing/e.json", ".", "a" * 300])
+def test_a_place_that_cannot_be_written_is_refused_before_anything_starts(tmp_path, capsys, where):
+    assert main(["emulate", "--only", "imu", "--out", str(tmp_path / where)]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert "--out" in said.err
+
+
+def test_an_emulator_takes_only_its_own_file_away(tmp_path):
+    file = tmp_path / "endpoints.json"
+    first = EndpointsFile(file)
+    first.write('{"imu": {"port": "/dev/pts/1"}}')
+    second = EndpointsFile(file)
+    assert not file.exists()
+    second.write('{"imu": {"port": "/dev/pts/2"}}')
+    first.remove()
+    assert "/dev/pts/2" in file.read_text()
+    second.remove()
+    second.remove()
+    assert not file.exists()
+
+
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UsageError, match="something else"):
+        EndpointsFile(tmp_path / "pipe")
+
+
+PRINTED = [
+    (page, block)
+    for page in ("README.md", "examples/README.md")
+    for block in re.findall(r"^```sh\n(.*?)^```", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
+    if "hil emulate --out" in block
+]
+
+
+def test_the_block_is_printed_somewhere():
+    assert PRINTED
+
+
+@pytest.mark.parametrize(("page", "block"), PRINTED, ids=[page for page, _ in PRINTED])
+def test_the_block_works_pasted_into_a_shell(tmp_path, page, block):
+    """Line by line, without waiting by hand: the scripts wait for the file."""
+    (tmp_path / "examples").symlink_to(ROOT / "examples")
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    for name, words in {"hil": "-m hil.cli", "python": ""}.items():
+        tool = tools / name
+        tool.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {words} "$@"\n')
+        tool.chmod(0o755)
+    block = block.replace("kill %1\n", "")
+    script = f"set -e\ntrap 'kill $!' EXIT\n{block}"
+    done = subprocess.run(
+        ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=4 * START_S,
+        env={**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert re.findall(r"servo (\d): model 1010", done.stdout) == list("12345678")
