@@ -20,15 +20,19 @@ from hil.clock import Clock
 from hil.config.encoders import EncodersConfig
 from hil.config.imu import ImuConfig
 from hil.config.mocap import MocapConfig
+from hil.config.xh430 import MODEL_NUMBER, MODELS, model_text, models_text
 from hil.drivers.encoders import As5045Encoders
 from hil.drivers.imu import Bno055Imu
 from hil.drivers.mocap import NatNetMocap
 from hil.drivers.servos import FoundServo, scan
+from hil.drivers.tracker.library import find_camera, realsense
 from hil.errors import HilError
 
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}
 _IMU_TIMEOUT_S = 0.9
 _CAN_TIMEOUT_S = 0.5
+_FIRMWARE_S = 10.0
+_CAMERA_USB_IDS = {("03e7", "2150"), ("8087", "0b37")}  # T265 before and after it was given its firmware
 _VELOCITY_MODE = 1
 _WHEELS = 4
 
@@ -72,6 +76,7 @@ def discover(
     buses: Iterable[EncodersConfig] | None = None,
     mocap: MocapConfig | None = None,
     say: Say = lambda text: None,
+    sysfs: Path = Path("/sys"),
 ) -> Discovery:
     """Ask everything that could be a device.
 
@@ -81,6 +86,7 @@ def discover(
         buses: CAN interfaces to listen on; those python-can detects when None.
         mocap: capture server to ask; none is asked when None.
         say: receives progress.
+        sysfs: where the kernel tells of its devices.
     """
     found = Discovery()
     for port in ports or serial_ports():
@@ -95,9 +101,7 @@ def discover(
         say(f"asking the capture server {mocap.server}")
         if _opens(NatNetMocap(mocap, clock)):
             found.sections["mocap"] = _given(mocap)
-    serial_number = _camera()
-    if serial_number:
-        found.sections["tracker"] = {"serial": serial_number}
+    _take_camera(found, clock, sysfs, say)
     return found
 
 
@@ -117,13 +121,22 @@ def _ask_serial(found: Discovery, port: str, clock: Clock, say: Say) -> None:
 def _take_servos(found: Discovery, port: str, servos: Sequence[FoundServo]) -> None:
     bauds = sorted({s.baud for s in servos})
     section: dict[str, Any] = {"port": port, "baud": bauds[0]}
+    models = sorted({s.model for s in servos})
+    unknown = [m for m in models if m not in MODELS]
+    if unknown or len(models) > 1:
+        found.notes.append(
+            f"servos of model {', '.join(map(model_text, models))} at {port}: "
+            f"a bench needs eight of one model, {models_text()}"
+        )
+    elif models != [MODEL_NUMBER]:
+        section["model_number"] = models[0]
     if len(bauds) > 1:
         found.notes.append(f"the servos at {port} have different baud rates {bauds}: use hil setup")
     drives = sorted(s.servo_id for s in servos if s.operating_mode == _VELOCITY_MODE)
     steers = sorted(s.servo_id for s in servos if s.operating_mode != _VELOCITY_MODE)
     if len(drives) == len(steers) == _WHEELS:
         section |= {"drive_ids": drives, "steer_ids": steers}
-        found.notes.append("check that the IDs are in the order FL, BL, BR, FR: run procedures/bring_up.py")
+        found.notes.append("check that the IDs are in the order FL, BL, BR, FR: hil run bring_up")
     else:
         found.notes.append(
             f"{len(servos)} servo(s) at {port}, of which {len(drives)} in velocity mode; "
@@ -156,13 +169,28 @@ def _detected_buses() -> list[EncodersConfig]:
     ]
 
 
-def _camera() -> str:
-    """Serial number of the first T265 that the camera library sees; empty without one."""
+def _take_camera(found: Discovery, clock: Clock, sysfs: Path, say: Say) -> None:
+    """The T265 that the camera library sees, where there is one; without the library nobody is asked."""
     try:
-        import pyrealsense2 as rs
-    except ImportError:
-        return ""
-    for device in rs.context().query_devices():
-        if "T265" in device.get_info(rs.camera_info.name):
-            return str(device.get_info(rs.camera_info.serial_number))
-    return ""
+        library = realsense("tracker")
+    except HilError:
+        return
+    patience_s = _FIRMWARE_S if _camera_plugged_in(sysfs) else 0.0
+    say(f"looking for a camera{' (it may load its firmware for some seconds)' if patience_s else ''}")
+    try:
+        _, serial_number = find_camera(library, "tracker", clock, patience_s)
+    except HilError as error:
+        say(error.message)
+        return
+    found.sections["tracker"] = {"serial": serial_number}
+
+
+def _camera_plugged_in(sysfs: Path) -> bool:
+    """Whether USB shows a T265, with or without firmware; yes where the system does not tell."""
+    if not (sysfs / "bus").is_dir():
+        return True
+    ids = set()
+    for one in (sysfs / "bus/usb/devices").glob("*"):
+        with contextlib.suppress(OSError):
+            ids.add(tuple((one / key).read_text().strip() for key in ("idVendor", "idProduct")))
+    return bool(ids & _CAMERA_USB_IDS)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,8 @@ import numpy as np
 from hil.bench.bench import Bench
 from hil.bench.settings import wheel_model
 from hil.clock import nanoseconds
+from hil.config.xh430 import hardware_error_text
+from hil.drivers.serial_url import latency_timer
 from hil.errors import HilError
 from hil.finding import Finding, Level
 from hil.interfaces import Device
@@ -28,22 +31,25 @@ _SETTLE_S = 0.6
 _LOW_SUPPLY_V, _HOT_C = 10.0, 70.0
 _LOSS_WARNING, _LOSS_FAILURE = 0.02, 0.2
 _LATENCY_TIMER_S = 0.001
+_SYSFS = Path("/sys")
+_SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
 _GRAVITY_M_S2, _GRAVITY_TOLERANCE_M_S2 = 9.81, 0.5
 _LATE_MOCAP_S, _MOCAP_GAP_S = 0.05, 0.3
 
 
-def examine(bench: Bench, *, watch_s: float = _WATCH_S) -> Iterator[Finding]:
+def examine(bench: Bench, *, watch_s: float = _WATCH_S, sysfs: Path = _SYSFS) -> Iterator[Finding]:
     """Findings about the calibration and every device of a bench that has not been entered.
 
     Args:
         bench: as `open_bench` returned it; its devices are opened and closed here.
         watch_s: how long each is read.
+        sysfs: where the kernel tells of its devices.
     """
     try:
         bench.begin()
         yield from _calibration(bench)
         for device in bench.rig.devices():
-            yield from _examine_one(bench, device, watch_s)
+            yield from _examine_one(bench, device, watch_s, sysfs)
     finally:
         bench.close()
 
@@ -59,23 +65,39 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
     yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
 
 
-def _examine_one(bench: Bench, device: Device, watch_s: float) -> Iterator[Finding]:
-    port = str(getattr(getattr(bench.config, device.name), "port", ""))
-    yield from _latency_timer(device.name, port)
+def _examine_one(bench: Bench, device: Device, watch_s: float, sysfs: Path) -> Iterator[Finding]:
+    told = list(_latency_timer(bench, device.name, sysfs))
+    yield from told
     try:
         device.open()
     except HilError as error:
-        yield Finding(device.name, "open", "failure", error.message, error.expected, error.remedy)
+        yield _slowness_first(told, _failure(device, "open", error))
         return
     try:
-        _watch(bench, device, _SETTLE_S)
         identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
         yield Finding(device.name, "open", "ok", identity)
-        yield from _LOOKS[device.name](bench, device, _watch(bench, device, watch_s), watch_s)
+        own: tuple[Finding, ...] = getattr(device, "diagnose", tuple)()
+        told += own
+        yield from own
+        _watch(bench, device, _SETTLE_S)
+        for finding in _LOOKS[device.name](bench, device, _watch(bench, device, watch_s), watch_s):
+            yield _slowness_first(told, finding)
     except HilError as error:
-        yield Finding(device.name, "read", "failure", error.message, error.expected, error.remedy)
+        yield _slowness_first(told, _failure(device, "read", error))
     finally:
         device.close()
+
+
+def _failure(device: Device, check: str, error: HilError) -> Finding:
+    return Finding(device.name, check, "failure", error.message, error.expected, error.remedy)
+
+
+def _slowness_first(told: list[Finding], finding: Finding) -> Finding:
+    """A slow adapter makes all that is behind it look dead: that is to be mended first."""
+    slow = [f.remedy for f in told if f.check in _SLOWNESS and f.level != "ok"]
+    if not slow or finding.level != "failure" or finding.check not in _HURT_BY_SLOWNESS:
+        return finding
+    return replace(finding, remedy=f"{slow[-1]}; then look again")
 
 
 def _watch(bench: Bench, device: Any, watch_s: float) -> list[Any]:
@@ -90,12 +112,16 @@ def _watch(bench: Bench, device: Any, watch_s: float) -> list[Any]:
     return samples
 
 
-def _latency_timer(name: str, port: str) -> Iterator[Finding]:
-    """USB serial adapters as delivered wait 16 ms (`facts/devices.md`)."""
-    timer = Path("/sys/bus/usb-serial/devices") / Path(port).name / "latency_timer"
-    if not port.startswith("/dev/") or not timer.exists():
+def _latency_timer(bench: Bench, name: str, sysfs: Path) -> Iterator[Finding]:
+    """USB serial adapters as delivered wait 16 ms for more before they pass on what they hold."""
+    config = getattr(bench.config, name)
+    timer = latency_timer(getattr(config, "port", "none://"), sysfs)
+    if timer is None or config.backend == "emulated":
         return
-    found_s = int(timer.read_text().strip()) / 1000.0
+    try:
+        found_s = int(timer.read_text()) / 1000.0
+    except (OSError, ValueError):
+        return
     level: Level = "ok" if found_s <= _LATENCY_TIMER_S else "warning"
     yield Finding(name, "latency timer", level, f"{found_s * 1e3:g} ms", "1 ms", f"echo 1 | sudo tee {timer}")
 
@@ -115,13 +141,13 @@ def _servos(bench: Bench, servos: Any, samples: list[Any], watch_s: float) -> It
         "servos", [Status.OK if s.ok else next(x for x in s.status if x is not Status.OK) for s in samples],
         wanted, "check cables, termination and supply; lower the baud rate",
     )  # fmt: skip
-    alerts = {SERVOS[i]: code for s in samples for i, code in enumerate(s.alert) if code}
+    alerts = {SERVOS[i]: hardware_error_text(code) for s in samples for i, code in enumerate(s.alert) if code}
     yield Finding(
-        "servos", "hardware errors", "failure" if alerts else "ok", str(alerts or "none"), "none",
-        "remove the cause, then reboot the servo",
+        "servos", "hardware errors", "failure" if alerts else "ok",
+        ", ".join(f"{servo}: {error}" for servo, error in alerts.items()) or "none", "none",
+        "remove the cause, then switch the servos' supply off and on",
     )  # fmt: skip
     yield from _health(bench, servos)
-    yield from servos.diagnose()
 
 
 def _health(bench: Bench, servos: Any) -> Iterator[Finding]:
@@ -176,7 +202,7 @@ def _imu(bench: Bench, imu: Any, samples: list[Any], watch_s: float) -> Iterator
     yield Finding(
         "imu", "calibration", level,
         f"system {system} gyro {gyro} accelerometer {accelerometer} magnetometer {magnetometer}",
-        "gyro and accelerometer 2 or more", "run procedures/imu_calibration.py, or rest and tilt the robot",
+        "gyro and accelerometer 2 or more", "hil run imu_calibration, or rest and tilt the robot",
     )  # fmt: skip
     norm = float(np.mean([np.linalg.norm(s.gravity_m_s2) for s in good]))
     level = "ok" if abs(norm - _GRAVITY_M_S2) < _GRAVITY_TOLERANCE_M_S2 else "failure"

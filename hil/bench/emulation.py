@@ -166,9 +166,12 @@ def _options(kind: type[T], config: BenchConfig, device: str, **known: Any) -> T
 def _servos(config: BenchConfig, world: World, name: str = "") -> SerialLine:
     servos = config.servos
     assert servos is not None
-    bus = ServoBus(
-        world, options=_options(ServoBusOptions, config, "servos", ids=servos.ids, baud=servos.baud)
-    )
+    known = {
+        "ids": servos.ids,
+        "baud": servos.baud,
+        "model_by_joint": dict.fromkeys(range(8), servos.model_number),
+    }
+    bus = ServoBus(world, options=_options(ServoBusOptions, config, "servos", **known))
     return SerialLine(world, bus, name=name, latency_s=servos.usb_latency_s)
 
 

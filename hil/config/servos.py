@@ -12,9 +12,12 @@ from hil.config.xh430 import (
     CURRENT_POSITION,
     EXTENDED,
     MODEL_NUMBER,
+    MODELS,
     POSITION,
     TABLE,
     WATCHDOG_STEP_S,
+    model_text,
+    models_text,
 )
 
 Ids = tuple[int, int, int, int]
@@ -49,7 +52,9 @@ class ServosConfig(BaseModel):
         watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: when nobody talks to them for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
         health_period_s: how often voltage, temperature, torque and watchdog are looked at.
-        model_number, min_firmware: what the servos must be.
+        model_number: of all eight servos: 1010 (XH430-W210) or 1000 (XH430-W350). The units of any other
+            model, the XH430-V210 and -V350 too, are not known here, and it is refused.
+        min_firmware: oldest firmware that the servos may have.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
         steer_limit_rad: steering goals are clipped to +- it about the servo's centre (2048 counts).
         drive_registers, steer_registers: RAM registers (gains, profiles, goal current and PWM) by name
@@ -74,7 +79,7 @@ class ServosConfig(BaseModel):
     fail_after_s: Patience = 2.0
     watchdog_s: float = Field(0.08, ge=0, le=2.54)
     health_period_s: Patience = 1.0
-    model_number: int = Field(MODEL_NUMBER, ge=0, le=0xFFFF)
+    model_number: int = MODEL_NUMBER
     min_firmware: int = Field(38, ge=0, le=255)
     velocity_limit_rad_s: WheelRate = 4.9
     steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
@@ -102,6 +107,15 @@ class ServosConfig(BaseModel):
     def _known_baud(cls, value: int) -> int:
         if value not in BAUD_CODES:
             raise ValueError("baud must be one of " + ", ".join(str(b) for b in BAUD_CODES))
+        return value
+
+    @field_validator("model_number")
+    @classmethod
+    def _known_model(cls, value: int) -> int:
+        if value not in MODELS:
+            raise ValueError(
+                f"the units of model {model_text(value)} are not known; expected {models_text()}"
+            )
         return value
 
     @field_validator("watchdog_s")

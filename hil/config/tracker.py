@@ -55,6 +55,8 @@ class TrackerConfig(BaseModel):
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
         stuck_after_s: bit-identical poses for longer than this are marked stale.
+        connect_timeout_s: longest wait for the camera to be there: it is given its firmware, which takes
+            seconds, each time it is plugged in.
         open_timeout_s: longest wait for the first pose.
         fail_after_s: uninterrupted silence (or garbage) that raises.
         queue_length: poses kept between two reads; the oldest are dropped and counted.
@@ -75,6 +77,7 @@ class TrackerConfig(BaseModel):
     reaccept_after: int = Field(20, ge=1, le=10_000)
     stale_after_s: Freshness = 0.5
     stuck_after_s: Freshness = 0.5
+    connect_timeout_s: float = Field(10.0, gt=0, le=60)
     open_timeout_s: float = Field(5.0, gt=0, le=60)
     fail_after_s: Patience = 2.0
     queue_length: int = Field(1024, ge=8, le=100_000)

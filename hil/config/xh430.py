@@ -105,6 +105,7 @@ _RAW, _TABLE = _load()
 
 TABLE: Mapping[str, Register] = MappingProxyType(_TABLE)
 MODEL_NUMBER: int = _RAW["model_number"]
+MODELS: Mapping[int, str] = MappingProxyType({int(k): v for k, v in _RAW["models"].items()})
 TABLE_SIZE: int = _RAW["size"]
 BAUD_RATES: Mapping[int, int] = MappingProxyType({int(k): v for k, v in _RAW["baud_rates"].items()})
 BAUD_CODES: Mapping[int, int] = MappingProxyType({v: k for k, v in BAUD_RATES.items()})
@@ -129,6 +130,17 @@ MODE_NAMES: Mapping[int, str] = MappingProxyType(
         PWM: "PWM",
     }
 )
+
+
+def model_text(number: int) -> str:
+    """Name and number of a model."""
+    name = {**{int(k): v for k, v in _RAW["other_models"].items()}, **MODELS}.get(number)
+    return f"{number} ({name})" if name else str(number)
+
+
+def models_text() -> str:
+    """The models that the table holds for, in words."""
+    return " or ".join(model_text(number) for number in MODELS)
 
 
 def hardware_error_text(bits: int) -> str:

@@ -13,6 +13,7 @@ import os
 import queue
 import socket
 import warnings
+from pathlib import Path
 from typing import Any
 
 import serial
@@ -61,6 +62,19 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
             with contextlib.suppress(queue.Empty):
                 while self._read_buffer.qsize():
                     self._read_buffer.get(False)
+
+
+def latency_timer(port: str, sysfs: Path = Path("/sys")) -> Path | None:
+    """The file in which Linux keeps the latency timer (ms) of a USB adapter; None for other ports.
+
+    Args:
+        port: device path, or a link to one such as `/dev/serial/by-id/...`.
+        sysfs: where the kernel tells of its devices.
+    """
+    if "://" in port:
+        return None
+    timer = sysfs / "bus/usb-serial/devices" / os.path.basename(os.path.realpath(port)) / "latency_timer"
+    return timer if timer.is_file() else None
 
 
 def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> DeviceError:

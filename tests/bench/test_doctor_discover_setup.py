@@ -1,13 +1,21 @@
 """`hil doctor`, `hil discover` and `hil setup` against emulated devices, in process and at the wire."""
 
 import json
+import shlex
+from itertools import pairwise
 
 import pytest
 
 import hil
+from hil.bench.discover import discover
 from hil.bench.doctor import examine
+from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.bench import load_bench
+from hil.fakes.world import VirtualClock
+
+
+SETTLE_S = 0.6
 
 
 def doctor(capsys, *options):
@@ -52,7 +60,8 @@ def opened_at_s():
     """When each device has been opened and settled in a doctor's run of half a second each."""
     bench, times = hil.open_bench("emulated"), {}
     for finding in examine(bench, watch_s=0.5):
-        times.setdefault(finding.device, bench.clock.now_ns() * 1e-9)
+        if finding.check == "open":
+            times[finding.device] = bench.clock.now_ns() * 1e-9 + SETTLE_S
     return times
 
 
@@ -87,6 +96,60 @@ def test_what_a_person_reads_has_a_remedy(capsys):
     out = capsys.readouterr().out
     assert "FAIL servos" in out
     assert "expected" in out
+
+
+@pytest.mark.parametrize("fault", ["", "servo.steer_FR:off", "imu:off", "mocap:off"])
+def test_nothing_is_told_twice(capsys, fault):
+    _, result = doctor(capsys, *(("--fault", fault) if fault else ()))
+    told = [(f["device"], f["check"]) for f in result["findings"]]
+    assert sorted(set(told)) == sorted(told)
+    said = [f["found"] for f in result["findings"] if f["device"] == "servos" and "XH430" in f["found"]]
+    assert len(said) <= 1
+
+
+def findings_with(tmp_path, text):
+    """Of the emulated servos alone, with these keys in the bench file."""
+    path = tmp_path / "bench.toml"
+    path.write_text(f'schema = 1\nname = "servos"\n[servos]\nbackend = "emulated"\n{text}')
+    return {f.check: f for f in examine(hil.open_bench(path), watch_s=0.5)}
+
+
+def test_a_return_delay_is_taken_away_by_the_command_that_doctor_prints(tmp_path, emulator, capsys):
+    found = findings_with(tmp_path, "[emulation.servos]\nreturn_delay = 250\n")["return delay"]
+    assert (found.level, found.found) == ("warning", "up to 500 us")
+    assert found.remedy.endswith(", and for ID 2, 3, 4, 5, 6, 7, 8")
+    words = shlex.split(found.remedy.split("`")[1])
+    assert words[:2] == ["hil", "setup"]
+    where = {"--port": emulator["servos"]["port"], "--baud": str(emulator["servos"]["baud"])}
+    words = [where.get(before, word) for before, word in pairwise(words)]
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["registers"]["return_delay_time"][1] == 0
+
+
+def test_a_hardware_error_is_told_in_words(tmp_path):
+    found = findings_with(tmp_path, "[emulation.servos]\nsupply_v = 9.0\n")["hardware errors"]
+    assert found.level == "failure"
+    assert "drive_FL: input voltage" in found.found
+
+
+@pytest.mark.parametrize(
+    ("models", "told"),
+    [
+        (dict.fromkeys("01234567", 1000), "model_number = 1000"),
+        ({"3": 1050}, "# servos of model 1010 (XH430-W210), 1050 (XH430-V210) at"),
+        (dict.fromkeys("01234567", 1040), "# servos of model 1040 (XH430-V350) at"),
+    ],
+)
+def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, told):
+    config = load_bench(
+        "emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
+        | {"emulation.servos.model_by_joint": models},
+    )  # fmt: skip
+    world = build_world(config, seed=1)
+    connected = connect_in_process(config, world)
+    port = connected.connections.values["servos"]["port"]
+    assert told in discover(VirtualClock(world), ports=[port], buses=[]).to_toml()
+    connected.close()
 
 
 def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(emulator, capsys, tmp_path):

@@ -20,6 +20,8 @@ from hil.config.servos import ServosConfig
         ({"steer_registers": {"goal_position": 1}}, "belongs to the driver"),
         ({"steer_registers": {"present_position": 1}}, "read-only"),
         ({"steer_registers": {"position_p_gain": 20_000}}, r"position_p_gain = 20000, expected 0\.\.16383"),
+        ({"model_number": 1050}, r"1050 \(XH430-V210\).*expected 1000 \(XH430-W350\) or 1010"),
+        ({"model_number": 7}, "units of model 7 are not known"),
         ({"prot": "x"}, "prot"),
         ({"port": ""}, "port"),
     ],

@@ -65,12 +65,33 @@ def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
         )  # fmt: skip
     text = str(caught.value)
     assert "4 of 8 servos" in text
-    assert "drive_FL (ID 1): found model 1030, firmware 46" in text
+    assert "drive_FL (ID 1): found model 1030 (XM430-W210), firmware 46" in text
     assert "drive_BL (ID 2): found nothing" in text
-    assert "steer_FL (ID 5): found model 1010, firmware 30" in text
+    assert "steer_FL (ID 5): found model 1010 (XH430-W210), firmware 30" in text
     assert "steer_BR (ID 7): found nothing" in text
     assert "update the firmware" in text
     assert "hil discover" in text
+
+
+@pytest.mark.parametrize("model", [1040, 1050])
+def test_a_servo_whose_units_are_not_known_is_refused_by_name(servo_bench, model):
+    """It counts current in half the steps, and its supply is 24 V."""
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(model_by_joint={3: model})
+    text = str(caught.value)
+    name = {1040: "XH430-V350", 1050: "XH430-V210"}[model]
+    assert f"drive_FR (ID 4): found model {model} ({name})" in text
+    assert "1000 (XH430-W350) or 1010 (XH430-W210)" in text
+
+
+def test_the_other_known_servo_is_taken_where_the_bench_file_says_so(servo_bench):
+    bench = servo_bench(model_by_joint=dict.fromkeys(range(8), 1000), config={"model_number": 1000})
+    assert bench.driver.identity()["model"] == "XH430-W350 (1000)"
+
+
+def test_the_other_known_servo_is_told_how_to_be_taken(servo_bench):
+    with pytest.raises(DeviceError, match=r"set servos\.model_number = 1000"):
+        servo_bench(model_by_joint=dict.fromkeys(range(8), 1000))
 
 
 def test_two_servos_with_one_id_are_recognised(servo_bench):
@@ -188,7 +209,7 @@ def test_findings_tell_what_could_be_better(servo_bench):
         return_delay=250,
         eeprom={j: {"shutdown": 0} for j in range(8)},
         firmware=44,
-        supply_v=9.0,
+        latency_s=0.016,
         open_driver=False,
     )
     bench.clock.sleep_until_ns(300_000_000)
@@ -198,8 +219,10 @@ def test_findings_tell_what_could_be_better(servo_bench):
     assert "500 us" in found["return delay"].found
     assert found["reads"].level == "warning"
     assert found["shutdown"].level == "warning"
-    assert found["hardware errors"].level == "failure"
-    assert "input voltage" in found["hardware errors"].found
+    assert found["reply time"].level == "warning"
+    assert "latency timer" in found["reply time"].remedy
+    assert all("--port hil://servos --baud 1000000 --id 1 --register" in found[c].remedy
+               for c in ("return delay", "shutdown"))  # fmt: skip
 
 
 def test_a_bus_in_order_has_no_failures(servo_bench):

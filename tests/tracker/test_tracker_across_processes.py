@@ -195,7 +195,7 @@ def test_the_same_driver_runs_on_librealsenses_software_device(tracker_bench, re
 
 def test_without_a_camera_the_library_says_so(realsense):
     with pytest.raises(DeviceError, match=r"2\.53\.1"):
-        T265Tracker(TrackerConfig(open_timeout_s=0.5), MonotonicClock()).open()
+        T265Tracker(TrackerConfig(connect_timeout_s=0.5), MonotonicClock()).open()
 
 
 def test_without_the_extra_the_software_device_names_it(tracker_bench, monkeypatch):

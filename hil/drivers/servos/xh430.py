@@ -295,7 +295,7 @@ class XH430Servos(Actuators):
             self._upkeep.switch_off(self._cycle.live_ids)
 
     def diagnose(self) -> tuple[Finding, ...]:
-        """Facts about the bus for `hil doctor`: firmware, return delay, errors, kinds of packets."""
-        self._opened()
+        """Facts about the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
+        reply = ident.reply_time(self._opened(), self._config, self._clock, self.name)
         fast, mapped = self._cycle.fast, self._upkeep.mapped
-        return ident.findings(self._config, self._blocks, self.name, fast=fast, mapped=mapped)
+        return reply, *ident.findings(self._config, self._blocks, self.name, fast=fast, mapped=mapped)

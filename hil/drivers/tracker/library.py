@@ -13,6 +13,7 @@ from typing import Any, Protocol
 from hil.clock import Clock, nanoseconds
 from hil.errors import DeviceError
 
+MODEL = "T265"
 LAST_VERSION = "2.53.1"
 VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
 """What librealsense's binding raises; all of it is translated where it happens."""
@@ -87,7 +88,7 @@ def realsense(device: str) -> Any:
     """The module pyrealsense2; raises `DeviceError` with what to do when it cannot be imported."""
     try:
         return importlib.import_module("pyrealsense2")
-    except ImportError as error:
+    except (ImportError, OSError) as error:
         raise DeviceError(
             device,
             f"pyrealsense2 cannot be imported ({error})",
@@ -96,26 +97,55 @@ def realsense(device: str) -> Any:
         ) from None
 
 
-def connected_context(library: Any, device: str, clock: Clock, timeout_s: float) -> Any:
-    """A librealsense context that sees a device: a T265 first gets its firmware, which takes seconds.
+def find_camera(
+    library: Any, device: str, clock: Clock, timeout_s: float, *, serial: str | None = None
+) -> tuple[Any, str]:
+    """A pipeline on a connected T265, and that camera's serial number.
+
+    A T265 has no firmware until the library has given it one, which takes seconds after it was plugged in:
+    the library is asked again and again.
+
+    Args:
+        library: the module pyrealsense2, or what stands in for it.
+        device: name in errors.
+        clock: the bench clock.
+        timeout_s: how long to look; once in any case.
+        serial: serial number that the camera must have; any when None.
 
     Raises:
-        DeviceError: nothing is connected, or the library has no access.
+        DeviceError: none is connected, or the library has no access.
     """
     deadline_ns = clock.now_ns() + nanoseconds(timeout_s)
-    reason = "no RealSense device is connected"
-    while clock.now_ns() < deadline_ns:
+    while True:
         try:
             context = library.context()
-            if len(context.query_devices()) > 0:
-                return context
+            seen = _cameras(library, context)
+            for name, number in seen:
+                if MODEL in name and serial in (None, number):
+                    return library.pipeline(context), number
+            others = ", ".join(f"{name} ({number})" for name, number in seen)
+            wanted = MODEL if serial is None else f"{MODEL} with serial number {serial}"
+            reason = f"no {wanted} is connected" + (f", but {others}" if others else "")
         except VENDOR_ERRORS as error:
             reason = f"librealsense cannot be used ({error})"
+        if clock.now_ns() >= deadline_ns:
+            break
         clock.sleep_until_ns(clock.now_ns() + _LOOK_NS)
     version = getattr(library, "__version__", "of unknown version")
     raise DeviceError(
         device,
         reason,
+        port=serial or "",
         expected=f"a T265 and pyrealsense2 {LAST_VERSION}; this is {version}",
         remedy="check the USB 3 cable and the udev rules of librealsense, or emulate the tracker",
     )
+
+
+def _cameras(library: Any, context: Any) -> list[tuple[str, str]]:
+    """Name and serial number of every RealSense device."""
+    info = library.camera_info
+    return [
+        (str(one.get_info(info.name)), str(one.get_info(info.serial_number)))
+        for one in context.query_devices()
+        if one.supports(info.serial_number)
+    ]

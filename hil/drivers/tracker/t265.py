@@ -23,11 +23,12 @@ from hil.drivers.jumps import JumpTest
 from hil.drivers.stuck import StuckTest
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.library import (
+    MODEL,
     VENDOR_ERRORS,
     Frame,
     Pipeline,
     PlainLibrary,
-    connected_context,
+    find_camera,
     realsense,
 )
 from hil.errors import DeviceError, DeviceTimeoutError
@@ -36,7 +37,6 @@ from hil.signals import Stamp, Status, TrackerSample
 
 _LOG = logging.getLogger(__name__)
 
-_MODEL = "T265"
 _WAIT_NS = 5_000_000
 _NS_PER_MS = 1e6
 _LATEST_MS = 5e12
@@ -164,8 +164,9 @@ class T265Tracker(Sensor[TrackerSample]):
             endpoint = self._config.endpoint
             return FeedPipeline(endpoint.host, endpoint.port), PlainLibrary
         library = realsense(self.name)
-        context = connected_context(library, self.name, self._clock, self._config.open_timeout_s)
-        return library.pipeline(context), library
+        limit_s, serial = self._config.connect_timeout_s, self._config.serial
+        pipeline, _ = find_camera(library, self.name, self._clock, limit_s, serial=serial)
+        return pipeline, library
 
     def _start(self, pipeline: Pipeline, library: Any) -> dict[str, str]:
         serial = self._config.serial
@@ -188,7 +189,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 expected="a T265" if serial is None else f"a T265 with serial number {serial}",
                 remedy="check the USB 3 cable and that no other program uses the camera",
             ) from None
-        if _MODEL not in model:
+        if MODEL not in model:
             raise DeviceError(
                 self.name,
                 f"the camera is a {model}",
