@@ -190,7 +190,7 @@ def rest(ctx: Context, bench: Bench) -> None:
     stand(bench)
     data = inertial(bench.observe(ctx.parameters.rest_s, feedback="odometry"))
     if len(data) < 100:
-        raise DeviceError("imu", f"{len(data)} usable samples at rest", remedy="run procedures/bring_up.py")
+        raise DeviceError("imu", f"{len(data)} usable samples at rest", remedy="hil run bring_up")
     period_s = float(np.median(np.diff(data.t_s)))
     curves = {
         axis: allan(evenly(data.t_s, data[k] * _DEG, period_s), period_s)
@@ -247,7 +247,7 @@ def _dwell(bench: Bench, p: Parameters) -> tuple[float, float]:
     truth, seen = poses(motion, "mocap"), inertial(motion)
     if not len(truth) or not len(seen):
         missing = "mocap" if not len(truth) else "imu"
-        raise DeviceError(missing, "no usable samples at rest", remedy="run procedures/bring_up.py")
+        raise DeviceError(missing, "no usable samples at rest", remedy="hil run bring_up")
     return truth.mean(2), seen.mean(1)
 
 

@@ -137,7 +137,7 @@ def sweep(ctx: Context, bench: Bench) -> list[AxisFit]:
         if known.sum() < 0.5 * len(seen) or not len(seen):
             raise DeviceError(
                 "encoders", f"axis {name}: {int(known.sum())} of {len(seen)} samples usable",
-                remedy="check magnet and wiring; run procedures/bring_up.py",
+                remedy="check magnet and wiring; hil run bring_up",
             )  # fmt: skip
         t = seen.t_s[known]
         fits.append(fit_axis(t, servo.at(t, 8 + k), seen[k][known], 4 * p.sweeps))

@@ -162,7 +162,7 @@ def collected(motions: list[Motion]) -> tuple[Series, Series, Intervals]:
         if len(seen[-1]) > 2:
             parts.append(intervals(seen[-1]))
     if not parts or not any(len(t) for t in truth):
-        raise DeviceError("tracker", "no usable poses on the whole tour", remedy="run procedures/bring_up.py")
+        raise DeviceError("tracker", "no usable poses on the whole tour", remedy="hil run bring_up")
     return _joined(truth), _joined(seen), join(parts)
 
 

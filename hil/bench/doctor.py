@@ -32,6 +32,7 @@ _LOW_SUPPLY_V, _HOT_C = 10.0, 70.0
 _LOSS_WARNING, _LOSS_FAILURE = 0.02, 0.2
 _LATENCY_TIMER_S = 0.001
 _SYSFS = Path("/sys")
+_SHOWN_BY_SAMPLES = ("hardware errors",)
 _SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
 _GRAVITY_M_S2, _GRAVITY_TOLERANCE_M_S2 = 9.81, 0.5
 _LATE_MOCAP_S, _MOCAP_GAP_S = 0.05, 0.3
@@ -76,7 +77,7 @@ def _examine_one(bench: Bench, device: Device, watch_s: float, sysfs: Path) -> I
     try:
         identity = ", ".join(f"{key} {value}" for key, value in device.identity().items())
         yield Finding(device.name, "open", "ok", identity)
-        own: tuple[Finding, ...] = getattr(device, "diagnose", tuple)()
+        own = [f for f in getattr(device, "diagnose", tuple)() if f.check not in _SHOWN_BY_SAMPLES]
         told += own
         yield from own
         _watch(bench, device, _SETTLE_S)

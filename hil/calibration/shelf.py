@@ -90,7 +90,7 @@ class Shelf:
             raise ConfigError(
                 f"{chosen.path}: version {version} has not passed a validation run "
                 f"(verdict {chosen.file.verdict or 'none'})",
-                remedy="calibrate with procedures/odometry_calibration.py, which ends in one",
+                remedy="calibrate with `hil run odometry_calibration`, which ends in one",
             )
         return self._put_in_place(chosen, config)
 

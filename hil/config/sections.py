@@ -77,7 +77,7 @@ class AlignmentConfig(Strict):
 
     Attributes:
         drive_sign, steer_sign: 1, or -1 where the servo is mounted the other way round.
-        steer_zero_rad: servo angle at which the wheel points along body x (`procedures/steering_zero.py`).
+        steer_zero_rad: servo angle at which the wheel points along body x (`hil run steering_zero` finds it).
     """
 
     drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)

@@ -132,7 +132,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
     truth = [m for r in motion.records for m in r.measurements.mocap if m.valid]
     if not truth or not wheels:
         missing = "ground truth from motion capture" if wheels else "complete servo readings"
-        raise DataError(name, f"has no {missing}", remedy="run procedures/bring_up.py")
+        raise DataError(name, f"has no {missing}", remedy="hil run bring_up")
     return build_recording(
         name,
         Log(

@@ -54,7 +54,7 @@ def slip_of(motion: Motion, geometry: WheelGeometry) -> Slip:
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
     if np.count_nonzero(known) < 10:
         raise DataError("surface_identification", "has no wheels or no ground truth for a whole motion",
-                        remedy="run procedures/bring_up.py")  # fmt: skip
+                        remedy="hil run bring_up")  # fmt: skip
     wheels, truth = wheels[known], truth[known]
     heading = np.unwrap(truth[:, 2])
     middle = 0.5 * (wheels[1:, 4:] + wheels[:-1, 4:]) - geometry.steering_zero_rad

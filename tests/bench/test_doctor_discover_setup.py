@@ -14,7 +14,6 @@ from hil.cli import main
 from hil.config.bench import load_bench
 from hil.fakes.world import VirtualClock
 
-
 SETTLE_S = 0.6
 
 

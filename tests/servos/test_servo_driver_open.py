@@ -1,13 +1,16 @@
 """What the driver says of a bus that is not as expected, and what it makes of one that others have used."""
 
+import re
+
 import numpy as np
 import pytest
 from servo_client import ALL, word
 
+from hil.cli.setup import command as setup
 from hil.clock import MonotonicClock
 from hil.config.servos import ServosConfig
 from hil.config.xh430 import BAUD_RATES, TABLE
-from hil.drivers.servos import XH430Servos
+from hil.drivers.servos import XH430Servos, set_up
 from hil.drivers.servos.packets import instruction
 from hil.errors import DeviceError, DeviceTimeoutError
 from hil.signals import ServoSetpoint, Status
@@ -119,6 +122,24 @@ def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, 
         servo_bench(eeprom={joint: {register: raw}})
 
 
+def test_the_commands_that_are_printed_set_the_servos_up(servo_bench):
+    bench = servo_bench(
+        eeprom={0: {"operating_mode": 3}, 6: {"homing_offset": 100, "drive_mode": 1}}, open_driver=False
+    )
+    with pytest.raises(DeviceError) as caught:
+        bench.driver.open()
+    printed = re.findall(r"`hil setup (.+?)`", caught.value.remedy)
+    assert len(printed) == 2
+    for words in printed:
+        given = setup.make_context("setup", words.split()).params
+        registers = {name: int(value) for name, value in (pair.split("=") for pair in given["pairs"])}
+        set_up(
+            given["port"], bench.clock, baud=given["baud"], servo_id=given["servo_id"], registers=registers
+        )
+    bench.driver.open()
+    assert bench.driver.read()[0].ok
+
+
 @pytest.mark.parametrize("level", [0, 1])
 def test_servos_left_silent_are_made_to_answer(servo_bench, level):
     bench = servo_bench(open_driver=False)
@@ -209,6 +230,7 @@ def test_findings_tell_what_could_be_better(servo_bench):
         return_delay=250,
         eeprom={j: {"shutdown": 0} for j in range(8)},
         firmware=44,
+        supply_v=9.0,
         latency_s=0.016,
         open_driver=False,
     )
@@ -219,6 +241,8 @@ def test_findings_tell_what_could_be_better(servo_bench):
     assert "500 us" in found["return delay"].found
     assert found["reads"].level == "warning"
     assert found["shutdown"].level == "warning"
+    assert found["hardware errors"].level == "failure"
+    assert "drive_FL: input voltage" in found["hardware errors"].found
     assert found["reply time"].level == "warning"
     assert "latency timer" in found["reply time"].remedy
     assert all("--port hil://servos --baud 1000000 --id 1 --register" in found[c].remedy

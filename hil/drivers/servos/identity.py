@@ -15,6 +15,7 @@ from hil.config.xh430 import (
     TABLE,
     VELOCITY,
     ZERO_COUNTS,
+    hardware_error_text,
     model_text,
     models_text,
 )
@@ -210,6 +211,8 @@ def findings(
 ) -> tuple[Finding, ...]:
     """What a check of the bus tells, beyond that it opened."""
     delays = [reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks]
+    errors = {SERVOS[j]: reg.from_block(b, "hardware_error_status") for j, b in enumerate(blocks)}
+    alerts = ", ".join(f"{servo}: {hardware_error_text(bits)}" for servo, bits in errors.items() if bits)
     slow = [j for j, delay in enumerate(delays) if delay > config.return_delay_s + 1e-9]
     step = f"--register return_delay_time={round(config.return_delay_s / TABLE['return_delay_time'].scale)}"
     shutdown = [reg.from_block(b, "shutdown") for b in blocks]
@@ -227,6 +230,10 @@ def findings(
         Finding(
             device, "goals", "ok" if mapped else "warning", "one sync write" if mapped else "one bulk write",
             "the bench's indirect addresses", "release torque once, then open again",
+        ),
+        Finding(
+            device, "hardware errors", "failure" if alerts else "ok", alerts or "none", "none",
+            "remove the cause, then switch the servos' supply off and on",
         ),
         Finding(
             device, "shutdown", "warning" if open_to_harm else "ok",

@@ -1,0 +1,48 @@
+"""Advice can be followed: every command that a message, a remedy or a page shows exists, with its options."""
+
+import re
+from pathlib import Path
+
+import pytest
+from shown_commands import in_block, in_text, problem, strings
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = sorted([*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")])
+
+
+def test_every_command_in_a_message_exists():
+    shown = [
+        (path.relative_to(ROOT), words)
+        for path in SOURCES
+        for text in strings(path.read_text(encoding="utf-8"))
+        for words in in_text(text)
+    ]
+    assert len(shown) > 30
+    assert [(str(path), words, told) for path, words in shown if (told := problem(words))] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_command_on_a_page_exists_with_its_options(page):
+    text = page.read_text(encoding="utf-8")
+    blocks = re.findall(r"^```sh\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    prose = re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)
+    shown = [words for block in blocks for words in in_block(block)]
+    shown += [line.replace("\\|", "|").split() for line in re.findall(r"`hil ([^`]+)`", prose)]
+    assert [(words, told) for words in shown if (told := problem(words))] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("`hil setup ... --set return_delay_time=0`", "hil setup has no option --set"),
+        ("run `hil repair servos` first", "no command 'repair'"),
+        ("hil calibration forget FILE", "no command calibration forget"),
+        ("hil run bringup", "no procedure bringup"),
+        ("`hil setup --role both`", "hil setup --role is not 'both'"),
+        ("`hil setup --port ANYTHING --id ANYTHING --register shutdown=52`", ""),
+        ("hil run imu_calibration, or rest", ""),
+    ],
+)
+def test_advice_that_cannot_be_followed_is_noticed(text, told):
+    assert [problem(words) for words in in_text(text)] == [told]
