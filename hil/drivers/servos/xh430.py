@@ -296,6 +296,7 @@ class XH430Servos(Actuators):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
-        reply = ident.reply_time(self._opened(), self._config, self._clock, self.name)
+        with self._talking:
+            reply = ident.reply_time(self._opened(), self._config, self._clock, self.name)
         fast, mapped = self._cycle.fast, self._upkeep.mapped
         return reply, *ident.findings(self._config, self._blocks, self.name, fast=fast, mapped=mapped)
