@@ -33,12 +33,12 @@ def test_no_other_page_has_an_order_of_its_own():
 @pytest.mark.parametrize("name", FLOOR)
 def test_what_is_to_be_done_on_the_floor_is_made_for_it(name):
     """All but bring_up, which runs wherever the robot stands, ask for the floor by themselves."""
-    assert load_bench(load_procedure(name).bench).surface == "floor" or name == "bring_up"
+    assert load_bench(load_procedure(name).bench).environment.kind == "floor" or name == "bring_up"
 
 
 @pytest.mark.parametrize("name", WALL)
 def test_what_is_to_be_done_on_the_wall_is_made_for_it(name):
-    assert load_bench(load_procedure(name).bench).surface == "wall"
+    assert load_bench(load_procedure(name).bench).environment.kind == "wall"
 
 
 def test_what_others_build_on_comes_first():
