@@ -14,10 +14,10 @@ from hil.bench.drivers import Connections
 from hil.bench.repeating import repeating_robot
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, HilError, UsageError
+from hil.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 from hil.fakes.can_wire import CanChannel, CanFace
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.faults import Fault, FaultPlan, describe
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
 from hil.fakes.mocap import MocapTruthOptions, NatNetFace, NatNetServer
 from hil.fakes.plant import make_plant
@@ -68,8 +68,8 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     return World(plant, seed=seed, faults=plan)
 
 
-def connect_in_process(config: BenchConfig, world: World) -> Connected:
-    """All devices of a bench in this process, on names of their own.
+def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
+    """All emulated devices of a bench (or `only` some) in this process, on names of their own.
 
     Raises:
         FaultNotSupportedError: a fault that none of them can produce.
@@ -79,6 +79,8 @@ def connect_in_process(config: BenchConfig, world: World) -> Connected:
     values = connected.connections.values
     try:
         for name in config.emulated():
+            if only and name not in only:
+                continue
             if name in _SERIAL:
                 line = _SERIAL[name](config, world, f"{name}-{number}").open()
                 connected.closers.append(line.close)
@@ -96,6 +98,26 @@ def connect_in_process(config: BenchConfig, world: World) -> Connected:
         connected.close()
         raise
     return connected
+
+
+def check_faults(config: BenchConfig, faults: Sequence[Fault], *, only: Sequence[str] = ()) -> None:
+    """Refuse what no emulated device of the bench can produce, before anything is opened.
+
+    Args:
+        config: the bench.
+        faults: what is planned.
+        only: names of the devices that will be emulated; all that the bench emulates when empty.
+
+    Raises:
+        FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
+    """
+    if faults and not config.emulated():
+        raise FaultNotSupportedError(
+            f"fault {describe(faults[0])}: every device of {config.name} is real",
+            remedy="use --emulate for the devices that faults are meant for",
+        )
+    if faults:
+        connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
 
 
 def open_emulation(
@@ -129,12 +151,12 @@ def open_emulation(
             remedy="use --bench emulated",
         )  # fmt: skip
     plan = read_faults((*config.emulation.faults, *faults))
+    check_faults(config, plan, only=names)
     world = build_world(config, seed=seed, faults=plan)
     faces: dict[str, Face] = {}
     try:
         for name in names:
             faces["can" if name == "encoders" else name] = _FACES[name](config, world)
-        world.faults.check()
     except HilError:
         for face in faces.values():
             face.close()

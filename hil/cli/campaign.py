@@ -101,6 +101,7 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
         source, parameters = setup.source(proc, case)
         make_parameters(proc.parameters, parameters, proc.name)
         proc.check_needs(source.config)
+        source.check_faults()
         if not source.virtual:
             raise UsageError(
                 f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",

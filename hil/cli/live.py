@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
+from hil.cli.options import rerun_option
 from hil.errors import EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -62,7 +63,7 @@ _KINDS = ("odometry", "ekf", "ukf")
     help="Estimators beside it (repeatable).",
 )
 @click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
-@click.option("--rerun", "view", help="spawn, connect, serve, a URL or a .rrd file; several with commas.")
+@rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
 @click.option(
     "--record", type=click.Path(path_type=Path), help="Recording to write [default: out/live/TIME.mcap]."
 )
@@ -192,8 +193,9 @@ def _text(summary: dict[str, Any]) -> str:
         f"{summary['bench']} at {summary['rate_hz']:g} Hz, ended by: {summary['ended']}",
         f"{timing['cycles']:.0f} cycles, {timing['late']:.0f} late, {timing['overruns']:.0f} overruns, "
         f"{timing['skipped']:.0f} skipped",
-        f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}",
     ]
+    if timing["cycles"]:
+        lines.append(f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}")
     for name in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
         if f"{name}_mean_ms" in timing:
             values = (timing[f"{name}_{kind}_ms"] for kind in ("mean", "p99", "worst"))

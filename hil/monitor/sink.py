@@ -17,7 +17,7 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from hil.errors import UsageError
+from hil.errors import UsageError, did_you_mean
 from hil.geometry import Array
 from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
@@ -38,14 +38,21 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: an empty list, or a file in a folder that does not exist.
+        UsageError: an empty list, a word that is none of them, or a file in a folder that does not exist.
     """
     targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
-    files = [t for t in targets if t not in LIVE and "://" not in t]
-    if not targets or not all(Path(f).resolve().parent.is_dir() for f in files):
-        raise UsageError(
-            f"the monitor cannot open {target!r}", expected="spawn, connect, serve, a URL or a .rrd file"
-        )
+    expected = "spawn, connect, serve, a URL or a .rrd file"
+    if not targets:
+        raise UsageError(f"the monitor cannot open {target!r}", expected=expected)
+    for name in targets:
+        if name in LIVE or "://" in name:
+            continue
+        if Path(name).suffix != ".rrd":
+            raise UsageError(
+                f"the monitor cannot open {name!r}", expected=expected, remedy=did_you_mean(name, LIVE)
+            )
+        if not Path(name).resolve().parent.is_dir():
+            raise UsageError(f"the monitor cannot open {name!r}: no such folder", expected=expected)
     return targets
 
 

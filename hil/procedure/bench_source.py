@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from hil.calibration.artefact import read_calibration
 from hil.calibration.shelf import check_made_for
 from hil.config.bench import BenchConfig, load_bench
+from hil.fakes.timeline import read_faults
 from hil.interfaces import Sink
 
 if TYPE_CHECKING:
@@ -55,6 +56,16 @@ class BenchSource:
     def real(self) -> tuple[str, ...]:
         """Names of the devices that are real."""
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
+
+    def check_faults(self) -> None:
+        """Read the faults and hold them against the emulated devices, before anything is opened.
+
+        Raises:
+            UsageError, ConfigError: a fault that cannot be read, or that no device can produce.
+        """
+        from hil.bench import check_faults
+
+        check_faults(self.config, read_faults((*self.config.emulation.faults, *self.faults)))
 
     def open(self, sinks: Sequence[Sink] = ()) -> Bench:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""
