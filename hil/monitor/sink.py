@@ -7,7 +7,6 @@ virtual time (`lossless`) the records are sent in the caller's thread and nothin
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import pickle
 import struct
@@ -18,6 +17,7 @@ from collections import deque
 from pathlib import Path
 
 from hil.errors import UsageError, did_you_mean
+from hil.extras import how_to_install, is_installed
 from hil.geometry import Array
 from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
@@ -85,10 +85,9 @@ class RerunMonitor(Sink):
         patience_s: float = _CLOSE_S,
     ) -> None:
         targets = split_targets(target)
-        if importlib.util.find_spec("rerun") is None:
+        if not is_installed("rerun"):
             raise UsageError(
-                "the monitor needs Rerun, which is not installed",
-                remedy="install the extra: pip install 'hil-4wis4wid[rerun]'",
+                "the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun")
             )
         self.dropped = 0
         self.failure = ""

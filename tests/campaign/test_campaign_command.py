@@ -173,7 +173,7 @@ def test_without_dask_it_says_what_to_install(campaign, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     code, tree, said = campaign("--seeds", "0:2", "--workers", "2", "--out", "o")
     assert (code, tree) == (2, None)
-    assert "pip install 'hil-4wis4wid[campaign]'" in said
+    assert "-m pip install 'dask[distributed]" in said
 
 
 def test_a_scheduler_that_does_not_answer(campaign):

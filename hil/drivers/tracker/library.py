@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from hil.clock import Clock, nanoseconds
 from hil.errors import DeviceError
+from hil.extras import how_to_install
 
 LAST_VERSION = "2.53.1"
 VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
@@ -92,7 +93,7 @@ def realsense(device: str) -> Any:
             device,
             f"pyrealsense2 cannot be imported ({error})",
             expected=f"the extra t265 with pyrealsense2 {LAST_VERSION} on CPython 3.10 or older",
-            remedy="install hil-4wis4wid[t265] and libusb-1.0-0, or emulate the tracker",
+            remedy=f"{how_to_install('t265')}; and the system package libusb-1.0-0; or emulate the tracker",
         ) from None
 
 
