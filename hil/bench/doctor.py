@@ -91,7 +91,7 @@ def _watch(bench: Bench, device: Any, watch_s: float) -> list[Any]:
 
 
 def _latency_timer(name: str, port: str) -> Iterator[Finding]:
-    """USB serial adapters as delivered wait 16 ms (`facts/devices.md`)."""
+    """USB serial adapters as delivered wait 16 ms."""
     timer = Path("/sys/bus/usb-serial/devices") / Path(port).name / "latency_timer"
     if not port.startswith("/dev/") or not timer.exists():
         return

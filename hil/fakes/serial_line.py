@@ -2,7 +2,7 @@
 
 Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
 the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
-when its latency timer expires (16 ms as delivered, 1 ms as it should be set; `facts/devices.md`).
+when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
 Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 """
 

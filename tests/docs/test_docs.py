@@ -74,3 +74,29 @@ def test_the_script_runs_as_printed(tmp_path):
 def test_the_test_runs_as_printed(tmp_path):
     (tmp_path / "test_mine.py").write_text(python_block("pytest.mark.fault"))
     assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
+
+
+OF_A_USER = {"path/to/mine.py", "data/odom_11.csv", "hil/config/my_imu.py"}
+FILE = re.compile(
+    r"(?<![\w/.:<-])([\w-]+/[\w./-]*\.(?:md|py|toml|json|csv|dbc|png|svg|html|mcap|lock|yml|sh))\b"
+)
+
+
+def test_no_text_cites_a_file_that_the_project_does_not_have():
+    """Docstrings end up on report pages and in the reference; what they cite must be there to be read."""
+    folders = [ROOT / name for name in ("hil", "procedures", "docs", "examples")]
+    paths = [ROOT / "README.md", *(p for folder in folders for p in folder.rglob("*"))]
+    missing = []
+    for path in paths:
+        if path.suffix not in (".py", ".md", ".toml", ".html", ".yml"):
+            continue
+        bases = (ROOT, ROOT / "hil", ROOT / "docs" / "ci-template", path.parent)
+        cited = set(FILE.findall(path.read_text(encoding="utf-8"))) - OF_A_USER
+        outputs = ("out/", "dist/", "wheels/", "results/")
+        missing += [
+            f"{path.relative_to(ROOT)}: {name}"
+            for name in cited
+            if not name.startswith(outputs) and not any((base / name).exists() for base in bases)
+        ]
+        missing += [f"{path.relative_to(ROOT)}: ../" for _ in re.findall(r"\.\./shared\b", path.read_text())]
+    assert missing == []

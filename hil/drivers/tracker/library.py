@@ -1,7 +1,7 @@
 """The part of librealsense that the driver uses, as protocols, and where it comes from.
 
 A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last wheels are for CPython
-3.10: newer versions have lost the T265 (`facts/devices.md` sections 5 and 7).
+3.10: newer versions have lost the T265 (librealsense's release notes).
 """
 
 from __future__ import annotations
