@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.options import rerun_option
+from hil.cli.options import SEED, FiniteRange, rerun_option
 from hil.errors import EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -43,13 +43,13 @@ _KINDS = ("odometry", "ekf", "ukf")
     "dead_man_s",
     default=0.5,
     show_default=True,
-    type=click.FloatRange(0.02, 10.0),
+    type=FiniteRange(0.02, 10.0),
     help="Age in s at which a command means stop.",
 )
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteRange(0.0, min_open=True),
     help="Seconds [default: until the trajectory or a signal ends it].",
 )
 @click.option(
@@ -78,7 +78,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 )
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
 @start.option
-@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option(
     "--replay",
     "repeated",
@@ -116,6 +116,7 @@ def command(
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())
     overrides |= start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
+    reference = None if source is None else load_trajectory(source)
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
@@ -125,7 +126,7 @@ def command(
     )  # fmt: skip
     try:
         plan = LivePlan(
-            None if source is None else load_trajectory(source), lines, duration_s, feedback, observers,
+            reference, lines, duration_s, feedback, observers,
             controller, dead_man_s,
         )  # fmt: skip
         recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)

@@ -2,12 +2,26 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 import click
 
 from hil.errors import did_you_mean
+
+SEED = click.IntRange(min=0)
+
+
+class FiniteRange(click.FloatRange):
+    """A number of a range; click's own lets NaN through, which is in no order to any bound."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """As click's, refusing what is not finite."""
+        found = float(super().convert(value, param, ctx))
+        if not math.isfinite(found):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return found
 
 
 class SuggestingGroup(click.Group):
