@@ -162,6 +162,7 @@ def test_a_live_session_without_a_cycle_prints_no_empty_table():
     timing = {"cycles": 0.0, "late": 0.0, "overruns": 0.0, "skipped": 0.0}
     summary = {
         "bench": "b", "rate_hz": 100.0, "ended": "error", "timing": timing, "samples": {}, "pose": None,
+        "held": {"state": "NOT HELD", "moved_m": 0.0, "why": "never opened"},
     }  # fmt: skip
     assert "mean ms" not in _text(summary)
     timing |= {"cycles": 1.0} | {f"work_{kind}_ms": 1.0 for kind in ("mean", "p99", "worst")}

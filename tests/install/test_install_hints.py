@@ -105,5 +105,7 @@ def test_what_needs_an_extra_prints_its_line(nothing_importable, tmp_path, extra
 
 def test_nothing_sends_a_user_to_an_index_that_does_not_have_the_package():
     sources = [*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py"), *SHOWN]
-    by_name = re.compile(rf"install\b[^\n]*\s['\"]?{DISTRIBUTION}(\[[\w,]+\])?['\"]?(\s|$)", re.MULTILINE)
+    by_name = re.compile(
+        rf"install\b[^\n]*\s['\"]?{DISTRIBUTION}(\[[\w,]+\])?['\"]?(\s(?!@)|$)", re.MULTILINE
+    )
     assert [str(p) for p in sources if by_name.search(p.read_text(encoding="utf-8"))] == []
