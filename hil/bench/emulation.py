@@ -100,17 +100,26 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
     return connected
 
 
-def check_faults(config: BenchConfig, faults: Sequence[Fault], *, only: Sequence[str] = ()) -> None:
-    """Refuse what no emulated device of the bench can produce, before anything is opened.
+def check_faults(
+    config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
+) -> tuple[Fault, ...]:
+    """Read the faults of a bench, and refuse what none of its emulated devices can produce.
+
+    Nothing is opened.
 
     Args:
-        config: the bench.
-        faults: what is planned.
+        config: the bench; the faults that it names come first.
+        given: further specs or paths of TOML timelines.
         only: names of the devices that will be emulated; all that the bench emulates when empty.
 
+    Returns:
+        All faults.
+
     Raises:
+        UsageError, ConfigError: a spec or a file that cannot be read.
         FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
     """
+    faults = read_faults((*config.emulation.faults, *given))
     if faults and not config.emulated():
         raise FaultNotSupportedError(
             f"fault {describe(faults[0])}: every device of {config.name} is real",
@@ -118,6 +127,7 @@ def check_faults(config: BenchConfig, faults: Sequence[Fault], *, only: Sequence
         )
     if faults:
         connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
+    return faults
 
 
 def open_emulation(
@@ -150,8 +160,7 @@ def open_emulation(
             f"{config.name} has nothing to emulate", expected="emulated devices: --emulate or backend",
             remedy="use --bench emulated",
         )  # fmt: skip
-    plan = read_faults((*config.emulation.faults, *faults))
-    check_faults(config, plan, only=names)
+    plan = check_faults(config, faults, only=names)
     world = build_world(config, seed=seed, faults=plan)
     faces: dict[str, Face] = {}
     try:

@@ -21,7 +21,6 @@ from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.tracker import FeedEndpoint
 from hil.fakes.faults import Fault, describe
-from hil.fakes.timeline import read_faults
 from hil.fakes.world import VirtualClock
 from hil.interfaces import Sink
 
@@ -62,10 +61,9 @@ def open_bench(
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
-    plan = read_faults((*checked.emulation.faults, *faults))
+    plan = check_faults(checked, faults)
     emulated = checked.emulated()
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
-    check_faults(checked, plan)
     if not emulated:
         clock = MonotonicClock()
         return Bench(checked, clock, make_rig(checked, clock, Connections()), **common)

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 from hil.calibration.artefact import read_calibration
 from hil.calibration.shelf import check_made_for
 from hil.config.bench import BenchConfig, load_bench
-from hil.fakes.timeline import read_faults
 from hil.interfaces import Sink
 
 if TYPE_CHECKING:
@@ -65,7 +64,7 @@ class BenchSource:
         """
         from hil.bench import check_faults
 
-        check_faults(self.config, read_faults((*self.config.emulation.faults, *self.faults)))
+        check_faults(self.config, self.faults)
 
     def open(self, sinks: Sequence[Sink] = ()) -> Bench:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""

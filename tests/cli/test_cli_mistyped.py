@@ -14,7 +14,6 @@ from hil.cli import COMMANDS, main
 from hil.cli.live import _text
 from hil.config.bench import load_bench
 from hil.errors import FaultNotSupportedError
-from hil.fakes.faults import parse_fault
 
 ROOT = Path(__file__).resolve().parents[2]
 OPENING = ["run bring_up", "campaign bring_up", "live --duration 1", "doctor", "doctor --realtime", "emulate"]
@@ -77,7 +76,7 @@ def test_faults_on_a_bench_without_emulated_devices_are_refused(tmp_path):
     bench = tmp_path / "real.toml"
     bench.write_text('schema = 1\nname = "real"\n[imu]\nport = "/dev/ttyUSB0"\n')
     with pytest.raises(FaultNotSupportedError, match="every device of real is real"):
-        check_faults(load_bench(bench), [parse_fault("imu:stuck")])
+        check_faults(load_bench(bench), ["imu:stuck"])
 
 
 def test_every_option_that_a_fake_asks_for_is_one_that_a_user_may_give():
@@ -119,7 +118,7 @@ def test_a_mistyped_view_is_refused_and_no_file_of_that_name_is_written(refused,
         (["run", "bring_up", "--bench", "emulatd"], "emulated"),
         (["run", "bring_up", "--emulate", "imo"], "imu"),
         (["run", "bring_up", "--set", "watch=1"], "watch_s"),
-        (["run", "bring_up", "--set", "bench.surfac=floor"], "surface"),
+        (["run", "bring_up", "--set", "bench.environmet.tilt_rad=0"], "environment"),
         (["run", "bring_up", "--set", "bench.imu.prot=x"], "port"),
         (["run", "bring_up", "--set", "bench.estimator.wall.crep=1"], "creep"),
     ],
