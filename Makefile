@@ -1,13 +1,17 @@
-# Every target creates what it needs: a virtual environment `.venv` in the checkout with the package in it.
+# Every target creates what it needs: a virtual environment `.venv` in the checkout with the package in it,
+# every other package in the version and with the hash that LOCK names. `make LOCK= test` takes the newest
+# versions that pyproject.toml allows instead, in `.venv-newest`.
 PYTHON ?= python3
-VENV := .venv
+LOCK := requirements/ci.lock
+VENV := $(if $(LOCK),.venv,.venv-newest)
+PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
-EXTRAS := fast,rerun,parquet,campaign,test,lint
+EXTRAS := fast rerun parquet campaign test lint
 # Tests in virtual time: two processes may share them. All others talk in real time, one after the other.
-VIRTUAL := calibration campaign controller docs estimator kinematics plant plugin procedure procedures report trajectories
+VIRTUAL := calibration campaign cli controller docs estimator install kinematics plant plugin procedure procedures report trajectories
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs test test-long lint bench clean
+.PHONY: help demo demo-calibration docs test test-long lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -15,13 +19,20 @@ help:
 	@echo "make test       run the default test suite"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
-	@echo "make docs       write docs/bench-file.md afresh"
+	@echo "make docs       write docs/bench-file.md and the picture of the robot afresh"
 	@echo "make bench      print the measured ratios"
+	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
-$(BIN)/.installed: pyproject.toml
-	@command -v $(PYTHON) >/dev/null || { echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
+$(BIN)/.installed: pyproject.toml $(LOCK)
+	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
+	{ echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e ".[$(EXTRAS)]"
+ifeq ($(LOCK),)
+	$(PIP) -e '.[$(shell echo $(EXTRAS) | tr ' ' ,)]'
+else
+	$(PIP) --require-hashes --only-binary :all: -r $(LOCK)
+	$(PIP) --no-deps --no-build-isolation -e .
+endif
 	$(BIN)/hil info --compile
 	@touch $@
 
@@ -64,6 +75,13 @@ bench: $(BIN)/.installed
 
 docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
+	$(BIN)/python docs/images/render_robot_on_wall.py
+
+lock: $(BIN)/.installed
+	$(PIP) uv
+	$(BIN)/uv pip compile --quiet --upgrade --universal --python-version 3.10 --generate-hashes \
+	--custom-compile-command "make lock" $(EXTRAS:%=--extra %) \
+	pyproject.toml requirements/build.in -o $(LOCK)
 
 clean:
-	rm -rf $(VENV) out build *.egg-info
+	rm -rf .venv .venv-newest out build dist *.egg-info

@@ -56,7 +56,7 @@ class AlignmentParameters:
     Attributes:
         drive_sign, steer_sign: (4,) of +-1, wheel order.
         steer_zero_rad: (4,) servo angle at which the wheel points along body x.
-        on_wall: gravity lies in the motion plane (`facts/estimation.md`).
+        on_wall: gravity lies in the motion plane.
     """
 
     drive_sign: tuple[int, ...] = (1, 1, 1, 1)

@@ -4,9 +4,9 @@ No set of four wheels agrees exactly on a body motion b: P b = u (`hil.kinematic
 three unknowns, and what is left over is slip e_i = u_i - P_i b. Two laws:
 
 * dry friction: each contact resists with a constant force; least dissipation, b = argmin sum_i |e_i|.
-  Explains large contradictions, and the authors' recordings, best (`facts/calibration.md`, section 3).
+  Explains large contradictions, and the authors' recordings, best (`docs/calibration.md`).
 * creep: a rolling tyre that is pushed drifts in proportion, force = C N_i e_i / |u_i|, with C smaller
-  sideways than lengthwise (`facts/plant_and_control.md`, normal loads N_i). Small contradictions, as
+  sideways than lengthwise (normal loads N_i). Small contradictions, as
   between wheels whose zeros are a degree off; the forces balance at a weighted least-squares motion.
 
 Forces along a wheel count like those across: its servo holds the rotation that is measured.
@@ -78,7 +78,7 @@ def least_dissipation(p: Array, u: Array, load: Array | None = None, power: floa
 
     Minimises sum_i load_i psi(|P_i b - u_i|) with psi' (e) = e (e / s + eps)^(q - 2), the smoothed
     Coulomb friction at q = 1, s the block's mean wheel displacement. Iteratively reweighted least
-    squares continued over q = 2, 1.5, 1.2, 1 (`facts/calibration.md` section 3), then Newton steps.
+    squares continued over q = 2, 1.5, 1.2, 1, then Newton steps.
 
     Args:
         p: (8, 3) from `projection`.

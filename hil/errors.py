@@ -8,6 +8,9 @@ stderr and `exit_code`; it never shows a traceback for one of these.
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
+
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1
 EXIT_USAGE = 2
@@ -36,6 +39,13 @@ class HilError(Exception):
         if remedy:
             parts.append(remedy)
         super().__init__("; ".join(parts))
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """A question that names the known word nearest to a mistyped one; empty when none is near."""
+    by_lower = {name.lower(): name for name in known}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    return f"did you mean {by_lower[near[0]]}?" if near else ""
 
 
 class ConfigError(HilError, ValueError):

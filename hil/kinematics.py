@@ -1,7 +1,7 @@
 """Maps between body motion and wheel motion of a robot with four steered and driven wheels.
 
 Rigid-body constraint of wheel i at (x_i, y_i): its contact point moves with
-(v_x - y_i w, v_y + x_i w) in the body frame (`facts/robot.md`, the paper's equation 1). Stacked over
+(v_x - y_i w, v_y + x_i w) in the body frame (arXiv 2509.04016, equation 1). Stacked over
 the wheels this is P b = u with P (8, 3), body twist b = (v_x, v_y, w) and wheel vectors
 u = (v_1 cos d_1, v_1 sin d_1, v_2 cos d_2, ...). Forward models, by name:
 
@@ -73,7 +73,7 @@ class WheelGeometry:
 
     @classmethod
     def nominal(cls) -> WheelGeometry:
-        """The CAD geometry (`facts/robot.md`): +-112.5 mm, radius 25.4 mm."""
+        """The CAD geometry (arXiv 2509.04016): +-112.5 mm, radius 25.4 mm."""
         a = NOMINAL_HALF_BASE_M
         return cls(np.array([a, -a, -a, a]), np.array([a, a, -a, -a]), np.full(4, NOMINAL_RADIUS_M))
 

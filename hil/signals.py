@@ -5,7 +5,7 @@ Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL,
 wheel order. "No data" is never a number: it is NaN together with a status that says why.
 
 Frames: `body` has x forward, y left, z out of the surface; `wall` has X up the wall, Y to the left,
-Z out of the wall (`facts/robot.md`). On the floor the same names hold with Z up.
+Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up.
 """
 
 from __future__ import annotations

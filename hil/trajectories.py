@@ -2,8 +2,8 @@
 
 A trajectory is a chain of segments. A segment is a path over s in [0, 1] and a time law: `quintic`
 (s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both ends) or `constant` (the step profile of the public
-recordings). Wall frame: X up the wall, Y to the left; heading about the wall normal
-(`facts/plant_and_control.md`, section Trajectories). SI units.
+recordings). Wall frame: X up the wall, Y to the left; heading about the wall normal.
+SI units.
 """
 
 from __future__ import annotations
@@ -249,7 +249,7 @@ def read_waypoints(path: Path) -> list[Array]:
 
 
 def recorded_motion(name: str) -> Trajectory:
-    """The public recordings' motions: constant speed with a step start (`facts/robot.md`)."""
+    """The public recordings' motions: constant speed with a step start (arXiv 2509.04016)."""
     origin = (0.0, 0.0, 0.0)
     v, w = 0.050, 0.157
     law: TimeLaw = "constant"

@@ -56,7 +56,7 @@ class Parameters(BaseModel):
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
     """What an inspection needs; odometry must fail on a full scan."""
-    why = "facts/plant_and_control.md, 5-lane scan"
+    why = "a scan of five lanes in simulation: EKF 3.1 and 3.7 mm, odometry 170 and 29.5"
     for axis in ("x", "y"):
         yield Measurement(f"rmse_{axis}", "mm", high=6.0, marginal=0.5, rationale=why)
     yield Measurement("rmse_heading", "deg", high=0.4, marginal=0.05)

@@ -1,7 +1,7 @@
 """Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
-are those that the paper's experiments call for (`facts/plant_and_control.md`, closed loop). Limits on
+are those that the paper's experiments call for (arXiv 2509.04016). Limits on
 means hold for several seeds: in a single world the camera's scale, drawn once, decides such a figure.
 """
 

@@ -19,7 +19,7 @@ def public_data():
     base = Path(os.environ.get("HIL_DATA", ROOT.parent / "shared" / "data"))
     folder = base / "4wis4wid"
     if not folder.is_dir():
-        pytest.skip(f"public recordings not found in {folder}: set HIL_DATA (README, section Data)")
+        pytest.skip(f"public recordings not found in {folder}: set HIL_DATA (docs/calibration.md)")
     return folder
 
 

@@ -6,7 +6,7 @@ line and the procedures have.
 """
 
 from hil.bench.bench import Bench
-from hil.bench.emulation import open_emulation
+from hil.bench.emulation import check_faults, open_emulation
 from hil.bench.opening import open_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
@@ -19,6 +19,7 @@ __all__ = [
     "Fault",
     "World",
     "alignment_parameters",
+    "check_faults",
     "describe_fault",
     "make_fault",
     "open_bench",

@@ -14,10 +14,10 @@ from hil.bench.drivers import Connections
 from hil.bench.repeating import repeating_robot
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, HilError, UsageError
+from hil.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.faults import Fault, FaultPlan, describe
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
 from hil.fakes.mocap import MocapTruthOptions, NatNetFace, NatNetServer
 from hil.fakes.plant import make_plant
@@ -69,8 +69,8 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     return World(plant, seed=seed, faults=plan)
 
 
-def connect_in_process(config: BenchConfig, world: World) -> Connected:
-    """All devices of a bench in this process, on names of their own.
+def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
+    """All emulated devices of a bench (or `only` some) in this process, on names of their own.
 
     Raises:
         FaultNotSupportedError: a fault that none of them can produce.
@@ -80,6 +80,8 @@ def connect_in_process(config: BenchConfig, world: World) -> Connected:
     values = connected.connections.values
     try:
         for name in config.emulated():
+            if only and name not in only:
+                continue
             if name in _SERIAL:
                 line = _SERIAL[name](config, world, f"{name}-{number}").open()
                 connected.closers.append(line.close)
@@ -97,6 +99,36 @@ def connect_in_process(config: BenchConfig, world: World) -> Connected:
         connected.close()
         raise
     return connected
+
+
+def check_faults(
+    config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
+) -> tuple[Fault, ...]:
+    """Read the faults of a bench, and refuse what none of its emulated devices can produce.
+
+    Nothing is opened.
+
+    Args:
+        config: the bench; the faults that it names come first.
+        given: further specs or paths of TOML timelines.
+        only: names of the devices that will be emulated; all that the bench emulates when empty.
+
+    Returns:
+        All faults.
+
+    Raises:
+        UsageError, ConfigError: a spec or a file that cannot be read.
+        FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
+    """
+    faults = read_faults((*config.emulation.faults, *given))
+    if faults and not config.emulated():
+        raise FaultNotSupportedError(
+            f"fault {describe(faults[0])}: every device of {config.name} is real",
+            remedy="use --emulate for the devices that faults are meant for",
+        )
+    if faults:
+        connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
+    return faults
 
 
 def open_emulation(
@@ -133,13 +165,12 @@ def open_emulation(
             f"{config.name} has nothing to emulate", expected="emulated devices: --emulate or backend",
             remedy="use --bench emulated",
         )  # fmt: skip
-    plan = read_faults((*config.emulation.faults, *faults))
+    plan = check_faults(config, faults, only=names)
     world = build_world(config, seed=seed, faults=plan)
     faces: dict[str, Face] = {}
     try:
         for name in names:
             faces["can" if name == "encoders" else name] = _FACES[name](config, world, standard_ports)
-        world.faults.check()
     except HilError:
         for face in faces.values():
             face.close()

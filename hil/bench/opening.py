@@ -12,7 +12,7 @@ from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.drivers import Connections, make_rig
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulation import build_world, check_faults, connect_in_process
 from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
@@ -20,9 +20,7 @@ from hil.calibration.shelf import check_made_for
 from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.tracker import FeedEndpoint
-from hil.errors import FaultNotSupportedError
 from hil.fakes.faults import Fault, describe
-from hil.fakes.timeline import read_faults
 from hil.fakes.world import VirtualClock
 from hil.interfaces import Sink
 
@@ -63,14 +61,9 @@ def open_bench(
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
-    plan = read_faults((*checked.emulation.faults, *faults))
+    plan = check_faults(checked, faults)
     emulated = checked.emulated()
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
-    if plan and not emulated:
-        raise FaultNotSupportedError(
-            f"fault {describe(plan[0])}: every device of {checked.name} is real",
-            remedy="use --emulate for the devices that faults are meant for",
-        )
     if not emulated:
         clock = MonotonicClock()
         return Bench(checked, clock, make_rig(checked, clock, Connections()), **common)

@@ -103,7 +103,7 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
     """A configuration whose estimators read the wheels by the model that the calibration was fitted with.
 
     A model that the bench file names itself stays, and a difference is a warning: calibrated wheels are
-    effective ones, good for their own model only (`facts/calibration.md`).
+    effective ones, good for their own model only (`docs/calibration.md`).
 
     Args:
         config: of the bench.

@@ -1,6 +1,6 @@
 """Recordings reduced to what a fit needs: wheel vectors per block of time, truth at the block ends.
 
-Two facts make a fit quick (`facts/calibration.md` section 7): the wheel vectors dphi (cos d, sin d)
+Two facts make a fit quick: the wheel vectors dphi (cos d, sin d)
 do not depend on the parameters, and increments may be summed to blocks of 0.1 s, because the SE(2)
 exponential takes care of the chord. Recordings are padded to one length so that all of them are
 integrated in one call; a padded block does not move the robot and has no weight.

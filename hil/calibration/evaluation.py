@@ -1,12 +1,12 @@
 """Odometry against ground truth: the error table of recordings (`hil evaluate`).
 
-Two preprocessings. `paper` follows the authors' own (`data/README.md`): receive stamps made
+Two preprocessings. `paper` follows the authors' own (arXiv 2509.04016): receive stamps made
 increasing, servo signals interpolated onto the ground-truth stamps, the first 29 samples dropped,
 forward Euler, initial heading from one sample. The default integrates on the SE(2) group and starts
 from the ground truth averaged over the initial rest, because one noisy first heading would cost
 millimetres per metre.
 
-Errors e_m and e_a are the paper's (`facts/robot.md`): e_m is the largest absolute error of any
+Errors e_m and e_a are the paper's (arXiv 2509.04016): e_m is the largest absolute error of any
 repetition, e_a the mean over the repetitions of each one's largest absolute error.
 """
 

@@ -1,8 +1,8 @@
 """From recordings to a fitted parameter vector: robust weights, continuation, then the chosen method.
 
 The dry-friction model has bad minima, so it is fitted through a chain of easier problems: friction
-exponent 2 (least squares), 1.5, 1.2, 1 (Coulomb), each started at the last one's solution
-(`facts/calibration.md` section 3). Weights per recording come from a Levenberg-Marquardt pre-fit
+exponent 2 (least squares), 1.5, 1.2, 1 (Coulomb), each started at the last one's solution.
+Weights per recording come from a Levenberg-Marquardt pre-fit
 that all methods share; stochastic methods search the least-squares problem and are carried through
 the chain by Levenberg-Marquardt.
 """
@@ -179,7 +179,7 @@ def twist_between(found: Fit, nominal: WheelGeometry) -> Array:
 def twist_correction(z: Array, nominal: WheelGeometry) -> Array:
     """C (3, 3): actual body twist = C times the twist that nominal odometry reports.
 
-    All that rigid-body commands can show about the parameters (`facts/calibration.md`, headline 1);
+    All that rigid-body commands can show about the parameters;
     deployed with nominal inverse kinematics it avoids the directions that the data leave free.
     """
     per_wheel = nominal.projection() / np.repeat(nominal.radius_m, 2)[:, None]

@@ -105,7 +105,7 @@ class Jackknife:
 
 
 def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
-    """Leave each recording out with one Gauss-Newton step (`facts/calibration.md` section 5).
+    """Leave each recording out with one Gauss-Newton step.
 
     The naive (J'J)^-1 would be too small by up to fifty times: errors along a recording are one
     random walk.

@@ -3,7 +3,7 @@
 Two named settings. `paper`: squared errors in m^2 + rad^2, twelve parameters in a hard box of +-5 %
 around nominal. `recommended`: sixteen parameters with a Gaussian prior instead of bounds, residuals
 in units of their spread, each recording counted as a few effective observations, because twenty
-seconds of odometry error are one random walk (`facts/calibration.md` section 5), and a Cauchy weight
+seconds of odometry error are one random walk, and a Cauchy weight
 per recording, so that a bad one cannot pull the fit.
 """
 

@@ -56,7 +56,10 @@ class Shelf:
     def versions(self) -> tuple[KeptVersion, ...]:
         """Every version, oldest first; a damaged file raises `ConfigError`."""
         pattern = re.compile(re.escape(self.path.stem) + r"\.v(\d+)" + re.escape(self.path.suffix))
-        current = self.path.read_bytes() if self.path.exists() else None
+        try:
+            current = self.path.read_bytes() if self.path.exists() else None
+        except OSError as error:
+            raise ConfigError(f"{self.path}: cannot be read ({error.strerror or error})") from None
         found = [
             KeptVersion(p, read_calibration(p), p.read_bytes() == current)
             for p in self.path.parent.glob("*")

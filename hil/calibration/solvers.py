@@ -2,7 +2,7 @@
 
 All of them minimise the same `Problem`. The gradient methods use the Gauss-Newton matrix; the
 stochastic ones search the directions that the data determine (in the raw box they stop 4 to 135 %
-above the optimum, `facts/calibration.md` section 7) and are polished by a gradient method (interior
+above the optimum on the authors' recordings) and are polished by a gradient method (interior
 point where there is a box); the result says both.
 """
 
@@ -209,7 +209,7 @@ def determined_directions(problem: Problem) -> Array:
     """(m, d) columns: directions that the data determine better than the prior, one prior std long.
 
     Data information J'J is whitened by the prior spread; directions with more than the prior's own
-    information are kept ("report directions with information > 1", `facts/calibration.md`).
+    information are kept.
     """
     _, _, hessian = problem.gradient_terms(problem.nominal)
     information = hessian - np.diag(problem.prior_precision())

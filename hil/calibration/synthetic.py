@@ -5,7 +5,7 @@ steering zeros and wheel loads of its own. Its motion follows from force balance
 contacts, never from the odometry formula: under `viscous` contact each wheel pulls in proportion to
 its load and slip, under `coulomb` contact with a force that does not grow with slip. What is
 recorded passes through the devices' imperfections as measured on the real robot
-(`facts/robot.md`): 12-bit counts, a velocity register that lags 52 ms and truncates half a unit,
+(arXiv 2509.04016): 12-bit counts, a velocity register that lags 52 ms and truncates half a unit,
 steering dither, capture noise, jittery stamps.
 """
 

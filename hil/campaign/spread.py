@@ -13,6 +13,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hil.errors import UsageError
+from hil.extras import how_to_install
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -76,7 +77,7 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
     except ImportError:
         raise UsageError(
             "a campaign in parallel needs Dask, which is not installed",
-            remedy="install the extra: pip install 'hil-4wis4wid[campaign]', or use --workers 0",
+            remedy=f"{how_to_install('campaign')}; or use --workers 0",
         ) from None
     logging.getLogger("distributed").setLevel(logging.CRITICAL)
     if scheduler:

@@ -15,6 +15,7 @@ from collections.abc import Sequence
 import click
 
 from hil import __version__
+from hil.cli.options import SuggestingGroup
 from hil.errors import EXIT_ABORTED, EXIT_USAGE, HilError
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
@@ -41,7 +42,7 @@ COMMANDS = {
 }
 
 
-class LazyGroup(click.Group):
+class LazyGroup(SuggestingGroup):
     """A click group that imports a command's module on first use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.options import SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.kinematics import MODELS
@@ -32,10 +33,10 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 )
 @click.option(
     "--bounds",
-    type=click.FloatRange(0.0, 0.5, min_open=True),
+    type=FiniteRange(0.0, 0.5, min_open=True),
     help="Hard bounds instead of the prior: share of a length, rad of a zero, e.g. 0.05.",
 )
-@click.option("--seed", default=0, show_default=True, help="Seed of the stochastic methods.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the stochastic methods.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @BENCH
 @click.option("--out", type=click.Path(path_type=Path), help="Write calibration.toml here.")

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import SuggestingGroup
+
 if TYPE_CHECKING:
     from hil.calibration.shelf import KeptVersion
     from hil.config.bench import BenchConfig
@@ -17,7 +19,7 @@ _BENCH = click.option("--bench", help="Bench file or profile that uses it: anoth
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
-@click.group()
+@click.group(cls=SuggestingGroup)
 def command() -> None:
     """List, apply and roll back versions of a calibration.toml."""
 

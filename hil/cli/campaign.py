@@ -37,7 +37,7 @@ PLAN, TABLE, CSV, PAGE = "plan.json", "campaign.json", "campaign.csv", "campaign
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As in hil run, for all cases.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
-@click.option("--workers", type=click.IntRange(0), default=os.cpu_count() or 1,
+@click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
               help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
 @click.option("--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to use instead.")
 @click.option("--out", type=click.Path(path_type=Path), help="Results [default: out/campaign_NAME/TIME].")
@@ -91,7 +91,11 @@ def _optional(given: str | Path | None) -> str | None:
 
 def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
     """Refuse before anything runs what no case, or a single one, could do."""
+    from hil.procedure.operator import Answers
     from hil.procedure.parameters import make_parameters
+
+    if setup.answers is not None:
+        Answers(Path(setup.answers))
 
     seen = set()
     for case in cases:
@@ -101,6 +105,8 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
         source, parameters = setup.source(proc, case)
         make_parameters(proc.parameters, parameters, proc.name)
         proc.check_needs(source.config)
+        source.check_faults()
+        source.describe_calibration()
         if not source.virtual:
             raise UsageError(
                 f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",

@@ -7,12 +7,13 @@ from pathlib import Path
 
 import click
 
+from hil.cli.options import SEED
 from hil.cli.robots import BENCH, configured, on_paper
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
-@click.option("--seed", default=0, show_default=True, help="Seed of robot and noise.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of robot and noise.")
 @click.option("--repetitions", default=4, show_default=True, type=click.IntRange(1, 20))
 @click.option("--contact", type=click.Choice(["viscous", "coulomb"]), default="viscous", show_default=True)
 @click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2.")

@@ -33,6 +33,8 @@ def command(
     from hil.errors import UsageError
     from hil.files import write_text
 
+    if "" in ports:
+        raise UsageError("--port ''", expected="a serial port or a pyserial URL")
     if out is not None and out.exists():
         raise UsageError(f"{out} exists already", remedy="choose another name for --out")
     found = discover(
@@ -63,7 +65,7 @@ def _bus(text: str) -> EncodersConfig:
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
-    if not channel or (port and not port.isdigit()):
+    if not interface or not channel or (port and not port.isdigit()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
     options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
     return EncodersConfig(interface=interface, channel=channel, options=options)

@@ -6,6 +6,7 @@ import json
 
 import click
 
+from hil.cli.options import SEED, FiniteRange
 from hil.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
@@ -15,9 +16,16 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAI
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
 @click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
-@click.option("--watch", "watch_s", default=2.0, show_default=True, help="Seconds that each device is read.")
+@click.option(
+    "--watch",
+    "watch_s",
+    type=FiniteRange(0.0, 3600.0),
+    default=2.0,
+    show_default=True,
+    help="Seconds that each device is read.",
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     bench: str, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...], watch_s: float,

@@ -14,6 +14,7 @@ from types import FrameType
 
 import click
 
+from hil.cli.options import SEED
 from hil.clock import sleep_punctually
 from hil.errors import EXIT_PASS
 
@@ -24,7 +25,7 @@ _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 @click.command()
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
 @click.option("--only", default="", metavar="NAMES", help="Devices, separated by commas [default: all].")
-@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
 @click.option(
     "--standard-ports", is_flag=True,

@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import json
 import platform
-from importlib import util
 
 import click
 
 from hil import __version__
+from hil.extras import MODULES, is_installed
 from hil.versions import version_of
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
     "fastcrc", "filterpy", "mcap", "rosbags", "matplotlib", "rerun-sdk", "pyarrow", "pyrealsense2",
 )  # fmt: skip
-_EXTRAS = {
-    "fast": "numba",
-    "rerun": "rerun",
-    "parquet": "pyarrow",
-    "t265": "pyrealsense2",
-    "campaign": "distributed",
-}
 
 
 def _compile() -> None:
@@ -49,7 +42,7 @@ def command(compiling: bool, as_json: bool) -> int:
     if compiling:
         _compile()
     packages = {name: version_of(name) for name in _PACKAGES}
-    extras = {name: util.find_spec(module) is not None for name, module in _EXTRAS.items()}
+    extras = {name: is_installed(name) for name in MODULES}
     host = platform.platform()
     if as_json:
         found = {"hil": __version__, "python": platform.python_version(), "platform": host}

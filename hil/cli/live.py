@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
+from hil.cli.options import SEED, FiniteRange, rerun_option
 from hil.errors import EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -42,13 +43,13 @@ _KINDS = ("odometry", "ekf", "ukf")
     "dead_man_s",
     default=0.5,
     show_default=True,
-    type=click.FloatRange(0.02, 10.0),
+    type=FiniteRange(0.02, 10.0),
     help="Age in s at which a command means stop.",
 )
 @click.option(
     "--duration",
     "duration_s",
-    type=click.FloatRange(0.0, min_open=True),
+    type=FiniteRange(0.0, min_open=True),
     help="Seconds [default: until the trajectory or a signal ends it].",
 )
 @click.option(
@@ -62,7 +63,7 @@ _KINDS = ("odometry", "ekf", "ukf")
     help="Estimators beside it (repeatable).",
 )
 @click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
-@click.option("--rerun", "view", help="spawn, connect, serve, a URL or a .rrd file; several with commas.")
+@rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
 @click.option(
     "--record", type=click.Path(path_type=Path), help="Recording to write [default: out/live/TIME.mcap]."
 )
@@ -77,7 +78,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 )
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
 @start.option
-@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option(
     "--replay",
     "repeated",
@@ -115,6 +116,7 @@ def command(
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())
     overrides |= start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
+    reference = None if source is None else load_trajectory(source)
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
@@ -124,7 +126,7 @@ def command(
     )  # fmt: skip
     try:
         plan = LivePlan(
-            None if source is None else load_trajectory(source), lines, duration_s, feedback, observers,
+            reference, lines, duration_s, feedback, observers,
             controller, dead_man_s,
         )  # fmt: skip
         recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
@@ -192,8 +194,9 @@ def _text(summary: dict[str, Any]) -> str:
         f"{summary['bench']} at {summary['rate_hz']:g} Hz, ended by: {summary['ended']}",
         f"{timing['cycles']:.0f} cycles, {timing['late']:.0f} late, {timing['overruns']:.0f} overruns, "
         f"{timing['skipped']:.0f} skipped",
-        f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}",
     ]
+    if timing["cycles"]:
+        lines.append(f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}")
     for name in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):
         if f"{name}_mean_ms" in timing:
             values = (timing[f"{name}_{kind}_ms"] for kind in ("mean", "p99", "worst"))

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import rerun_option
 from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
@@ -53,7 +54,7 @@ _COLUMNS = (
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the estimators.")
 @click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
 @click.option("--page", type=click.Path(path_type=Path), help="HTML page with figures.")
-@click.option("--rerun", "view", help="Show it: spawn, connect, serve, a URL or a .rrd file.")
+@rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     recording: Path, estimators: tuple[str, ...], verify: bool, number: int | None, bench: str | None,

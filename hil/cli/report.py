@@ -10,7 +10,9 @@ import click
 
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--out", type=click.Path(path_type=Path), help="Where to write the page of a comparison.")
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Where to write the page [default: in the folder]."
+)
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """Write the report of a results folder; with several folders, compare their runs."""
@@ -18,7 +20,7 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     from hil.report.run_page import read_result, write_run_page
 
     if len(folders) == 1:
-        page = write_run_page(folders[0])
+        page = write_run_page(folders[0], out)
         tree = read_result(folders[0])
         found = {"report": str(page), "procedure": tree["procedure"], "verdict": tree["verdict"]}
         click.echo(json.dumps(found) if as_json else f"{tree['verdict']}: {page}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
+from hil.cli.options import SEED
 from hil.cli.progress import reporting
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 @click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE",
               help="Parameter of the procedure, or `bench.KEY` of the bench file.")  # fmt: skip
-@click.option("--seed", default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="Fault, e.g. imu:stuck@2+3.")

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import copy
 import sys
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
-from pydantic import Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from hil.config.consistency import contradictions
 from hil.config.control import ControlConfig
@@ -33,7 +33,7 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.config.tracker import TrackerConfig
-from hil.errors import ConfigError
+from hil.errors import ConfigError, did_you_mean
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -140,6 +140,7 @@ def find_bench(source: str | Path) -> tuple[str, str]:
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),
+        remedy=did_you_mean(str(source), profile_names()),
     )
 
 
@@ -210,6 +211,7 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
             raise ConfigError(
                 f"--emulate {name}: the bench has no such device",
                 expected="all or some of " + ", ".join(present),
+                remedy=did_you_mean(name, present),
             )
     return names
 
@@ -257,9 +259,23 @@ def explained(error: ValidationError) -> list[str]:
     ]
 
 
+def _keys(tables: Sequence[int | str]) -> tuple[str, ...]:
+    """Names of the keys in a table of the file, given by the names on the way to it."""
+    model: Any = BenchConfig
+    for name in tables:
+        field = model.model_fields.get(name) if isinstance(name, str) else None
+        kinds = () if field is None else (field.annotation, *get_args(field.annotation))
+        model = next((k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)), None)
+        if model is None:
+            return ()
+    return tuple(field.alias or name for name, field in model.model_fields.items())
+
+
 def _reason(item: Any) -> str:
     if item["type"] == "extra_forbidden":
-        return "unknown key; remove it or check the spelling"
+        *tables, key = item["loc"]
+        near = did_you_mean(str(key), _keys(tables))
+        return f"unknown key; {near or 'remove it or check the spelling'}"
     if item["type"] == "missing":
         return "missing"
     return f"{item['msg']} (found {item['input']!r})"

@@ -14,7 +14,7 @@ Weight = Annotated[float, Within(1e-6, 1e6, "only the ratios of the weights coun
 
 
 class ControlConfig(BaseModel):
-    """Which law, its gains, the module layer and its limits; sources in `facts/plant_and_control.md`.
+    """Which law, its gains, the module layer and its limits.
 
     Attributes:
         law: `nonlinear` (model-based, per wheel) or `optimal` (time-varying LQR).

@@ -1,8 +1,8 @@
 """Estimation: which filter, on which engine, with which noise; units are in the names.
 
 A power density carries the unit of its root: `acceleration_m_s2_sqrt_hz` 0.3 lets the speed wander by
-0.3 m/s in one second. Sources of the defaults: `facts/estimation.md`, `facts/robot.md`, and the
-public recordings (`docs/estimation.md` says how they were fitted).
+0.3 m/s in one second. The defaults were fitted to the authors' public
+recordings (`docs/estimation.md` says how).
 """
 
 from __future__ import annotations
@@ -252,7 +252,7 @@ class EstimatorConfig(_Strict):
 
 
 def check_scales(config: EstimatorConfig) -> None:
-    """Refuse two free scales (`facts/estimation.md`: 27 -> 155 mm when both were freed)."""
+    """Refuse two free scales (in simulated wall drives 27 mm became 155 when both were freed)."""
     if config.wheel_scale_sigma > 0 and config.tracker.scale_sigma > 0:
         raise ConfigError(
             f"estimator: wheel_scale_sigma = {config.wheel_scale_sigma:g} and tracker.scale_sigma = "

@@ -22,7 +22,7 @@ class ImuConfig(BaseModel):
         external_crystal: whether a 32 kHz crystal is fitted (better clock and fusion).
         axis_map, axis_sign: registers 0x41 and 0x42; right-handed maps only (datasheet 3.4).
         mount_position_m, mount_rotation_wxyz: sensor (after the remap) in the body, m
-            (`facts/robot.md`).
+            (arXiv 2509.04016).
         calibration_file: 22 offset bytes as hex text or as TOML, written at open and after a reset.
         prefetch: ask for the next burst at the end of each read, so that a read need not wait for the
             wire (3.5 ms); the sample is then one cycle old, and stamped so.

@@ -20,7 +20,7 @@ Wheels = tuple[Finite, Finite, Finite, Finite]
 
 
 class RobotConfig(BaseModel):
-    """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; sources in `facts/robot.md`.
+    """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; figures of arXiv 2509.04016.
 
     Attributes:
         wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii.
@@ -33,7 +33,7 @@ class RobotConfig(BaseModel):
         thrust_imbalance: (right - left) / both, of the propeller thrusts.
         propeller_y_m, propeller_height_m: lateral distance and height of the two propellers.
         creep_ratio: how stiff its tyres are against creeping sideways, as a share of lengthwise; an
-            assumption (`facts/plant_and_control.md`: 7 to 10) for the wheel model `creep`.
+            assumption for the wheel model `creep`.
         supply_v: servo supply.
     """
 

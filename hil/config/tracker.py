@@ -46,7 +46,7 @@ class TrackerConfig(BaseModel):
         backend: `real`, or `emulated` for a device that the bench emulates.
         serial: serial number of the camera to use; any T265 when None.
         endpoint: poses come from an emulated camera in another process instead of the USB library.
-        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (`facts/robot.md`);
+        mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (arXiv 2509.04016);
             applied by the alignment.
         latency_s: smallest time from exposure to the host, which no host clock can see.
         jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and

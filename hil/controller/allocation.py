@@ -3,8 +3,7 @@
 1. inverse kinematics; 2. a wheel that hardly moves holds its last angle (a centre of rotation on a
 wheel is singular); 3. flip by half a turn when that is the shorter turn from the **measured** angle,
 with hysteresis; 4. keep inside the steering range, else flip; 5. cosine compensation; 6. desaturate
-all wheels alike, which keeps the centre of rotation; 7. steering rate limit
-(`facts/plant_and_control.md`).
+all wheels alike, which keeps the centre of rotation; 7. steering rate limit.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Control laws: from pose error and reference to a commanded body twist.
 
 Pose error in the measured body frame: e = (R(th)' (p_d - p), wrap(th_d - th)); reference twist t_d in
-the reference's body frame (`facts/plant_and_control.md`, section Controllers).
+the reference's body frame.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Offset and drift of a sensor's clock against the host's, from stamps and receive times.
 
 A sample cannot arrive before it was measured, and now and then one arrives with little delay: the lower
-envelope of receive time minus stamp follows offset plus least delay, free of jitter (`facts/estimation.md`:
+envelope of receive time minus stamp follows offset plus least delay, free of jitter (a real T265:
 -54.8 ms in 65 min, receive jitter to 200 ms). The envelope is kept as minima over short blocks; a line
 through the blocks of the last minutes gives the drift. The first block counts as aligned, so the
 correction removes what the clock has drifted since.

@@ -1,9 +1,9 @@
 """The same filter on filterpy: its predict and update steps, our models, its defects avoided.
 
 filterpy's UKF keeps the sigma points of the prediction through several updates, averages with the plain
-weighted sum (W_0 = -1e6 cancels), neither symmetrises nor gates, and fails on a singular covariance
-(`facts/estimation.md`). Here the points are drawn anew before every use, means are summed relative to the
-centre point, the square root accepts singular matrices, and rows are gated before the update.
+weighted sum (W_0 = -1e6 cancels), neither symmetrises nor gates, and fails on a singular covariance. Here
+the points are drawn anew before every use, means are summed relative to the centre point, the square root
+accepts singular matrices, and rows are gated before the update.
 Slow: it is the reference that the compiled engine is held against, to 1e-9.
 """
 

@@ -2,7 +2,7 @@
 
 The wheels' disagreement is smaller than the encoder's quantisation in one servo step, so the weights
 come from the steps of the last `friction_window_s` together and are applied to the newest step
-(`facts/calibration.md` section 3: block of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same laws as
+(blocks of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same laws as
 `hil.contact_laws`.
 """
 

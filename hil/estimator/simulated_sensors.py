@@ -1,7 +1,7 @@
 """Simulated gyro, camera and wheels along a known path, for judging estimators without a robot.
 
-Not an emulated device: no wire, no plant, only errors of the size that `facts/estimation.md` and
-`facts/robot.md` give, on top of a path that came from motion capture or was computed. Randomness is an
+Not an emulated device: no wire, no plant, only errors of the size that arXiv 2509.04016 gives and
+the authors' recordings show, on top of a path that came from motion capture or was computed. Randomness is an
 argument; the same generator state gives the same samples.
 """
 

@@ -1,4 +1,4 @@
-"""Unscented transform with its known traps avoided (`facts/estimation.md`, traps in the libraries).
+"""Unscented transform with its known traps avoided: those that filter libraries fall into.
 
 Sigma points are drawn anew before every use; sums are taken relative to the centre point, because
 W_0 is about -1e6 at alpha = 1e-3; headings are unwrapped real numbers, so there is no circular mean. The

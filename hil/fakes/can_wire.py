@@ -18,11 +18,19 @@ import can
 
 from hil.clock import NS_PER_S, nanoseconds
 from hil.errors import DeviceError, UsageError
+from hil.fakes.faults import STRIKES, Supported
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS, World
 
-WIRE_FAULTS = ("drop", "truncate", "duplicate", "bus_off", "unplug", "baud_mismatch")
+WIRE_FAULTS: Supported = {
+    "drop": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "bus_off": (),
+    "unplug": (),
+    "baud_mismatch": (),
+}
 DEFAULT_GROUP = "239.74.163.2"
 DEFAULT_PORT = 43113
 

@@ -3,7 +3,8 @@
 One vocabulary for every device (`design.md`). A fault spec is written
 `DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
 `servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
-without `+` until the end. A device declares what it supports; anything else is refused.
+without `+` until the end. A device declares what it supports and with which options; anything else is
+refused.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import FaultNotSupportedError, UsageError
+from hil.errors import FaultNotSupportedError, UsageError, did_you_mean
 
 SIGNAL_FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 WIRE_FAULTS = (
@@ -25,6 +26,10 @@ WIRE_FAULTS = (
 )  # fmt: skip
 PLANT_FAULTS = ("adhesion_loss",)
 VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+Supported = Mapping[str, tuple[str, ...]]
+"""Faults that a device can produce, and the options that each takes."""
+
+STRIKES, PERIODIC = ("probability",), ("period_s", "duty")
 _SLOWNESS, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.5, 0.5, 0.1
 
 _SPEC = re.compile(
@@ -75,12 +80,18 @@ def make_fault(
 ) -> Fault:
     """A fault from seconds; raises `UsageError` for an unknown kind or an impossible time."""
     if kind not in VOCABULARY:
-        raise UsageError(f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY))
-    if not (math.isfinite(at) and at >= 0) or (duration is not None and not duration > 0):
+        raise UsageError(
+            f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY),
+            remedy=did_you_mean(kind, VOCABULARY),
+        )  # fmt: skip
+    if not 0 <= at < math.inf or (duration is not None and not 0 < duration < math.inf):
         raise UsageError(
             f"fault {device}:{kind} has start {at} s and duration {duration} s",
             expected="a start >= 0 and a duration > 0",
         )
+    for key, value in options.items():
+        if not math.isfinite(value):
+            raise UsageError(f"fault {device}:{kind} has {key} = {value}", expected="a finite number")
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
 
@@ -116,11 +127,11 @@ class FaultPlan:
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults = list(faults)
-        self._supported: dict[str, frozenset[str]] = {}
+        self._supported: dict[str, Supported] = {}
 
-    def declare(self, device: str, supported: Iterable[str]) -> None:
+    def declare(self, device: str, supported: Supported) -> None:
         """A device announces a name and what it can do; checks the faults known so far at `check`."""
-        self._supported[device] = frozenset(supported)
+        self._supported[device] = dict(supported)
 
     def add(self, fault: Fault) -> None:
         """Add a fault while running; refused at once when unsupported."""
@@ -141,13 +152,23 @@ class FaultPlan:
             raise FaultNotSupportedError(
                 f"fault {fault.device}:{fault.kind}: no emulated device of that name",
                 expected="one of " + ", ".join(sorted(self._supported)),
-                remedy="faults are refused on real hardware",
+                remedy=did_you_mean(fault.device, self._supported) or "faults are refused on real hardware",
             )
-        if fault.kind not in self._supported[fault.device]:
+        kinds = self._supported[fault.device]
+        if fault.kind not in kinds:
             raise FaultNotSupportedError(
                 f"{fault.device} cannot produce the fault {fault.kind!r}",
-                expected="one of " + ", ".join(sorted(self._supported[fault.device])),
+                expected="one of " + ", ".join(sorted(kinds)),
+                remedy=did_you_mean(fault.kind, kinds),
             )
+        options = kinds[fault.kind]
+        for key in fault.options:
+            if key not in options:
+                raise FaultNotSupportedError(
+                    f"fault {fault.device}:{fault.kind} has no option {key!r}",
+                    expected="one of " + ", ".join(options) if options else "no option",
+                    remedy=did_you_mean(key, options),
+                )
 
     @property
     def empty(self) -> bool:

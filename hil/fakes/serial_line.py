@@ -2,7 +2,7 @@
 
 Bytes leave the client's adapter at the baud rate, reach the chip, and its answer comes back paced by
 the same rate. The adapter hands received bytes to the host in packets: a full one at once, the rest
-when its latency timer expires (16 ms as delivered, 1 ms as it should be set; `facts/devices.md`).
+when its latency timer expires (16 ms as delivered, 1 ms as it should be set).
 Everything happens in world time; `protocol_hil.py` and `serial_pty.py` connect clients to a line.
 """
 
@@ -14,10 +14,18 @@ import serial
 
 from hil.clock import NS_PER_S, nanoseconds
 from hil.errors import UsageError
+from hil.fakes.faults import STRIKES, Supported
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
 
-LINE_FAULTS = ("drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "unplug")
+LINE_FAULTS: Supported = {
+    "drop": STRIKES,
+    "corrupt": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "baud_mismatch": (),
+    "unplug": (),
+}
 
 _BITS_PER_BYTE = 10
 _USB_PACKET = 62
@@ -62,7 +70,7 @@ class SerialLine(Scheduled):
         self._out_free_ns = self._in_free_ns = 0
         self._baud = 0
         self.in_use = False
-        world.faults.declare(chip.name, (*chip.supported_faults, *LINE_FAULTS))
+        world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
 
     def open(self) -> SerialLine:

@@ -10,6 +10,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Protocol
 
+from hil.fakes.faults import Supported
 from hil.fakes.world import NEVER_NS
 
 
@@ -30,7 +31,7 @@ class SerialChip(Protocol):
     """
 
     name: str
-    supported_faults: tuple[str, ...]
+    supported_faults: Supported
 
     @abstractmethod
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:

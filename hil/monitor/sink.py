@@ -7,7 +7,6 @@ virtual time (`lossless`) the records are sent in the caller's thread and nothin
 
 from __future__ import annotations
 
-import importlib.util
 import logging
 import pickle
 import struct
@@ -17,7 +16,8 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from hil.errors import UsageError
+from hil.errors import UsageError, did_you_mean
+from hil.extras import how_to_install, is_installed
 from hil.geometry import Array
 from hil.interfaces import Sink
 from hil.kinematics import WheelGeometry
@@ -38,14 +38,21 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: an empty list, or a file in a folder that does not exist.
+        UsageError: an empty list, a word that is none of them, or a file in a folder that does not exist.
     """
     targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
-    files = [t for t in targets if t not in LIVE and "://" not in t]
-    if not targets or not all(Path(f).resolve().parent.is_dir() for f in files):
-        raise UsageError(
-            f"the monitor cannot open {target!r}", expected="spawn, connect, serve, a URL or a .rrd file"
-        )
+    expected = "spawn, connect, serve, a URL or a .rrd file"
+    if not targets:
+        raise UsageError(f"the monitor cannot open {target!r}", expected=expected)
+    for name in targets:
+        if name in LIVE or "://" in name:
+            continue
+        if Path(name).suffix != ".rrd":
+            raise UsageError(
+                f"the monitor cannot open {name!r}", expected=expected, remedy=did_you_mean(name, LIVE)
+            )
+        if not Path(name).resolve().parent.is_dir():
+            raise UsageError(f"the monitor cannot open {name!r}: no such folder", expected=expected)
     return targets
 
 
@@ -78,10 +85,9 @@ class RerunMonitor(Sink):
         patience_s: float = _CLOSE_S,
     ) -> None:
         targets = split_targets(target)
-        if importlib.util.find_spec("rerun") is None:
+        if not is_installed("rerun"):
             raise UsageError(
-                "the monitor needs Rerun, which is not installed",
-                remedy="install the extra: pip install 'hil-4wis4wid[rerun]'",
+                "the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun")
             )
         self.dropped = 0
         self.failure = ""

@@ -56,6 +56,16 @@ class BenchSource:
         """Names of the devices that are real."""
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
 
+    def check_faults(self) -> None:
+        """Read the faults and hold them against the emulated devices, before anything is opened.
+
+        Raises:
+            UsageError, ConfigError: a fault that cannot be read, or that no device can produce.
+        """
+        from hil.bench import check_faults
+
+        check_faults(self.config, self.faults)
+
     def open(self, sinks: Sequence[Sink] = ()) -> Bench:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""
         from hil.bench import open_bench

@@ -24,6 +24,7 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
     parameters = make_parameters(proc.parameters, settings, proc.name)
     config = source.config
     proc.check_needs(config)
+    source.check_faults()
     source.describe_calibration()
     steps = []
     for step in proc.steps(parameters, config):

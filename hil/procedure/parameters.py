@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from hil.errors import ConfigError, UsageError
+from hil.errors import ConfigError, UsageError, did_you_mean
 
 BENCH_PREFIX = "bench."
 
@@ -51,7 +51,8 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
     typed: dict[str, Any] = {}
     for key, value in values.items():
         if key not in hints:
-            problems.append(f"{key}: unknown parameter; known are {', '.join(hints) or 'none'}")
+            known = f"known are {', '.join(hints) or 'none'}"
+            problems.append(f"{key}: unknown parameter; {did_you_mean(key, hints) or known}")
             continue
         try:
             typed[key] = _convert(hints[key], value)

@@ -78,6 +78,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     """
     parameters = make_parameters(proc.parameters, options.parameters, proc.name)
     proc.check_needs(source.config)
+    source.check_faults()
     declared = proc.declared(parameters, source.config)
     header = _header(proc, parameters, source)
     past = _past(options, header, source.config)

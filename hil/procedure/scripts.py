@@ -10,7 +10,7 @@ from pathlib import Path
 from types import ModuleType
 
 import hil
-from hil.errors import ConfigError, HilError
+from hil.errors import ConfigError, HilError, did_you_mean
 from hil.procedure.declaration import Procedure
 
 SHIPPED = "procedures"
@@ -45,7 +45,11 @@ def load_procedure(script: str) -> Procedure:
     elif target in shipped_names():
         module = _shipped(target)
     else:
-        raise ConfigError(f"procedure {script!r} is unknown", expected=_known())
+        raise ConfigError(
+            f"procedure {script!r} is unknown",
+            expected=_known(),
+            remedy=did_you_mean(target, shipped_names()),
+        )
     return _choose(module, wanted, script)
 
 

@@ -19,6 +19,7 @@ from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.clock import NS_PER_S
 from hil.errors import DataError, UsageError
+from hil.extras import how_to_install
 from hil.geometry import Array
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
@@ -123,8 +124,7 @@ def _write_parquet(table: Array, path: Path) -> None:
         import pyarrow.parquet
     except ImportError:
         raise UsageError(
-            "Parquet needs pyarrow, which is not installed",
-            remedy="install the extra: pip install 'hil-4wis4wid[parquet]'",
+            "Parquet needs pyarrow, which is not installed", remedy=how_to_install("parquet")
         ) from None
     columns = {name: table[:, i] for i, name in enumerate(COLUMNS)}
     pyarrow.parquet.write_table(pyarrow.table(columns), str(path))

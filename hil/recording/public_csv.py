@@ -1,8 +1,9 @@
 """The public 4WIS4WID recordings: folders of `odom_N.csv[.gz]` and `abs_N.csv[.gz]`.
 
-Format in `data/README.md` of the data set: `;`-separated, servo tuples in the file's own name order,
-receive time as text, header stamps as integers. The quick path turns a whole file into numbers at
-once; a file it cannot read goes through a row-by-row path that drops and counts broken rows.
+Format as in `dataset/` of the authors' repository (GitHub, JakVit/4WIS4WID_parameter_calibration):
+`;`-separated, servo tuples in the file's own name order, receive time as text, header stamps as integers.
+The quick path turns a whole file into numbers at once; a file it cannot read goes through a row-by-row path
+that drops and counts broken rows.
 """
 
 from __future__ import annotations

@@ -46,8 +46,8 @@ def read_result(folder: Path) -> dict[str, Any]:
     return dict(tree)
 
 
-def write_run_page(folder: Path) -> Path:
-    """Write `report.html` beside `result.json`; returns its path.
+def write_run_page(folder: Path, out: Path | None = None) -> Path:
+    """Write the page of a run as `out`, by default as `report.html` beside `result.json`; returns its path.
 
     Raises:
         DataError: the result cannot be read, or the page not written.
@@ -69,7 +69,7 @@ def write_run_page(folder: Path) -> Path:
             driven=duration(tree.get("bench_duration_s")),
         )
     )
-    return write_text(folder / PAGE, page)
+    return write_text(folder / PAGE if out is None else out, page)
 
 
 def environment() -> Environment:

@@ -1,11 +1,11 @@
 """Steering zeros: from encoder against servo over a sweep, and from the direction in which the body goes.
 
 Encoder minus servo is, per axis, the zero's error, half the play with the sign of the direction of
-turning, and once and twice per turn the error of an eccentric magnet (`facts/devices.md` section 4).
+turning, and once and twice per turn the error of an eccentric magnet (ams AS5045 datasheet).
 Over a sweep of some 200 degrees these can be told apart.
 
 Of the four zeros, motions in the plane only show their common part: toe and unequal wheel radii turn the
-body alike, whatever is driven (`facts/calibration.md`, section 2). The common part is seen at the load
+body alike, whatever is driven. The common part is seen at the load
 centre, the point that moves with the load-weighted mean of the wheels' rolling: there turning does not
 matter.
 """

@@ -12,7 +12,7 @@ from hil.clock import MonotonicClock
 from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
 
-# Table II with its two misprints corrected from the raw data (`facts/robot.md`).
+# Table II with its two misprints corrected from the raw data (arXiv 2509.04016).
 TABLE_2 = {
     "line_x": (0.063, 0.062, 0.152, 0.140, 0.099, 0.081),
     "line_y": (0.234, 0.223, 0.054, 0.051, 0.123, 0.119),

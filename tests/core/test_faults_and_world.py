@@ -57,7 +57,7 @@ def test_a_fault_acts_in_its_half_open_interval():
 
 def test_unsupported_faults_and_unknown_devices_are_refused():
     plan = FaultPlan([parse_fault("imu:jump")])
-    plan.declare("imu", ["stuck"])
+    plan.declare("imu", {"stuck": ()})
     with pytest.raises(FaultNotSupportedError, match="cannot produce"):
         plan.check()
     with pytest.raises(FaultNotSupportedError, match="no emulated device"):

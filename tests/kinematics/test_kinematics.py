@@ -55,7 +55,7 @@ def test_forward_undoes_inverse_on_slip_free_motion(model):
 
 
 def test_the_papers_model_errs_on_an_asymmetric_robot_as_measured():
-    """Published FM geometry at |v| <= 0.2 m/s, |w| <= 1 rad/s (`facts/robot.md`)."""
+    """Published FM geometry at |v| <= 0.2 m/s, |w| <= 1 rad/s (arXiv 2509.04016)."""
     fm = k.WheelGeometry(
         np.array([0.1181, -0.1181, -0.1164, 0.1124]),
         np.array([0.1069, 0.1181, -0.1071, -0.1069]),

@@ -52,7 +52,7 @@ def test_adhesion_needed_on_the_wall_is_that_of_the_closed_form(surface, frictio
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_hold_limit_by_heading(sign):
-    """|m g - T e^(i th)| = mu F gives 39 deg on melamine (facts/plant_and_control.md)."""
+    """|m g - T e^(i th)| = mu F gives 39 deg on melamine."""
     limit = _threshold(lambda d: _holds(start_pose=(0, 0, sign * math.radians(d))), 60.0, 20.0, 0.5)
     assert 35.0 <= limit <= 42.0
 

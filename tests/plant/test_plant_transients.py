@@ -102,5 +102,5 @@ def test_start_and_stop_take_as_long_as_recorded(emulated_ms, public_data):
 
 
 def test_stop_is_that_of_the_facts(emulated_ms):
-    """`facts/robot.md`: true fall 72 ms, reported 94 ms, the report lags by 52 ms."""
+    """The authors' recordings: true fall 72 ms, reported 94 ms, the report lags by 52 ms."""
     np.testing.assert_allclose(emulated_ms[3:], [94.0, 72.0, 52.0], atol=10.0)

@@ -22,7 +22,7 @@ def x_line(surface):
     ids=["x", "y"],
 )
 def test_end_errors_are_of_the_size_of_the_facts(trajectory, along, expected):
-    """`facts/plant_and_control.md`, closed loop: melamine, 45 N, compensation 0.7, 1.5 m in 30 s."""
+    """Independent simulation: melamine, 45 N, compensation 0.7, 1.5 m in 30 s."""
     truth, odometry, wanted = x_line("melamine") if along == 0 else track(build(), trajectory)
     end = (truth[-1] - wanted[-1]) * [MM, MM, DEG]
     np.testing.assert_allclose(end, expected, atol=12.0)

@@ -39,7 +39,7 @@ def true_robot(seed):
 def creep_by_law(truth, stiffness, length_m, peak_m_s):
     """Slip per metre rolled that balances weight minus thrust: brush creep beside the damping of the tyres.
 
-    The law of `facts/plant_and_control.md`, section Plant, averaged over the way of a quintic.
+    The law of `docs/wall.md`, averaged over the way of a quintic.
     """
     downhill_n = truth.mass_kg * 9.81 - truth.thrust_n
     load_n, mu = truth.adhesion_n, truth.contact.friction

@@ -27,7 +27,7 @@ class Babbler(SerialChip):
     """Answers every request with the next of some byte strings; in front of a real bus where given one."""
 
     def __init__(self, answers, bus=None):
-        self.name, self.supported_faults = "servos", ()
+        self.name, self.supported_faults = "servos", {}
         self.answers, self.bus, self.count, self.babbling = answers, bus, 0, bus is None
 
     def receive(self, data, t_ns, baud):

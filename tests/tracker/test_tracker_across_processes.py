@@ -204,5 +204,5 @@ def test_without_the_extra_the_software_device_names_it(tracker_bench, monkeypat
     from hil.fakes.tracker.software_device import SoftwareT265
 
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(DeviceError, match="extra t265"):
+    with pytest.raises(DeviceError, match="-m pip install 'pyrealsense2"):
         SoftwareT265(tracker_bench().camera)

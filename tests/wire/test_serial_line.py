@@ -27,7 +27,7 @@ class Echo(SerialChip):
     """Answers every request with its upper-case form, and notes what it heard."""
 
     def __init__(self, name="echo", baud=115_200):
-        self.name, self.supported_faults = name, ("off",)
+        self.name, self.supported_faults = name, {"off": ()}
         self.baud, self.heard = baud, []
 
     def receive(self, data, t_ns, baud):

@@ -1,7 +1,7 @@
 """The 18-bit word of an AS5045: angle and what its status bits mean.
 
 Most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity over all 18
-(`facts/devices.md` section 4).
+(ams AS5045 datasheet).
 """
 
 from __future__ import annotations

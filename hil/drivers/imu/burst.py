@@ -1,7 +1,7 @@
 """The register burst 0x14..0x35 of a BNO055: gyro, Euler, quaternion, acceleration, gravity, calibration.
 
 Units as the driver selects them: 1/16 degree/s, 2^-14, 0.01 m/s^2 (datasheet 3.6.1). The Euler angles
-are singular on a vertical wall and are not used (`facts/estimation.md`).
+are singular on a vertical wall and are not used.
 """
 
 from __future__ import annotations

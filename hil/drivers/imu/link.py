@@ -1,7 +1,7 @@
 """Request and reply with a BNO055 over a pyserial port: framing, error codes, bounded repetition.
 
 Two bytes are read first, then the rest: a plain `read(2 + n)` would wait its whole time-out on a
-two-byte error reply (`facts/devices.md` section 3). Vendor exceptions end here.
+two-byte error reply (Bosch BNO055 datasheet 4.7). Vendor exceptions end here.
 """
 
 from __future__ import annotations

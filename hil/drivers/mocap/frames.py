@@ -1,6 +1,6 @@
 """Frames of motion capture data, NatNet 3.0 to 4.x: the pose of one rigid body and the time stamps.
 
-Sections in order (`facts/devices.md` section 6): marker sets, unlabelled markers, rigid bodies,
+Sections in order (OptiTrack NatNet SDK): marker sets, unlabelled markers, rigid bodies,
 skeletons, (4.1: assets,) labelled markers, force plates, devices, suffix. Since 4.1 each section
 tells its size after its count.
 """

@@ -1,4 +1,4 @@
-"""NatNet messages: header, requests, server description (little endian, `facts/devices.md` section 6)."""
+"""NatNet messages: header, requests, server description (little endian, OptiTrack NatNet SDK)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 The SDK's packet handler serves set-up (`bus.py`). It is not used for the cycle because it drops the
 error byte of each servo, declares a whole group lost when one member is, and returns zero, a legal
-position, for no data (`facts/devices.md` section 7).
+position, for no data (read in dynamixel_sdk).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The SDK's port on any pyserial URL and on the injected clock.
 
 The stock `PortHandler` opens local devices only, polls with a time-out of zero (one core at 99 %),
-measures on the wall clock and waits 34 ms for a missing servo (`facts/devices.md` section 7). This one
+measures on the wall clock and waits 34 ms for a missing servo. This one
 blocks in the serial read, and computes its time-outs from baud rate, bytes, return delay and latency.
 """
 

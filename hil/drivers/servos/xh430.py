@@ -3,7 +3,7 @@
 One group read and one group write per cycle; per-servo status, never a number that stands for "no
 data"; positions that count on across restarts. The zero of an angle is the servo's centre, 2048 counts.
 Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
-truncated towards zero (`facts/robot.md`); the stamp is that of the position.
+truncated towards zero (authors' recordings); the stamp is that of the position.
 
 Here is what happens when: opening, the order of a cycle, the sample. What a read is made of is in `cycle`,
 what the goals are in `goals`, what RAM must hold in `upkeep`, when a fault becomes an error in `outage`.

@@ -1,7 +1,7 @@
 """The part of librealsense that the driver uses, as protocols, and where it comes from.
 
 A real camera needs the extra `[t265]` with pyrealsense2 2.53.1, whose last wheels are for CPython
-3.10: newer versions have lost the T265 (`facts/devices.md` sections 5 and 7).
+3.10: newer versions have lost the T265 (librealsense's release notes).
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from typing import Any, Protocol
 
 from hil.clock import Clock, nanoseconds
 from hil.errors import DeviceError
+from hil.extras import how_to_install
 
 MODEL = "T265"
 LAST_VERSION = "2.53.1"
@@ -93,7 +94,7 @@ def realsense(device: str) -> Any:
             device,
             f"pyrealsense2 cannot be imported ({error})",
             expected=f"the extra t265 with pyrealsense2 {LAST_VERSION} on CPython 3.10 or older",
-            remedy="install hil-4wis4wid[t265] and libusb-1.0-0, or emulate the tracker",
+            remedy=f"{how_to_install('t265')}; and the system package libusb-1.0-0; or emulate the tracker",
         ) from None
 
 

@@ -2,7 +2,7 @@
 
 Camera axes are x right, y up, z back; robot axes are x forward, y left, z up, so that
 (x, y, z) = (-z, -x, y) of the camera, for vectors and for the vector part of a quaternion, both of
-the pose and of the world it is given in (`facts/devices.md` section 5 for the camera's axes).
+the pose and of the world it is given in (librealsense's documentation of the T265 shows the camera's axes).
 Velocities are in the axes of that world, as the library gives them.
 """
 

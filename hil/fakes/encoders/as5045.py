@@ -1,7 +1,7 @@
 """The AS5045 chip: an angle in, an 18-bit word out, with the errors of a real magnet.
 
 Word, most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity over all 18
-(`facts/devices.md` section 4).
+(ams AS5045 datasheet).
 """
 
 from __future__ import annotations

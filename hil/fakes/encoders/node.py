@@ -18,15 +18,26 @@ from hil.fakes.encoders.as5045 import (
     EncoderTruthOptions,
     with_parity,
 )
-from hil.fakes.faults import Fault
+from hil.fakes.faults import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.world import Scheduled, World
 from hil.signals import WHEELS
 
-NODE_FAULTS = (
-    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "corrupt", "brownout", "reset",
-    "jump",
-)  # fmt: skip
-AXIS_FAULTS = ("off", "stuck", "garbage", "wrong", "corrupt", "jump")
+AXIS_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("flags",),
+    "wrong": ("offset_rad",),
+    "corrupt": STRIKES,
+    "jump": ("angle_rad",),
+}
+NODE_FAULTS: Supported = {
+    **AXIS_FAULTS,
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "brownout": (),
+    "reset": (),
+}
 FRAME_IDS = (0x1A0, 0x1A1)
 
 _TIME_LSB_NS = 10_000
@@ -86,7 +97,7 @@ class EncoderNode(Scheduled):
         self._frozen: dict[str, int] = {}
         self._dead = self._first_set = False
         self._boot(0)
-        world.faults.declare(name, NODE_FAULTS + WIRE_FAULTS)
+        world.faults.declare(name, {**NODE_FAULTS, **WIRE_FAULTS})
         for axis in self._axes:
             world.faults.declare(axis, AXIS_FAULTS)
         self._grid_ns = self._due_ns = int(self._rng.integers(0, self._period_ns))

@@ -1,7 +1,7 @@
 """The emulated BNO055 as a chip at the end of a serial line: firmware states, registers, faults.
 
 Timing: reset 650 ms of silence, CONFIG to any mode 7 ms, any mode to CONFIG 19 ms, fusion at 100 Hz of
-its own clock (datasheet, `facts/devices.md` section 3). Register 0x3D and everything a client sees
+its own clock (Bosch BNO055 datasheet rev 1.4). Register 0x3D and everything a client sees
 follow from the requests and the world's truth alone.
 """
 
@@ -39,7 +39,7 @@ class Bno055Chip(SerialChip, Scheduled):
             that a bench that configures this remap finds its mount true, unless the options differ.
         bench_remap: (axis map, axis sign) of that bench.
         overrun_probability: chance that a read is answered with bus overrun; five times less without
-            the magnetometer, whose 20 Hz processing causes it (`facts/devices.md`).
+            the magnetometer, whose 20 Hz processing causes it.
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 

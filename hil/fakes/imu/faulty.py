@@ -8,14 +8,23 @@ from collections.abc import Iterable
 import numpy as np
 
 from hil.clock import nanoseconds
-from hil.fakes.faults import DeviceFaults, FaultPlan
+from hil.fakes.faults import PERIODIC, DeviceFaults, FaultPlan, Supported
 from hil.fakes.imu import uart
 from hil.fakes.imu.output import EMPTY
 from hil.fakes.imu.sensors import Sensed
 
-SUPPORTED_FAULTS = (
-    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "brownout", "reset", "jump",
-)  # fmt: skip
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": (),
+    "wrong": ("rate_rad_s",),
+    "slow": ("factor", "answer_s"),
+    "delayed": ("delay_s",),
+    "intermittent": (*PERIODIC, "code"),
+    "brownout": (),
+    "reset": (),
+    "jump": ("angle_rad",),
+}
 
 _WRONG_RATE_RAD_S = 0.1
 _JUMP_RAD = 0.5
@@ -24,7 +33,8 @@ _JUMP_RAD = 0.5
 class ImuFaults(DeviceFaults):
     """What is wrong with the chip.
 
-    Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period;
+    Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period
+    and `answer_s=` delays answers;
     `delayed,delay_s=` shows old data; `jump,angle_rad=` turns the fused heading once;
     `intermittent,period_s=,duty=` is silent for that part of each period, or answers `code=` instead.
     """

@@ -1,6 +1,6 @@
 """Register map of the BNO055: addresses, reset values, access rights, operating modes.
 
-Source: Bosch datasheet rev 1.4, as restated in `facts/devices.md` section 3.
+Source: Bosch BNO055 datasheet rev 1.4.
 """
 
 from __future__ import annotations

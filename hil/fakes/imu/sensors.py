@@ -1,8 +1,8 @@
 """What the sensors inside the emulated BNO055 see of the world, and what its fusion makes of it.
 
 Earth axes: z up, x along the horizontal direction that wall X leans to. A tilt of `tau` turns the
-wall frame about its Y axis, so on a vertical wall (tau = pi/2) gravity lies in the motion plane
-(`facts/estimation.md`). Plain floats throughout: this runs a hundred times a second of emulated time.
+wall frame about its Y axis, so on a vertical wall (tau = pi/2) gravity lies in the motion plane.
+Plain floats throughout: this runs a hundred times a second of emulated time.
 """
 
 from __future__ import annotations

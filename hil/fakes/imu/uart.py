@@ -1,7 +1,7 @@
 """UART protocol of the BNO055: request framing and status bytes.
 
 Write `AA 00 reg len data...` -> `EE status`; read `AA 01 reg len` -> `BB len data...` or `EE status`
-(datasheet 4.7, `facts/devices.md` section 3).
+(Bosch BNO055 datasheet 4.7).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""NatNet packets as Motive sends them: 3.1, 4.0 and 4.1 (`facts/devices.md` section 6)."""
+"""NatNet packets as Motive sends them: 3.1, 4.0 and 4.1 (OptiTrack NatNet SDK)."""
 
 from __future__ import annotations
 

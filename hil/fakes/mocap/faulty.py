@@ -6,13 +6,25 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.fakes.faults import DeviceFaults, Fault, FaultPlan
+from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
 from hil.fakes.mocap.capture import SeenBody
 
-SUPPORTED_FAULTS = (
-    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drop", "corrupt", "truncate",
-    "duplicate", "unplug", "jump", "reset",
-)  # fmt: skip
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("nan", "packets"),
+    "wrong": ("offset_m",),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": (*PERIODIC, "occlude"),
+    "drop": STRIKES,
+    "corrupt": STRIKES,
+    "truncate": STRIKES,
+    "duplicate": STRIKES,
+    "unplug": (),
+    "jump": (),
+    "reset": (),
+}
 
 _OFFSET_M = 0.1
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class MocapTruthOptions:
-    """What the capture system does wrong (`facts/robot.md`, `facts/estimation.md`).
+    """What the capture system does wrong, as the authors' recordings show it.
 
     Attributes:
         rate_hz: frames per second, 100 or 240 as Motive is usually set.

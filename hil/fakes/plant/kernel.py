@@ -2,7 +2,7 @@
 
 Plain Python on indexed numbers, written once: interpreted on lists, or compiled by numba on arrays
 (`hil.fakes.plant.compiled`); both give the same figures. All functions stay in this one file, because
-numba's cache looks at no other. Source: `facts/plant_and_control.md` ("Plant").
+numba's cache looks at no other. `docs/wall.md` describes the model.
 
 * Body: rigid, velocities of the centre of mass in wall axes, so inertia is diagonal and exact.
 * Contact of each wheel: bristle z with relaxation length L, z' = s - |r Om| / L z, F = -k z - c s,

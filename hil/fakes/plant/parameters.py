@@ -44,7 +44,7 @@ class JointParameters:
     """Motor, gear and firmware gains of the eight servos, at the output; drives, then steers.
 
     Attributes:
-        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,), `facts/robot.md`.
+        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,), ROBOTIS e-manual.
         inertia_kg_m2: (8,) rotor and gear.
         coulomb_n_m, viscous_n_m_s: (8,) gear friction; together they give the data sheet's no-load rows.
         velocity_p_v_s_rad, velocity_i_v_rad: velocity loop, tuned to the recorded stops.
@@ -99,7 +99,7 @@ class TrueParameters:
 
 
 def nominal_joints() -> JointParameters:
-    """Servos of `facts/robot.md`; friction and inertia are assumptions."""
+    """XH430-W210 servos (ROBOTIS e-manual); friction and inertia are assumptions."""
     return JointParameters(
         torque_constant_n_m_a=np.full(8, 1.92),
         back_emf_v_s_rad=np.full(8, 2.12),

@@ -63,7 +63,7 @@ class WallRobot(Plant):
         self.parameters, self._by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
         self._faults = faults if faults is not None else FaultPlan()
-        self._faults.declare("plant", ("adhesion_loss",))
+        self._faults.declare("plant", {"adhesion_loss": ("factor",)})
         self._step_ns, self._steps = step_ns, 0
         self._advance = choose_advance(compiled)
         self._constants = make_constants(parameters, patches, tilt_rad, step_ns / NS_PER_S)

@@ -29,7 +29,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Surface:
-    """A surface; figures are assumptions of `facts/plant_and_control.md` that may be tuned.
+    """A surface; figures are assumptions that may be tuned.
 
     Attributes:
         friction: coefficient of the friction cone.

@@ -9,14 +9,23 @@ import numpy as np
 
 from hil.clock import nanoseconds
 from hil.config.xh430 import RAD_PER_COUNT
-from hil.fakes.faults import Fault, FaultPlan
+from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Supported
 from hil.signals import SERVOS
 
-BUS_FAULTS = (
-    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "reset", "brownout", "jump",
-)  # fmt: skip
-_LINE_ONLY = ("drop", "corrupt")
-SERVO_FAULTS = (*BUS_FAULTS, *_LINE_ONLY)
+BUS_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": (),
+    "wrong": ("angle_rad",),
+    "slow": ("answer_s",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "reset": (),
+    "brownout": (),
+    "jump": ("angle_rad",),
+}
+_LINE_ONLY: Supported = {"drop": STRIKES, "corrupt": STRIKES}
+SERVO_FAULTS: Supported = {**BUS_FAULTS, **_LINE_ONLY}
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
 _SLOW_S = 0.002

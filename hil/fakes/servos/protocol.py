@@ -1,6 +1,6 @@
 """Protocol 2.0 as a servo's firmware sees it: finding instruction packets in a byte stream, building replies.
 
-Written from the vendor's description and held to its test vectors (`facts/devices.md` section 2); it
+Written from the vendor's description and held to its test vectors (ROBOTIS e-manual, Protocol 2.0); it
 shares no code with the driver's side.
 """
 
@@ -68,7 +68,7 @@ def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
 def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[bytes]:
     """The pieces of a fast read's reply, one per servo (ID, error, data), the head with the first.
 
-    The pieces are not stuffed, and every checksum covers all bytes before it (`facts/devices.md`).
+    The pieces are not stuffed, and every checksum covers all bytes before it.
 
     Args:
         parts: servos that answer, in order.

@@ -2,7 +2,7 @@
 
 The firmware's velocity is modelled as a difference of encoder counts over 76 ms, 12 ms old, on a fixed
 grid of 4 ms: it lags the encoder by 52 ms, stretches a 72 ms fall to about 94 ms and, truncated towards
-zero, reads half a count low, as measured (`facts/robot.md`). It does not depend on when it is read.
+zero, reads half a count low, as the authors' recordings show. It does not depend on when it is read.
 """
 
 from __future__ import annotations

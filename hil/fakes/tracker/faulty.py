@@ -7,14 +7,24 @@ import math
 
 import numpy as np
 
-from hil.fakes.faults import DeviceFaults, Fault, FaultPlan
+from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
 from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.odometry import CameraPose
 
-SUPPORTED_FAULTS = (
-    "off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent", "drop", "duplicate", "unplug",
-    "jump", "reset",
-)  # fmt: skip
+SUPPORTED_FAULTS: Supported = {
+    "off": (),
+    "stuck": (),
+    "garbage": ("nan", "clock"),
+    "wrong": ("scale", "confidence"),
+    "slow": ("factor",),
+    "delayed": ("delay_s",),
+    "intermittent": PERIODIC,
+    "drop": STRIKES,
+    "duplicate": STRIKES,
+    "unplug": (),
+    "jump": ("distance_m",),
+    "reset": (),
+}
 
 _WRONG_SCALE, _JUMP_M = 1.2, 0.1
 _NAN = math.nan

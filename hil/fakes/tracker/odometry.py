@@ -2,7 +2,7 @@
 
 The pose is kept in a levelled world (x where the camera looked at the start, z against gravity) and
 given out in the T265's axes, where that world is x right, y up, z back. On a wall gravity lies in the
-motion plane, so the drift about gravity tilts the path out of the wall (`facts/estimation.md`).
+motion plane, so the drift about gravity tilts the path out of the wall.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The emulated camera behind librealsense itself: poses go through the library's software device.
 
-With the extra `[t265]` the driver then runs on an unchanged `pyrealsense2.pipeline`: its threads, its
-frame objects, its profile. Real time only: the library delivers when its own threads get to it.
+With pyrealsense2 of any version the driver then runs on an unchanged `pyrealsense2.pipeline`: its threads,
+its frame objects, its profile. Real time only: the library delivers when its own threads get to it.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import importlib
 from typing import Any
 
 from hil.errors import DeviceError
+from hil.extras import how_to_install
 from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
 from hil.fakes.tracker.t265 import RATE_HZ, T265
 
@@ -36,8 +37,7 @@ class SoftwareT265:
             raise DeviceError(
                 camera.name,
                 f"pyrealsense2 cannot be imported ({error})",
-                expected="the extra t265",
-                remedy="install hil-4wis4wid[t265] and libusb-1.0-0",
+                remedy=f"{how_to_install('test', only='pyrealsense2')}; and the system package libusb-1.0-0",
             ) from None
         rs = self.library
         self._camera = camera

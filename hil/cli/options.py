@@ -1,0 +1,51 @@
+"""What several commands share: options checked before anything is opened, and groups that suggest a name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import click
+
+from hil.errors import did_you_mean
+
+SEED = click.IntRange(min=0)
+
+
+class FiniteRange(click.FloatRange):
+    """A number of a range; click's own lets NaN through, which is in no order to any bound."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """As click's, refusing what is not finite."""
+        found = float(super().convert(value, param, ctx))
+        if not math.isfinite(found):
+            self.fail(f"{value!r} is not a finite number", param, ctx)
+        return found
+
+
+class SuggestingGroup(click.Group):
+    """A group of commands that answers a mistyped one with the nearest it has."""
+
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """As click's, with a suggestion for a command that does not exist."""
+        name, known = args[0], self.list_commands(ctx)
+        if name not in known and not name.startswith("-"):
+            hint = did_you_mean(name, known) or f"one of {', '.join(known)}"
+            ctx.fail(f"no such command {name!r}; {hint}")
+        return super().resolve_command(ctx, args)
+
+
+def _checked_view(ctx: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    if value is not None:
+        from hil.monitor.sink import split_targets
+
+        split_targets(value)
+    return value
+
+
+def rerun_option(help_text: str) -> Callable[[Any], Any]:
+    """The option `--rerun`, refused before anything is opened when it names no view."""
+    return click.option("--rerun", "view", callback=_checked_view, help=help_text)

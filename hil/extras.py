@@ -1,0 +1,61 @@
+"""The extras of the package: the module that each brings, and the line that installs one in this Python.
+
+The line names the packages behind an extra, read from the installed metadata. It works however this
+package itself came here: from a folder, a wheel or git.
+"""
+
+from __future__ import annotations
+
+import shlex
+import sys
+from importlib import metadata, util
+
+from packaging.requirements import Requirement
+
+DISTRIBUTION = "hil-4wis4wid"
+MODULES = {
+    "fast": "numba",
+    "rerun": "rerun",
+    "parquet": "pyarrow",
+    "t265": "pyrealsense2",
+    "campaign": "distributed",
+}
+
+
+def is_installed(extra: str) -> bool:
+    """Whether the module that an extra brings can be imported."""
+    return util.find_spec(MODULES[extra]) is not None
+
+
+def how_to_install(extra: str, *, only: str = "") -> str:
+    """The shell line that adds an extra to this Python, or what the extra needs where it cannot.
+
+    Args:
+        extra: its name.
+        only: the one package of it that is wanted; all when empty.
+    """
+    wanted = [r for r in _requirements() if f'extra == "{extra}"' in str(r.marker) and only in ("", r.name)]
+    if not wanted:
+        return f"install the extra {extra} of {DISTRIBUTION}"
+    fitting = [r for r in wanted if r.marker is None or r.marker.evaluate({"extra": extra})]
+    if not fitting:
+        return f"this Python cannot have the extra {extra}: {', '.join(map(str, wanted))}"
+    names = " ".join(shlex.quote(_plain(r)) for r in fitting)
+    python = shlex.quote(sys.executable)
+    if util.find_spec("pip") is None:
+        return f"install it with: uv pip install --python {python} {names}"
+    return f"install it with: {python} -m pip install {names}"
+
+
+def _requirements() -> list[Requirement]:
+    try:
+        found = metadata.requires(DISTRIBUTION) or []
+    except metadata.PackageNotFoundError:
+        found = []
+    return [Requirement(text) for text in found]
+
+
+def _plain(requirement: Requirement) -> str:
+    """A requirement without its conditions."""
+    extras = f"[{','.join(sorted(requirement.extras))}]" if requirement.extras else ""
+    return f"{requirement.name}{extras}{requirement.specifier}"

@@ -1,0 +1,168 @@
+"""A mistyped word on the command line is refused before anything is opened, with the word that was meant."""
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from hil.bench import check_faults
+from hil.cli import COMMANDS, main
+from hil.cli.live import _text
+from hil.config.bench import load_bench
+from hil.errors import FaultNotSupportedError
+
+ROOT = Path(__file__).resolve().parents[2]
+OPENING = ["run bring_up", "campaign bring_up", "live --duration 1", "doctor", "doctor --realtime", "emulate"]
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Runs a command that must be refused as a usage error without leaving anything; gives its message."""
+    monkeypatch.chdir(tmp_path)
+
+    def call(*arguments):
+        assert main([str(a) for a in arguments]) == 2
+        said = capsys.readouterr()
+        assert said.out == ""
+        assert list(tmp_path.iterdir()) == []
+        return said.err
+
+    return call
+
+
+@pytest.fixture
+def unopened(monkeypatch):
+    """No device, wire or process may be opened."""
+
+    def opened(*_, **__):
+        raise AssertionError("the bench was opened")
+
+    monkeypatch.setattr("hil.rig.Rig.open", opened)
+    monkeypatch.setattr("hil.bench.opening.EmulatorProcess", opened)
+    monkeypatch.setattr("hil.fakes.server.EmulationServer.run", opened)
+
+
+@pytest.mark.parametrize("command", OPENING)
+@pytest.mark.parametrize(
+    ("spec", "meant"),
+    [
+        ("imo:stuck", "did you mean imu?"),
+        ("imu:stukc", "did you mean stuck?"),
+        ("imu:bus_off", "imu cannot produce"),
+        ("servo.drive_fl:off", "did you mean servo.drive_FL?"),
+        ("imu:wrong,rate_rads=1", "did you mean rate_rad_s?"),
+        ("imu:stuck,scale=2", "expected no option"),
+        ("tracker:wrong,scale=nan", "a finite number"),
+        ("imu:stuck@1e999", "a start >= 0"),
+    ],
+)
+def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened, command, spec, meant):
+    assert meant in refused(*command.split(), "--fault", spec)
+
+
+def test_a_dry_run_refuses_a_mistyped_fault(refused):
+    assert "did you mean imu?" in refused("run", "bring_up", "--dry-run", "--fault", "imo:stuck")
+
+
+def test_a_fault_for_a_device_that_is_not_served_is_refused(refused, unopened):
+    assert "no emulated device" in refused("emulate", "--only", "imu", "--fault", "tracker:off")
+
+
+def test_faults_on_a_bench_without_emulated_devices_are_refused(tmp_path):
+    bench = tmp_path / "real.toml"
+    bench.write_text('schema = 1\nname = "real"\n[imu]\nport = "/dev/ttyUSB0"\n')
+    with pytest.raises(FaultNotSupportedError, match="every device of real is real"):
+        check_faults(load_bench(bench), ["imu:stuck"])
+
+
+def test_every_option_that_a_fake_asks_for_is_one_that_a_user_may_give():
+    """A fault's option that no device declares would be refused although it is read."""
+    fakes = ROOT / "hil" / "fakes"
+    asked = {
+        (path.parent if path.parent != fakes else path).name: set()
+        for path in fakes.rglob("*.py")
+    }  # fmt: skip
+    declared = dict.fromkeys(asked, "")
+    for path in fakes.rglob("*.py"):
+        text, key = path.read_text(encoding="utf-8"), (path.parent if path.parent != fakes else path).name
+        asked[key] |= set(re.findall(r'\.option\(\s*"(\w+)"', text))
+        declared[key] += "".join(re.findall(r"Supported = \{.*?\n\}|declare\(.*?\)\n", text, re.DOTALL))
+    own = {k: v for k, v in asked.items() if k != "faults.py"}
+    assert sum(map(len, own.values())) >= 10
+    assert {k: {o for o in v if f'"{o}"' not in declared[k]} for k, v in own.items()} == {
+        k: set() for k in own
+    }
+
+
+@pytest.mark.parametrize("target", ["spwn", "film.rdd", "spawn,serv", "film", ","])
+@pytest.mark.parametrize("command", ["live --duration 1", "replay recording.mcap"])
+def test_a_mistyped_view_is_refused_and_no_file_of_that_name_is_written(refused, unopened, command, target):
+    said = refused(*command.split(), "--rerun", target)
+    assert "spawn, connect, serve, a URL or a .rrd file" in said
+    if target in ("spwn", "spawn,serv"):
+        assert "did you mean" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "meant"),
+    [
+        (["rn"], "run"),
+        (["emulat"], "emulate"),
+        (["demo_data"], "demo-data"),
+        (["calibration", "rolback", "x"], "rollback"),
+        (["run", "brng_up"], "bring_up"),
+        (["run", "bring_up", "--bench", "emulatd"], "emulated"),
+        (["run", "bring_up", "--emulate", "imo"], "imu"),
+        (["run", "bring_up", "--set", "watch=1"], "watch_s"),
+        (["run", "bring_up", "--set", "bench.environmet.tilt_rad=0"], "environment"),
+        (["run", "bring_up", "--set", "bench.imu.prot=x"], "port"),
+        (["run", "bring_up", "--set", "bench.estimator.wall.crep=1"], "creep"),
+    ],
+)
+def test_a_mistyped_name_is_answered_with_the_nearest(refused, arguments, meant):
+    assert f"did you mean {meant}?" in refused(*arguments)
+
+
+def test_a_command_like_no_other_is_answered_with_all_of_them(refused):
+    said = refused("xyzzy")
+    assert all(name in said for name in COMMANDS)
+
+
+def test_python_m_hil_is_the_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "hil", "--version"], capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("hil, version ")
+
+
+def test_the_page_of_one_run_is_written_where_it_is_wanted(tmp_path):
+    folder, page = tmp_path / "run", tmp_path / "page.html"
+    folder.mkdir()
+    tree = {"schema": 1, "procedure": "shown", "verdict": "PASS", "measurements": []}
+    (folder / "result.json").write_text(json.dumps(tree))
+    done = CliRunner().invoke(main_of("report"), [str(folder), "--out", str(page), "--json"])
+    assert json.loads(done.stdout)["report"] == str(page)
+    assert "shown" in page.read_text(encoding="utf-8")
+    assert [p.name for p in folder.iterdir()] == ["result.json"]
+
+
+def main_of(name):
+    from hil.cli import cli
+
+    return cli.get_command(None, name)
+
+
+def test_a_live_session_without_a_cycle_prints_no_empty_table():
+    timing = {"cycles": 0.0, "late": 0.0, "overruns": 0.0, "skipped": 0.0}
+    summary = {
+        "bench": "b", "rate_hz": 100.0, "ended": "error", "timing": timing, "samples": {}, "pose": None,
+        "held": {"state": "NOT HELD", "moved_m": 0.0, "why": "never opened"},
+    }  # fmt: skip
+    assert "mean ms" not in _text(summary)
+    timing |= {"cycles": 1.0} | {f"work_{kind}_ms": 1.0 for kind in ("mean", "p99", "worst")}
+    assert "mean ms" in _text(summary)

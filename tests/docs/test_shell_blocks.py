@@ -1,0 +1,126 @@
+"""What pages print for a shell: every line parses, and README's are run, in a form that ends soon.
+
+A line of README that no rule knows fails its test, so that a new one is thought about.
+"""
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import click
+import pytest
+
+from hil.cli import cli, main
+
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")])
+BUILDS = "--no-deps --no-build-isolation --quiet"
+
+
+def shell_lines(page, languages=("sh",)):
+    """Lines of the blocks in one of the languages, those that go on joined."""
+    state, found = None, []
+    for line in page.read_text(encoding="utf-8").replace("\\\n", " ").splitlines():
+        fence = re.match(r"\s*```(\w*)\s*$", line)
+        if fence is not None:
+            state = None if state is not None else fence[1]
+        elif state in languages and line.strip():
+            found.append(line.strip())
+    return found
+
+
+def hil_calls(line):
+    """Arguments of every `hil` call in a line, with what a prompt or a path puts before it taken away."""
+    for part in re.split(r"\s[|;&]+", line.removeprefix("$ ")):
+        if not re.match(r"\s*(\.venv/bin/)?hil\s", part):
+            continue
+        words = shlex.split(part.split(" > ")[0], comments=True)
+        yield words[1:]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_every_command_shown_exists_with_its_options(page):
+    calls = [words for line in shell_lines(page, ("sh", "")) for words in hil_calls(line)]
+    for words in calls:
+        command = cli
+        while isinstance(command, click.Group) and words and not words[0].startswith("-"):
+            name, *words = words
+            command = command.get_command(click.Context(command), name)
+            assert command is not None, name
+        if not isinstance(command, click.Group):
+            command.make_context(command.name, [w for w in words if w != "..."])
+
+
+README = [line for line in shell_lines(ROOT / "README.md") if not line.startswith("#")]
+
+
+def rule(line):
+    """How a line is tried: a shell line that ends soon, or None for one that another test runs as printed."""
+    line = line.split("#")[0].strip()
+    if line.startswith("make "):
+        return f"make -C {ROOT} -n {line.removeprefix('make ')}"
+    if "-m pip install -e" in line:
+        return None  # is what `make` does
+    if line.startswith("python -m pip wheel"):
+        return f"cd source && {line} --no-build-isolation --quiet"
+    if line.startswith("python -m pip install"):
+        shown = line.replace("git+file:///path/of/this/folder", "git+file://$PWD")
+        wheel = f"python -m pip wheel -w dist . {BUILDS} && " if "dist/" in line else ""
+        return f'cd source && {wheel}{shown} {BUILDS} --target "$(mktemp -d)"'
+    if re.match(r"hil (run \S+ --realtime|run \S+ --bench|run short_line)", line):
+        return f"{line} --dry-run"
+    if re.match(r"hil (run bring_up|doctor|discover)", line):
+        return f"{line} --help"
+    if "recordings/4wis4wid" in line:
+        return f"{line.replace('recordings/4wis4wid', 'recordings')} --signal position"
+    if line.startswith(("hil emulate --out", "python examples/", "kill %1")):
+        return None  # tests/emulate pastes the block
+    raise AssertionError(f"no rule says how to try: {line}")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """What a reader has: `python` on the path, a clone, a procedure, a bench file, recordings."""
+    place = tmp_path_factory.mktemp("reader")
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    (script,) = (b for b in re.findall(r"^```python\n(.*?)^```", text, re.S | re.M) if "@procedure" in b)
+    (place / "short_line.py").write_text(script)
+    shutil.copy(ROOT / "hil" / "profiles" / "emulated.toml", place / "my.toml")
+    (place / "bin").mkdir()
+    python = place / "bin" / "python"
+    python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
+    python.chmod(0o755)
+    subprocess.run(["git", "clone", "--quiet", ROOT, place / "source"], check=True)
+    assert main(["demo-data", str(place / "recordings"), "--repetitions", "1"]) == 0
+    return place
+
+
+def tried(place, line):
+    path = f"{place / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    return subprocess.run(
+        ["sh", "-c", line], cwd=place, env={**os.environ, "PATH": path}, capture_output=True, text=True,
+        timeout=240,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("line", README)
+def test_every_line_of_the_readme_can_be_pasted(folder, line, monkeypatch):
+    shown = rule(line)
+    if shown is None:
+        return
+    if shown.startswith("hil "):
+        monkeypatch.chdir(folder)
+        assert main(shlex.split(shown)[1:]) == 0
+        return
+    if "pip" in shown:
+        packaging = pytest.importorskip("packaging.version")
+        from importlib.metadata import version
+
+        if packaging.Version(version("setuptools")) < packaging.Version("77"):
+            pytest.skip("setuptools in this environment is older than 77")
+    done = tried(folder, shown)
+    assert done.returncode == 0, f"{shown}\n{done.stdout}{done.stderr}"

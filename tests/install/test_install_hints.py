@@ -1,0 +1,111 @@
+"""A missing extra is answered with a shell line that works in this Python, wherever the package came from."""
+
+import importlib.metadata
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from hil.campaign.spread import spread
+from hil.drivers.tracker.library import realsense
+from hil.errors import HilError
+from hil.extras import DISTRIBUTION, how_to_install
+from hil.monitor import RerunMonitor
+from hil.recording.export import write_table
+
+ROOT = Path(__file__).resolve().parents[2]
+SHOWN = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.yml")]
+
+
+def behind(extra):
+    """The requirements of an extra that hold for this Python, by the installed metadata."""
+    found = map(Requirement, importlib.metadata.requires(DISTRIBUTION))
+    return [r for r in found if r.marker and r.marker.evaluate({"extra": extra}) and "extra" in str(r.marker)]
+
+
+def installed_by(line):
+    """What a printed line installs; asserts that it is a whole call of this Python's pip."""
+    words = shlex.split(line.split("install it with: ", 1)[1].split("; ")[0])
+    assert words[:4] == [sys.executable, "-m", "pip", "install"]
+    return [Requirement(word) for word in words[4:]]
+
+
+@pytest.mark.parametrize("extra", ["fast", "rerun", "parquet", "campaign"])
+def test_the_line_installs_what_the_extra_stands_for(extra):
+    named = installed_by(how_to_install(extra))
+    assert [(r.name, r.specifier) for r in named] == [(r.name, r.specifier) for r in behind(extra)]
+
+
+def test_the_line_is_one_that_pip_understands():
+    """`--no-index` with an installed package: pip parses the line and has nothing to fetch."""
+    pytest.importorskip("numba", reason="the extra fast is not installed")
+    line = how_to_install("fast").split("install it with: ")[1]
+    done = subprocess.run([*shlex.split(line), "--no-index", "--no-deps"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+def test_an_extra_for_another_python_says_which(monkeypatch):
+    monkeypatch.setattr(
+        importlib.metadata, "requires", lambda name: ["camera==1; python_version < '3' and extra == 't265'"]
+    )
+    said = how_to_install("t265")
+    assert "this Python cannot have the extra t265" in said
+    assert 'python_version < "3"' in said
+
+
+def test_without_pip_the_line_is_for_uv(monkeypatch):
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
+    assert how_to_install("parquet").startswith(f"install it with: uv pip install --python {sys.executable} ")
+
+
+@pytest.fixture
+def nothing_importable(monkeypatch):
+    for module in ("pyarrow", "pyarrow.parquet", "distributed", "pyrealsense2"):
+        monkeypatch.setitem(sys.modules, module, None)
+    found = importlib.util.find_spec
+    monkeypatch.setattr(
+        importlib.util, "find_spec", lambda name, *a: None if name == "rerun" else found(name, *a)
+    )
+
+
+def missing_parquet(tmp_path):
+    write_table([], tmp_path / "t.parquet", "parquet")
+
+
+def missing_campaign(tmp_path):
+    spread(print, [1], lost=print, done=print, workers=1, scheduler="")
+
+
+def missing_rerun(tmp_path):
+    RerunMonitor("spawn", lossless=True)
+
+
+def missing_t265(tmp_path):
+    realsense("tracker")
+
+
+@pytest.mark.parametrize(
+    ("extra", "use"),
+    [
+        ("parquet", missing_parquet),
+        ("campaign", missing_campaign),
+        ("rerun", missing_rerun),
+        ("t265", missing_t265),
+    ],
+)
+def test_what_needs_an_extra_prints_its_line(nothing_importable, tmp_path, extra, use):
+    with pytest.raises(HilError) as refused:
+        use(tmp_path)
+    assert how_to_install(extra) in str(refused.value)
+
+
+def test_nothing_sends_a_user_to_an_index_that_does_not_have_the_package():
+    sources = [*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py"), *SHOWN]
+    by_name = re.compile(
+        rf"install\b[^\n]*\s['\"]?{DISTRIBUTION}(\[[\w,]+\])?['\"]?(\s(?!@)|$)", re.MULTILINE
+    )
+    assert [str(p) for p in sources if by_name.search(p.read_text(encoding="utf-8"))] == []

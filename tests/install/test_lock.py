@@ -1,0 +1,82 @@
+"""The lock holds everything that `make` installs, in versions that pyproject.toml allows, with hashes."""
+
+import re
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+try:
+    import tomllib
+except ModuleNotFoundError:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[2]
+LOCK = (ROOT / "requirements" / "ci.lock").read_text(encoding="utf-8")
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PYTHONS = ("3.10", "3.11", "3.12", "3.13")
+
+
+def entries():
+    """(requirement, hashes) of every entry."""
+    found = re.split(r"^(?=[A-Za-z0-9])", LOCK, flags=re.MULTILINE)[1:]
+    return [
+        (Requirement(e.split("\\\n")[0]), re.findall(r"--hash=sha256:([0-9a-f]{64})\b", e)) for e in found
+    ]
+
+
+def environment(python):
+    return {
+        "python_version": python, "python_full_version": f"{python}.5", "sys_platform": "linux",
+        "platform_system": "Linux", "platform_machine": "x86_64", "os_name": "posix", "extra": "",
+        "implementation_name": "cpython", "platform_python_implementation": "CPython",
+    }  # fmt: skip
+
+
+def holds(requirement, python):
+    return requirement.marker is None or requirement.marker.evaluate(environment(python))
+
+
+def wanted():
+    extras = re.search(r"^EXTRAS := (.*)$", MAKEFILE, re.MULTILINE)[1].split()
+    optional = PROJECT["project"]["optional-dependencies"]
+    groups = [
+        PROJECT["project"]["dependencies"],
+        PROJECT["build-system"]["requires"],
+        *map(optional.get, extras),
+    ]
+    return [Requirement(text) for group in groups for text in group]
+
+
+def name_of(requirement):
+    return re.sub(r"[-_.]+", "-", requirement.name).lower()
+
+
+@pytest.mark.parametrize("python", PYTHONS)
+def test_every_requirement_is_locked_once_in_a_version_that_satisfies_it(python):
+    pinned = {}
+    for locked, _ in entries():
+        if holds(locked, python):
+            (pin,) = locked.specifier
+            assert (pin.operator, name_of(locked) in pinned) == ("==", False), locked
+            pinned[name_of(locked)] = pin.version
+    needed = [r for r in wanted() if holds(r, python)]
+    assert len(needed) > 25
+    assert [str(r) for r in needed if not r.specifier.contains(pinned.get(name_of(r), "0"))] == []
+
+
+def test_every_entry_has_hashes_and_none_says_where_to_fetch_it():
+    assert [str(r) for r, hashes in entries() if not hashes] == []
+    assert [str(r) for r, _ in entries() if r.url] == []
+    assert "://" not in LOCK
+    assert [line for line in LOCK.splitlines() if line.startswith("-")] == []
+
+
+def test_make_installs_from_the_lock_and_nothing_else():
+    recipe = re.search(r"^else\n(.*?)^endif", MAKEFILE, re.MULTILINE | re.DOTALL)[1].splitlines()
+    assert [line.split("$(PIP) ")[1] for line in recipe] == [
+        "--require-hashes --only-binary :all: -r $(LOCK)",
+        "--no-deps --no-build-isolation -e .",
+    ]
+    assert re.search(r"^LOCK := requirements/ci\.lock$", MAKEFILE, re.MULTILINE)

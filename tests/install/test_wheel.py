@@ -1,0 +1,81 @@
+"""The package as a wheel: complete, described, and at work in an empty folder away from the checkout."""
+
+import email
+import importlib.metadata
+import json
+import os
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import pytest
+from packaging.version import Version
+
+ROOT = Path(__file__).resolve().parents[2]
+BUILDS = Version(importlib.metadata.version("setuptools")) >= Version("77")
+pytestmark = pytest.mark.skipif(not BUILDS, reason="setuptools in this environment is older than 77")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The wheel of the files that git knows (or would add), built without a network."""
+    source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
+    parts = ("hil", "procedures", "pyproject.toml", "README.md", "LICENSE")
+    listed = subprocess.run(
+        ["git", "ls-files", "-co", "--exclude-standard", *parts], cwd=ROOT, capture_output=True, text=True,
+        check=True,
+    ).stdout.split()  # fmt: skip
+    for name in listed:
+        if (ROOT / name).exists():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+    build = ("-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(out))
+    subprocess.run([sys.executable, *build, str(source)], check=True, capture_output=True)
+    (found,) = out.glob("hil_4wis4wid-*.whl")
+    return found, [name for name in listed if name.startswith(("hil/", "procedures/"))]
+
+
+@pytest.fixture(scope="module")
+def unpacked(wheel, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("site")
+    with zipfile.ZipFile(wheel[0]) as archive:
+        archive.extractall(folder)
+    return folder
+
+
+def test_every_file_of_the_package_is_in_it(wheel):
+    with zipfile.ZipFile(wheel[0]) as archive:
+        inside = set(archive.namelist())
+    assert sorted(set(wheel[1]) - inside) == []
+    assert [n for n in inside if n.startswith(("tests", "benchmarks", "docs"))] == []
+
+
+def test_it_is_described(unpacked):
+    (path,) = unpacked.glob("*.dist-info/METADATA")
+    described = email.message_from_string(path.read_text(encoding="utf-8"))
+    assert described["License-Expression"] == "MIT"
+    assert described["Author"] == "hil-4wis4wid maintainers"
+    assert {"3.10", "3.13"} <= {c.split(" :: ")[-1] for c in described.get_all("Classifier")}
+    assert described["Keywords"]
+    assert described["Description-Content-Type"] == "text/markdown"
+    assert described.get_all("Project-URL") is None
+
+
+def call(unpacked, folder, *arguments):
+    """The command of the wheel in an empty folder; returns its standard output."""
+    done = subprocess.run(
+        [sys.executable, *arguments], cwd=folder, env={**os.environ, "PYTHONPATH": str(unpacked)},
+        capture_output=True, text=True, timeout=240,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
+    where = "import hil, procedures; print(hil.__file__); print(procedures.__file__)"
+    assert all(line.startswith(str(unpacked)) for line in call(unpacked, tmp_path, "-c", where).splitlines())
+    assert json.loads(call(unpacked, tmp_path, "-m", "hil", "info", "--json"))["extras"]
+    ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", "--out", "o", "--json"))
+    assert ran["verdict"] in ("PASS", "MARGINAL")
+    assert (tmp_path / "o" / "report.html").stat().st_size > 10_000
