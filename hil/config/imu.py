@@ -33,7 +33,7 @@ class ImuConfig(BaseModel):
         check_period_s: how often mode and system status are looked at.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.
-        stuck_after_s: bit-identical data for longer than this are marked stale.
+        stuck_after_s: bit-identical data for longer than this are marked frozen.
         sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
     """
 
@@ -57,7 +57,7 @@ class ImuConfig(BaseModel):
     check_period_s: float = Field(1.0, gt=0)
     fail_after_s: float = Field(3.0, gt=0)
     outage_poll_s: float = Field(0.05, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
+    stuck_after_s: float = Field(0.2, gt=0)
     sample_age_s: float = Field(0.005, ge=0, le=0.1)
 
     @field_validator("axis_map")

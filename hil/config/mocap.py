@@ -29,7 +29,7 @@ class MocapConfig(BaseModel):
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this are marked frozen.
         keepalive_s: time between signs of life to a unicast server.
         reconnect_after_s: silence after which the connection is asked for again.
         open_timeout_s: longest wait for the server and the rigid body.
@@ -54,7 +54,7 @@ class MocapConfig(BaseModel):
     max_rate_rad_s: float = Field(2.0, gt=0)
     reaccept_after: int = Field(10, ge=1, le=10_000)
     stale_after_s: float = Field(0.5, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
+    stuck_after_s: float = Field(0.2, gt=0)
     keepalive_s: float = Field(1.0, gt=0)
     reconnect_after_s: float = Field(0.5, gt=0)
     open_timeout_s: float = Field(3.0, gt=0, le=60)

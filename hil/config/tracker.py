@@ -54,7 +54,7 @@ class TrackerConfig(BaseModel):
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this (20 of them) are marked frozen.
         open_timeout_s: longest wait for the first pose.
         fail_after_s: uninterrupted silence (or garbage) that raises.
         queue_length: poses kept between two reads; the oldest are dropped and counted.
@@ -74,7 +74,7 @@ class TrackerConfig(BaseModel):
     max_rate_rad_s: float = Field(2.0, gt=0)
     reaccept_after: int = Field(20, ge=1, le=10_000)
     stale_after_s: float = Field(0.5, gt=0)
-    stuck_after_s: float = Field(0.5, gt=0)
+    stuck_after_s: float = Field(0.1, gt=0)
     open_timeout_s: float = Field(5.0, gt=0, le=60)
     fail_after_s: float = Field(2.0, gt=0)
     queue_length: int = Field(1024, ge=8, le=100_000)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.config.encoders import EncodersConfig
-from hil.drivers.encoders import CrossCheck
+from hil.crosscheck import CrossCheck
 
 
 def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):
