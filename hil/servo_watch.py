@@ -18,12 +18,13 @@ _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
 _FASTEST_RAD_S, _STEP_RAD, _TOLD_NS = 6.5, 0.2, 50_000_000
 """Faster than an XH430 without load at 12 V; a stamp that is 30 ms off at that speed; from event to stop."""
 _REMEDIES = {
-    Status.TIMEOUT: "check its cable, its supply and its ID",
-    Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
-    Status.PROTOCOL: "check that no two servos have its ID",
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
     Status.RESET: "it has restarted: check its supply",
+    Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
+    Status.PROTOCOL: "check that no two servos have the same ID",
+    Status.TIMEOUT: "check its cable, its supply and its ID",
 }
+"""What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
 
 
 class ServoWatch:
@@ -48,7 +49,7 @@ class ServoWatch:
         self._asked_since_ns: list[int | None] = [None] * 4
         self._asked_at_rad = [0.0] * 4
         self._complete_ns: int | None = None
-        self._missed: dict[int, Status] = {}
+        self._missed: dict[int, tuple[int, Status]] = {}
         self._last: list[tuple[int, float] | None] = [None] * 8
         self._outside: tuple[float, ...] = (math.nan,) * 4
         self._slipped: tuple[int, str] | None = None
@@ -71,18 +72,28 @@ class ServoWatch:
         for sample in inputs.servos:
             if sample.ok:
                 self._complete_ns, self._missed = inputs.t_ns, {}
-            else:
-                self._missed |= {j: s for j, s in enumerate(sample.status) if s is not Status.OK}
+                continue
+            for j, status in enumerate(sample.status):
+                if status is not Status.OK:
+                    self._missed[j] = (self._missed.get(j, (0, status))[0] + 1, status)
         silent_ns = inputs.t_ns - self._complete_ns
         if silent_ns > self._stale_ns:
             stop("stale_servos", f"no complete servo read for {silent_ns / NS_PER_S:.3f} s: {self._who()}")
 
     def _who(self) -> str:
-        missed = self._missed or dict.fromkeys(range(8), Status.TIMEOUT)
+        """Servos that missed most reads since the last complete one, with status and what to do.
+
+        One that is silent takes others of its chain along for a read or two.
+        """
+        most = max((count for count, _ in self._missed.values()), default=0)
+        missed = {j: status for j, (count, status) in sorted(self._missed.items()) if 2 * count > most}
         kinds = set(missed.values())
-        if len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}:
-            return "nobody answers; check the servos' supply, the bus cable, the adapter and the baud rate"
-        found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in sorted(missed.items()))
+        if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
+            return (
+                "none of the eight answers; check the servos' supply, the bus cable, the adapter and the baud "
+                "rate"
+            )
+        found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
         known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]
         return "; ".join((found, *known[:1]))
 

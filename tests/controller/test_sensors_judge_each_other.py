@@ -62,7 +62,7 @@ def scales():
             yield pytest.param(scale, motion, marks=marks)
 
 
-@pytest.mark.parametrize(("scale", "motion"), scales())
+@pytest.mark.parametrize(("scale", "motion"), list(scales()))
 def test_a_camera_that_sees_another_scale_stops_the_robot(scale, motion):
     way, feedback, at_s, seed = MOTIONS[motion]
     ride = Ride(straight(way), f"tracker:wrong@{at_s},scale={scale}", feedback=feedback, seed=seed)
