@@ -204,6 +204,15 @@ def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
     assert (stop is not None) is slides
 
 
+def test_only_speed_without_a_break_and_of_good_samples_is_a_slide():
+    supervisor = Supervisor(SafetyLimits(), watched=("tracker",))
+    for cycle in range(40):
+        fast = seen_at(cycle, 0.9 if cycle % 3 else 0.1)
+        supervisor.check(Inputs(cycle, cycle * 10_000_000, tracker=(fast,)))
+        bad = replace(seen_at(cycle, 0.9), status=Status.JUMP)
+        supervisor.check(Inputs(cycle, cycle * 10_000_000 + 1, tracker=(bad, bad)))
+
+
 def with_everything(cycle, *, light=False, speed=0.0, alert=0):
     inputs = imu_inputs(cycle, 0.2 if light else 9.81)
     return replace(
@@ -258,6 +267,7 @@ def test_the_guard_names_heading_and_distance_together():
     ("pose", "reason"),
     [
         ((0, 0, 0.2617), None),
+        ((0, 0, 2 * math.pi - 0.2617), None),
         ((0, 0, -0.2619), "heading"),
         ((0.4999, 0, 0), None),
         ((0, -0.5001, 0), "tracking"),
@@ -300,11 +310,11 @@ def test_drives_and_steers_are_not_turned_round_unless_it_is_said():
 
 
 ABSURD = [1.0e3, 1e12, -1e154, 1e200, 1.7e308, math.inf, math.nan]
+PLACES = [(place, value) for place in ("position_m", "quaternion_wxyz") for value in ABSURD]
 
 
-@pytest.mark.parametrize("value", ABSURD)
-@pytest.mark.parametrize("place", ["position_m", "quaternion_wxyz"])
-def test_an_absurd_camera_or_capture_pose_leaves_no_trace(value, place):
+@pytest.mark.parametrize(("place", "value"), [*PLACES, ("quaternion_wxyz", 0.5), ("quaternion_wxyz", 1.1)])
+def test_an_absurd_camera_or_capture_pose_leaves_no_trace(place, value):
     """One bad sample, and every later heading is as if it had not been."""
     alignment = Alignment(AlignmentParameters())
     for cycle in range(5):
@@ -326,10 +336,13 @@ def test_an_absurd_camera_or_capture_pose_leaves_no_trace(value, place):
 
 
 def test_an_absurd_gravity_leaves_no_trace():
-    alignment = Alignment(AlignmentParameters())
+    """Under a mount that turns it, it overflows to infinity in one axis and to no number in the other."""
+    mount = Mount(rotation_wxyz=tuple(quat_from_rotvec([0.3, 0.2, -1.0]).tolist()))
+    alignment = Alignment(AlignmentParameters(imu=mount))
     for cycle in range(4):
-        up = np.array([9.81, 0, 0]) if cycle != 1 else np.array([math.inf, math.nan, 0.0])
-        sample = ImuSample(Stamp(cycle, cycle, cycle), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), up,
-                           (3, 3, 3, 3))  # fmt: skip
+        up = np.array([9.81, 0, 0]) if cycle != 1 else np.full(3, 1.7e308)
+        sample = ImuSample(
+            Stamp(cycle, cycle, cycle), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), up, (3, 3, 3, 3)
+        )
         (gyro,) = alignment.measure(Inputs(cycle, cycle, imu=(sample,))).gyro
         assert math.isnan(gyro.gravity_heading_rad) == (cycle == 1)

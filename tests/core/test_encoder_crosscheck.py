@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hil.config.encoders import EncodersConfig
-from hil.crosscheck import CrossCheck
+from hil.crosscheck import CrossCheck, SteeringWatch
+from hil.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
 
 
 def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):
@@ -64,3 +65,53 @@ def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
     assert np.isnan(result.difference_rad[1])
     assert np.isnan(result.difference_rad[2])
     assert result.difference_rad[0] == pytest.approx(0.0)
+
+
+PERIOD_NS = 10_000_000
+
+
+def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=(40, 10**6)):
+    """A steering watch that sees one axis off in cycles `slips`; events by cycle, stops by cycle."""
+    config = config or EncodersConfig()
+    watch, told, stops = SteeringWatch(config, (5, 6, 7, 8)), [], []
+    for k in range(cycles):
+        off = np.array([0.0, off_rad if slips[0] <= k < slips[1] else 0.0, 0.0, 0.0])
+        stamp, events = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), []
+        angle = np.mod(np.array(config.sign) * (servo + off) + np.array(config.zero_rad) + np.pi, 2 * np.pi)
+        sample = EncoderSample(stamp, angle - np.pi, (Status.OK,) * 4, (0,) * 4)
+        wheels = WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.full(4, servo), (True,) * 4)
+        inputs = Inputs(k, k * PERIOD_NS, encoders=(sample,))
+        measured = Measurements(k, k * PERIOD_NS, wheels=(wheels,))
+        watch.judge(inputs, measured, events, lambda *cause, k=k: stops.append((k, *cause)))
+        told += [(k, e) for e in events]
+    return told, stops
+
+
+@pytest.mark.parametrize(
+    ("servo", "config"), [(0.0, None), (3.1, None), (-3.1, EncodersConfig(zero_rad=(3.0,) * 4))]
+)
+def test_a_slip_is_told_with_both_devices_and_then_stops(servo, config):
+    told, stops = watched(0.2, servo=servo, config=config)
+    ((at, event),) = told
+    assert 40 <= at <= 46
+    assert (event.level, event.source) == ("warning", "encoders")
+    assert "wheel BL: its external encoder has moved +0.200 rad (+11.5 deg)" in event.message
+    assert "servo steer_BL (ID 6)" in event.message
+    first, reason, said = stops[0]
+    assert at + 5 < first <= at + 10
+    assert reason == "horn_slip"
+    assert "+0.200 rad" in said
+
+
+@pytest.mark.parametrize(("off_rad", "told", "stopped"), [(0.028, 0, False), (0.032, 1, False),
+                                                          (-0.058, 1, False), (-0.062, 1, True)])  # fmt: skip
+def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, stopped):
+    events, stops = watched(off_rad, cycles=400)
+    assert len(events) == told
+    assert bool(stops) is stopped
+
+
+def test_without_one_of_the_two_nothing_is_compared():
+    watch, events = SteeringWatch(EncodersConfig()), []
+    watch.judge(Inputs(0, 0), Measurements(0, 0), events, lambda *cause: pytest.fail(str(cause)))
+    assert events == []
