@@ -1,8 +1,8 @@
 """Safety: judges data before they are used and setpoints before they are sent.
 
 Stale, implausible or faulty data are reported as events; a condition under which the robot must not
-go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). All conditions of a
-cycle are judged first and named together. Deterministic: depends on the inputs seen since `reset` and
+go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). All conditions
+of a cycle are judged first and named together. Deterministic: depends on the inputs seen since `reset` and
 on nothing else.
 """
 

@@ -129,6 +129,32 @@ def test_a_servo_whose_encoder_slips_is_named_and_stops_the_robot(fault, servo, 
     ride.assert_near()
 
 
+SILENT = {
+    "servos:unplug": "none of the eight answers", "servo.drive_BL:off": "drive_BL (ID 2): timeout",
+    "servo.2:corrupt": "drive_BL (ID 2): crc", "servo.steer_FR:brownout": "steer_FR (ID 8): timeout",
+}  # fmt: skip
+SILENT_TOO = {
+    "servos:off": "none of the eight", "servos:baud_mismatch": "none of the eight",
+    "servos:brownout": "none of the eight", "servos:garbage": "none of the eight",
+    "servos:corrupt": "none of the eight", "servos:truncate": "none of the eight",
+    "servos:drop": "none of the eight", "servos:reset": "none of the eight",
+    "servo.7:intermittent": "steer_BR (ID 7): timeout", "servo.2:garbage": "drive_BL (ID 2): timeout",
+    "servo.2:drop": "drive_BL (ID 2): timeout", "servo.6:reset": "steer_BL (ID 6): timeout",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", [*SILENT, *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)])
+def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
+    options = {"corrupt": ",probability=1", "drop": ",probability=1", "truncate": ",probability=1",
+               "intermittent": ",duty=0.9"}.get(fault.split(":")[1], "")  # fmt: skip
+    ride = Ride(straight([0.1, 0, 0]), f"{fault}@1{options}")
+    assert ride.stop.reason == "stale_servos"
+    assert (SILENT | SILENT_TOO)[fault] in str(ride.stop)
+    assert "check" in str(ride.stop)
+    for wheel in ("FL", "BR") if "ID 2" in (SILENT | SILENT_TOO)[fault] and "corrupt" not in fault else ():
+        assert wheel not in str(ride.stop)
+
+
 @pytest.mark.parametrize(
     ("fault", "wheel"), [("encoder.BL:jump@2,angle_rad=0.2", "BL"), ("servo.steer_FR:wrong@2", "FR")]
 )
