@@ -68,7 +68,7 @@ class _Axis:
         return self.by_direction[0] - self.by_direction[1]
 
     def update(self, raw_rad: float, servo_rad: float) -> None:
-        """Take encoder minus servo, and the servo's angle."""
+        """Take encoder minus servo, whole turns or not, and the servo's angle."""
         settled = abs(servo_rad - self.last_servo) < _SETTLED_RAD
         self.last_servo = servo_rad
         self._follow_direction(servo_rad)
@@ -124,7 +124,7 @@ class CrossCheck:
         for axis, encoder, servo, sign, zero in zip(
             self._axes, encoder_rad, servo_rad, config.sign, config.zero_rad, strict=True
         ):
-            axis.update(wrap(sign * (encoder - zero) - servo), servo)
+            axis.update(sign * (encoder - zero) - servo, servo)
         difference = tuple([axis.difference_rad for axis in self._axes])
         backlash = tuple([axis.backlash_rad for axis in self._axes])
         return CrossCheckResult(

@@ -111,19 +111,19 @@ class _Sum:
             first: what one device says.
             second: what the other says.
             allowed: what honest ones may differ by.
-            turned: unit number by which the axes have turned since the last step.
+            turned: unit number that takes axes at its beginning to those at its end.
             backwards: by how much more the first may have gone less far along the first axis.
         """
         if self.size == 0.0:
             self.reset()
             self._since_ns = t_ns
-        self._first, self._second = self._first * turned + first, self._second * turned + second
-        total = self._sum * turned + first - second
+        self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
+        total = self._sum + first - second
         if total.real < 0.0:
             total += min(backwards, -total.real)
         size = abs(total)
         self.size = max(0.0, size - allowed)
-        self._sum = total * (self.size / size) if size else 0j
+        self._sum = total * turned * (self.size / size) if size else 0j
 
     def news(self) -> bool:
         """Whether something is to be said now: once when it becomes known, and always when it is grave."""

@@ -70,12 +70,12 @@ def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
 PERIOD_NS = 10_000_000
 
 
-def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=(40, 10**6)):
-    """A steering watch that sees one axis off in cycles `slips`; events by cycle, stops by cycle."""
+def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=((40, 10**6),)):
+    """A steering watch that sees one axis off in stretches of cycles; events by cycle, stops by cycle."""
     config = config or EncodersConfig()
     watch, told, stops = SteeringWatch(config, (5, 6, 7, 8)), [], []
     for k in range(cycles):
-        off = np.array([0.0, off_rad if slips[0] <= k < slips[1] else 0.0, 0.0, 0.0])
+        off = np.array([0.0, off_rad if any(a <= k < b for a, b in slips) else 0.0, 0.0, 0.0])
         stamp, events = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), []
         angle = np.mod(np.array(config.sign) * (servo + off) + np.array(config.zero_rad) + np.pi, 2 * np.pi)
         sample = EncoderSample(stamp, angle - np.pi, (Status.OK,) * 4, (0,) * 4)
@@ -109,6 +109,11 @@ def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, 
     events, stops = watched(off_rad, cycles=400)
     assert len(events) == told
     assert bool(stops) is stopped
+
+
+def test_a_slip_that_comes_again_is_told_again():
+    told, _ = watched(0.05, cycles=400, slips=((40, 120), (280, 360)))
+    assert [k // 200 for k, _ in told] == [0, 1]
 
 
 def test_without_one_of_the_two_nothing_is_compared():

@@ -1,6 +1,7 @@
 """Camera, wheels and gyro that tell one motion are left alone; one that tells another is named."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -154,7 +155,7 @@ def test_a_relocalisation_is_not_motion_but_many_are():
     def often(k):
         return {"pose": np.array([0.05 * (k // 10), 0, 0])}
 
-    assert any(d.grave for _, d in run_with(robot, often))
+    assert any(d.grave for _, d in run_with(Robot((0, 0, 0)), often))
 
 
 def test_what_is_not_valid_begins_anew():
@@ -166,6 +167,32 @@ def test_what_is_not_valid_begins_anew():
         return {"pose": pose, "valid": k != 100}
 
     assert run_with(robot, away) == []
+
+
+def test_a_camera_that_sits_elsewhere_on_a_turning_robot_is_honest():
+    """25 mm from where it is believed to be, in a turn at 0.8 rad/s."""
+    assert doubts(Robot((0, 0, 0.8), camera=(0, 0.02, 0.8)), 800) == []
+    assert doubts(Robot((0, 0, 0.8), camera=(0, 0.05, 0.8)), 800)
+
+
+def test_a_slow_slide_is_summed_in_axes_that_turn_with_the_robot():
+    """3 mm/s in one direction of the wall, while the body turns round under it."""
+    check = MotionCheck(GEOMETRY, Honest(lever_m=0.0, path=0.0), on_wall=False)
+    robot, found = Robot((0, 0, 0.8)), []
+    for k in range(1000):
+        t_s = (k * PERIOD_NS - LATE_NS) * 1e-9
+        found += check.update(robot.cycle(k, pose=robot.pose(t_s) + np.array([0.003 * t_s, 0, 0])))
+    assert any(d.grave for d in found)
+
+
+def test_wheels_that_contradict_each_other_prove_nothing():
+    """One wheel turns alone, the robot stands: least squares would have it move and turn."""
+    check, robot, found = MotionCheck(GEOMETRY), Robot((0, 0, 0)), []
+    for k in range(600):
+        cycle = robot.cycle(k)
+        wheel = replace(cycle.wheels[0], wheel_angle_rad=np.array([0.03 * k, 0, 0, 0]))
+        found += check.update(replace(cycle, wheels=(wheel,)))
+    assert found == []
 
 
 def test_reset_forgets_what_was_doubted():
@@ -202,6 +229,22 @@ def test_wheels_that_contradict_each_other_say_by_how_much():
         )
     )
     assert track.at(20_000_000)[3].real > 0.4 * 0.1 * GEOMETRY.radius_m[0]
+
+
+def test_the_way_of_an_arc_is_that_of_an_arc_whatever_the_steering_zeros():
+    zeros = np.array([0.1, -0.2, 0.3, 0.0])
+    geometry = WheelGeometry(GEOMETRY.x_m, GEOMETRY.y_m, GEOMETRY.radius_m, zeros)
+    track, robot = WheelTrack(geometry), Robot((0.1, 0.02, 1.0))
+    speed, steering = inverse(geometry, robot.twist)
+    for k in range(51):
+        t_ns = k * 20_000_000
+        angles = speed / geometry.radius_m * t_ns * 1e-9
+        track.take(WheelMeasurement(Stamp(t_ns, t_ns, k), angles, speed, steering, (True,) * 4))
+    place, heading, _, contradiction = track.at(1_000_000_000)
+    x_m, y_m, turned = robot.pose(1.0)
+    assert abs(place - complex(x_m, y_m)) < 1e-5
+    assert heading == pytest.approx(turned)
+    assert contradiction == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_leap_of_a_wheel_is_no_way():

@@ -101,6 +101,8 @@ def test_a_leap_is_told_and_then_stops_the_robot(joint, step_rad):
     assert stop.reason == "servo_jump"
     (event,) = told
     assert event.t_ns == 5 * PERIOD_NS
+    watch = supervisor()
+    assert all(watch.check(inputs) is not None for inputs in cycles[:11])  # told first, then stopped
     assert f"(ID {IDS[joint]}) tells a step of {step_rad:+.2f} rad in 10 ms" in event.message
     assert ("external encoder" in event.message) == (joint >= 4)
 
@@ -128,7 +130,8 @@ def asked(watch, rates):
 
 
 @pytest.mark.parametrize(
-    ("rate", "angle", "last"), [(0.51, 0.0, 51), (-0.51, 0.049, 51), (0.49, 0.0, 69), (0.51, 0.06, 69)]
+    ("rate", "angle", "last"),
+    [(0.51, 0.0, 51), (-0.51, 0.049, 51), (0.49, 0.0, 69), (0.51, 0.06, 69), (-0.51, -0.06, 69)],
 )
 def test_a_wheel_that_is_asked_to_turn_must_turn(rate, angle, last):
     """More than 0.05 rad within 0.5 s, once more than 0.5 rad/s is asked for."""
