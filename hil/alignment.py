@@ -38,6 +38,7 @@ from hil.signals import (
 )
 
 _MIN_IN_PLANE_GRAVITY_M_S2 = 1.0
+_FARTHEST_M = 1000.0
 _USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
 
 
@@ -135,9 +136,9 @@ class Alignment:
         if sample.status not in _USABLE:
             return None
         px, py, pz = sample.position_m.tolist()
-        if not (math.isfinite(px) and math.isfinite(py) and math.isfinite(pz)):
-            return None
         turned = sample.quaternion_wxyz.tolist()
+        if not (_is_near(px, py, pz) and _is_attitude(turned)):
+            return None
         if self._tracker_start is None:
             if sample.status is not Status.OK:
                 return None
@@ -159,19 +160,33 @@ class Alignment:
         )
 
     def _mocap(self, sample: MocapSample) -> PoseMeasurement:
+        x, y = sample.position_m[:2].tolist()
         valid = sample.status is Status.OK and sample.tracking_valid
+        valid = valid and _is_near(x, y) and _is_attitude(sample.quaternion_wxyz.tolist())
         yaw = math.nan
         if valid:
             yaw = self._unwrap("mocap", yaw_of_quat(sample.quaternion_wxyz))
         return PoseMeasurement(
             stamp=sample.stamp,
             source="mocap",
-            pose=np.array([sample.position_m[0], sample.position_m[1], yaw]),
+            pose=np.array([x, y, yaw]),
             quality=3 if valid else 0,
             valid=valid,
         )
 
     def _unwrap(self, source: str, yaw_rad: float) -> float:
+        if not math.isfinite(yaw_rad):
+            return math.nan
         last = self._yaw.get(source, yaw_rad)
         self._yaw[source] = last + wrap(yaw_rad - last)
         return self._yaw[source]
+
+
+def _is_near(*position_m: float) -> bool:
+    """Whether a position can be one: finite, and on any wall that there is."""
+    return all([abs(p) < _FARTHEST_M for p in position_m])
+
+
+def _is_attitude(quaternion_wxyz: list[float]) -> bool:
+    """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
+    return 0.9 < sum(q * q for q in quaternion_wxyz) < 1.1

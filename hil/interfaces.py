@@ -8,7 +8,7 @@ drops torque.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Protocol, TypeVar
 
 from hil.errors import HilError
@@ -26,6 +26,9 @@ from hil.signals import (
 )
 
 S_co = TypeVar("S_co", covariant=True)
+
+Blame = Callable[[str, str], None]
+"""Takes reason and message of a condition under which the robot must not go on."""
 
 
 class Device(Protocol):

@@ -120,8 +120,8 @@ class Brain:
         self.reference = None
         if self._t0_ns is None:
             self._t0_ns = inputs.t_ns
-        events = self.supervisor.check(inputs)  # 2
         measurements = self.alignment.measure(inputs)  # 3
+        events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
         state = self._estimate(measurements)  # 4
         lap("estimate")
         if self.reference_at is not None:

@@ -30,6 +30,7 @@ class Status(str, enum.Enum):
     HARDWARE_ERROR = "hardware error"
     PROTOCOL = "protocol"
     STALE = "stale"
+    FROZEN = "frozen"
     STARTING = "starting"
     NOT_TRACKED = "not tracked"
     LOW_CONFIDENCE = "low confidence"

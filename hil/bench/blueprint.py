@@ -7,7 +7,7 @@ the loop had.
 from __future__ import annotations
 
 from hil.alignment import Alignment
-from hil.bench.settings import alignment_parameters, motion_limits, safety_limits
+from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
 from hil.controller.joint_script import JointScript, ScriptedController
@@ -78,6 +78,7 @@ class Blueprint:
         """
         config = self.config
         law: Controller | None = None
+        follows = trajectory is not None and not isinstance(trajectory, JointScript)
         if isinstance(trajectory, JointScript):
             law = ScriptedController(trajectory)
         elif trajectory is not None:
@@ -88,7 +89,11 @@ class Blueprint:
                 control = control.model_copy(update={"law": controller})
             law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)
         return Brain(
-            Supervisor(safety_limits(config), watched=tuple(config.devices())),
+            Supervisor(
+                safety_limits(config),
+                watched=tuple(config.devices()),
+                checks=checks(config, self.geometry, follows=follows, feedback=feedback),
+            ),
             Alignment(self.alignment_parameters),
             self.make_estimator(feedback),
             law,

@@ -12,11 +12,13 @@ from hil.calibration.nominal import Nominal
 from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.config.robot import GRAVITY_M_S2
+from hil.crosscheck import SteeringWatch
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
+from hil.motion_check import MotionCheck
 from hil.motion_limits import MotionLimits
 from hil.realtime import RealTime
-from hil.supervisor import SafetyLimits
+from hil.supervisor import Checks, SafetyLimits
 
 LOG = logging.getLogger(__name__)
 
@@ -46,7 +48,27 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
 def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
     values = config.safety.model_dump(exclude={"x_range_m", "y_range_m", "tethered"})
-    return SafetyLimits(**values, on_wall=config.environment.on_wall)
+    ids = config.servos.ids if config.servos is not None else ()
+    return SafetyLimits(**values, on_wall=config.environment.on_wall, servo_ids=tuple(ids))
+
+
+def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedback: str) -> Checks:
+    """Which sensors of a configuration are held against each other.
+
+    Args:
+        config: of the bench.
+        geometry: wheels in use.
+        follows: whether a reference is followed.
+        feedback: estimator in the loop.
+    """
+    ids = tuple(config.servos.ids[4:]) if config.servos is not None else ()
+    on_wall = config.environment.on_wall
+    return Checks(
+        motion=MotionCheck(geometry, on_wall=on_wall) if config.servos is not None else None,
+        stops_by_motion=follows and feedback != "odometry",
+        steering=SteeringWatch(config.encoders, ids) if config.encoders is not None else None,
+        stops_by_steering=follows,
+    )
 
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:

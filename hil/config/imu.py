@@ -33,7 +33,7 @@ class ImuConfig(BaseModel):
         check_period_s: how often mode and system status are looked at.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.
-        stuck_after_s: bit-identical data for longer than this are marked stale.
+        stuck_after_s: bit-identical data for longer than this are marked frozen.
         sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
     """
 
@@ -57,7 +57,7 @@ class ImuConfig(BaseModel):
     check_period_s: Annotated[float, Within(0.01, 600.0, "a restarted chip must be found")] = 1.0
     fail_after_s: Patience = 3.0
     outage_poll_s: Annotated[float, Within(0.001, 10.0, "a sensor that is back must be seen soon")] = 0.05
-    stuck_after_s: Freshness = 0.5
+    stuck_after_s: Freshness = 0.2
     sample_age_s: float = Field(0.005, ge=0, le=0.1)
 
     @field_validator("axis_map")

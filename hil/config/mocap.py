@@ -31,7 +31,7 @@ class MocapConfig(BaseModel):
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this are marked frozen.
         keepalive_s: time between signs of life to a unicast server.
         reconnect_after_s: silence after which the connection is asked for again.
         open_timeout_s: longest wait for the server and the rigid body.
@@ -56,7 +56,7 @@ class MocapConfig(BaseModel):
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(10, ge=1, le=10_000)
     stale_after_s: Freshness = 0.5
-    stuck_after_s: Freshness = 0.5
+    stuck_after_s: Freshness = 0.2
     keepalive_s: Patience = 1.0
     reconnect_after_s: Patience = 0.5
     open_timeout_s: float = Field(3.0, gt=0, le=60)

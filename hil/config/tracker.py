@@ -54,7 +54,7 @@ class TrackerConfig(BaseModel):
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
         stale_after_s: poses that come later than this are marked stale.
-        stuck_after_s: bit-identical poses for longer than this are marked stale.
+        stuck_after_s: bit-identical poses for longer than this (20 of them) are marked frozen.
         connect_timeout_s: longest wait for the camera to be there: it is given its firmware, which takes
             seconds, each time it is plugged in.
         open_timeout_s: longest wait for the first pose.
@@ -76,7 +76,7 @@ class TrackerConfig(BaseModel):
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(20, ge=1, le=10_000)
     stale_after_s: Freshness = 0.5
-    stuck_after_s: Freshness = 0.5
+    stuck_after_s: Freshness = 0.1
     connect_timeout_s: float = Field(10.0, gt=0, le=60)
     open_timeout_s: float = Field(5.0, gt=0, le=60)
     fail_after_s: Patience = 2.0

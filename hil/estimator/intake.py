@@ -1,6 +1,7 @@
 """What may enter the filter: measurements of a cycle turned into event rows, bad ones refused by name.
 
-Counts are by name and part of the diagnostics: `rejected_not_finite`, `rejected_late`, ...
+Counts are by name and part of the diagnostics: `rejected_not_finite`, `rejected_late`, ... What is finite but
+beyond any robot (`_FARTHEST_M` and so on) would leave no digits for the covariance: `rejected_implausible`.
 """
 
 from __future__ import annotations
@@ -17,7 +18,8 @@ from hil.estimator.replay import Ints
 from hil.geometry import Array
 from hil.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
-REASONS = ("not_finite", "shape", "late", "future", "duplicate")
+REASONS = ("not_finite", "implausible", "shape", "late", "future", "duplicate")
+_FARTHEST_M, _FARTHEST_RAD, _FASTEST_RAD_S, _HARDEST_M_S2 = 1e3, 1e6, 1e2, 1e3
 _FOUR, _THREE, _TWO = (4,), (3,), (2,)
 _ROOM = 64
 
@@ -100,10 +102,10 @@ class Intake:
         if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
             return self._refuse("shape")
         row[:4], row[4:8], row[8:12], row[12:] = turned, steered, rates, valid
-        angles = row[:8].tolist()
-        if not math.isfinite(sum(angles)):
+        sizes = np.abs(row[:8]).tolist()
+        if not sum(sizes) < _FARTHEST_RAD:
             for i in range(4):
-                if not (math.isfinite(angles[i]) and math.isfinite(angles[4 + i])):
+                if not (sizes[i] < _FARTHEST_RAD and sizes[4 + i] < _FARTHEST_RAD):
                     row[12 + i] = 0.0
             valid = row[12:].tolist()
         return any(valid) or self._refuse("not_finite")
@@ -116,7 +118,9 @@ class Intake:
         if not (math.isfinite(rate) or math.isfinite(heading)):
             return self._refuse("not_finite")
         ahead, left = pull.tolist()
-        if not (math.isfinite(ahead) and math.isfinite(left)):
+        if abs(rate) > _FASTEST_RAD_S or abs(heading) > _FARTHEST_RAD:
+            return self._refuse("implausible")
+        if not (abs(ahead) < _HARDEST_M_S2 and abs(left) < _HARDEST_M_S2):
             heading, ahead, left = math.nan, 0.0, 0.0
         row[:] = 0.0
         row[0], row[1], row[2], row[3] = rate, heading, ahead, left
@@ -126,8 +130,11 @@ class Intake:
         pose = np.asarray(sample.pose)
         if pose.shape != _THREE:
             return self._refuse("shape")
-        if not all(map(math.isfinite, pose.tolist())):
+        x_m, y_m, heading_rad = pose.tolist()
+        if not math.isfinite(x_m + y_m + heading_rad):
             return self._refuse("not_finite")
+        if max(abs(x_m), abs(y_m)) > _FARTHEST_M or abs(heading_rad) > _FARTHEST_RAD:
+            return self._refuse("implausible")
         row[:] = 0.0
         row[:3] = pose
         row[3], row[4] = sample.quality, sample.valid

@@ -1,6 +1,7 @@
 """Alignment undoes mounts, signs and zeros; the supervisor stops what must not go on."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hil.geometry import quat_conjugate, quat_from_rotvec, quat_from_yaw, quat_m
 from hil.signals import (
     ImuSample,
     Inputs,
+    MocapSample,
     Reference,
     RobotState,
     ServoSample,
@@ -180,3 +182,167 @@ def test_a_robot_faster_than_it_can_drive_is_sliding():
     seen(21, 0.9)
     with pytest.raises(SafetyStop, match="sliding"):
         seen(22, 0.9)
+
+
+def seen_at(cycle, speed):
+    """A camera that sees so much speed."""
+    stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
+    velocity = np.array([0.0, -speed, 0.0])
+    return TrackerSample(stamp, np.zeros(3), np.array([1.0, 0, 0, 0]), velocity, np.zeros(3), 3)
+
+
+@pytest.mark.parametrize(("speed", "slides"), [(0.499, False), (0.5, False), (0.501, True)])
+def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
+    supervisor = Supervisor(SafetyLimits(body_speed_limit_m_s=0.5), watched=("tracker",))
+    stop = None
+    for cycle in range(3):
+        try:
+            supervisor.check(Inputs(cycle, cycle * 10_000_000, tracker=(seen_at(cycle, speed),)))
+        except SafetyStop as error:
+            stop = error
+            assert cycle == 2
+    assert (stop is not None) is slides
+
+
+def test_only_speed_without_a_break_and_of_good_samples_is_a_slide():
+    supervisor = Supervisor(SafetyLimits(), watched=("tracker",))
+    for cycle in range(40):
+        fast = seen_at(cycle, 0.9 if cycle % 3 else 0.1)
+        supervisor.check(Inputs(cycle, cycle * 10_000_000, tracker=(fast,)))
+        bad = replace(seen_at(cycle, 0.9), status=Status.JUMP)
+        supervisor.check(Inputs(cycle, cycle * 10_000_000 + 1, tracker=(bad, bad)))
+
+
+def with_everything(cycle, *, light=False, speed=0.0, alert=0):
+    inputs = imu_inputs(cycle, 0.2 if light else 9.81)
+    return replace(
+        inputs,
+        tracker=(seen_at(cycle, speed),),
+        servos=(servo_sample(np.zeros(8), alert=(alert, *(0,) * 7)),),
+    )
+
+
+def test_what_comes_together_is_named_together_the_gravest_first():
+    supervisor = Supervisor(SafetyLimits(), watched=("imu", "tracker", "servos"))
+    for cycle in range(2):
+        supervisor.check(with_everything(cycle, light=True, speed=0.9))
+    with pytest.raises(SafetyStop) as stop:
+        supervisor.check(with_everything(2, light=True, speed=0.9, alert=0x20))
+    assert stop.value.reason == "adhesion"
+    assert all(word in str(stop.value) for word in ("also sliding", "also hardware_error", "drive_FL"))
+
+
+def test_what_follows_a_stop_is_named_once_and_raises_nothing():
+    supervisor = Supervisor(SafetyLimits(), watched=("imu", "tracker", "servos"))
+    supervisor.check(with_everything(0))
+    with pytest.raises(SafetyStop, match="hardware_error"):
+        supervisor.check(with_everything(1, alert=0x20))
+    told = [supervisor.causes(with_everything(k, alert=0x20)) for k in range(2, 6)]
+    assert told == [()] * 4
+    told = [supervisor.causes(with_everything(k, light=True, alert=0x20)) for k in range(6, 20)]
+    assert [len(events) for events in told] == [0, 0, 1] + [0] * 11
+    (event,) = told[2]
+    assert (event.level, event.source) == ("error", "supervisor")
+    assert event.message.startswith("adhesion: ")
+
+
+def test_a_wheel_that_rests_after_a_stop_is_not_blocked():
+    supervisor = Supervisor(SafetyLimits())
+    supervisor.check(Inputs(0, 0, servos=(servo_sample(np.zeros(8)),)))
+    supervisor.limit(WheelSetpoint(np.full(4, 2.0), np.zeros(4)))
+    for cycle in range(1, 200):
+        inputs = Inputs(cycle, cycle * 10_000_000, servos=(servo_sample(np.zeros(8)),))
+        assert supervisor.causes(inputs) == ()
+
+
+def test_the_guard_names_heading_and_distance_together():
+    reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+    with pytest.raises(SafetyStop) as stop:
+        Supervisor(SafetyLimits()).guard(state((0.6, 0, 0.3)), reference)
+    assert stop.value.reason == "heading"
+    assert "also tracking" in str(stop.value)
+
+
+@pytest.mark.parametrize(
+    ("pose", "reason"),
+    [
+        ((0, 0, 0.2617), None),
+        ((0, 0, 2 * math.pi - 0.2617), None),
+        ((0, 0, -0.2619), "heading"),
+        ((0.4999, 0, 0), None),
+        ((0, -0.5001, 0), "tracking"),
+    ],
+)
+def test_the_guards_limits_are_where_they_are_said_to_be(pose, reason):
+    reference = Reference(0.0, np.zeros(3), np.zeros(3), np.zeros(3))
+    supervisor = Supervisor(SafetyLimits(heading_limit_rad=0.2618))
+    if reason is None:
+        supervisor.guard(state(pose), reference)
+        return
+    with pytest.raises(SafetyStop) as stop:
+        supervisor.guard(state(pose), reference)
+    assert stop.value.reason == reason
+
+
+def test_the_floor_has_no_heading_limit():
+    Supervisor(SafetyLimits(on_wall=False)).guard(state((0, 0, 3.0)), None)
+
+
+@pytest.mark.parametrize(("force", "lost"), [(4.99, True), (5.01, False)])
+def test_the_adhesion_limit_is_where_it_is_said_to_be(force, lost):
+    supervisor = Supervisor(SafetyLimits(adhesion_limit_m_s2=5.0), watched=("imu",))
+    told = [supervisor.causes(imu_inputs(k, force)) for k in range(3)]
+    assert bool(told[2]) is lost
+
+
+def test_drives_and_steers_are_not_turned_round_unless_it_is_said():
+    """The signs of a bench that says nothing: a positive servo angle is a positive wheel angle."""
+    alignment = Alignment(AlignmentParameters())
+    command = alignment.to_servos(WheelSetpoint(np.full(4, 2.0), np.full(4, 0.3)))
+    np.testing.assert_array_equal(command.drive_velocity_rad_s, 2.0)
+    np.testing.assert_array_equal(command.steer_position_rad, 0.3)
+    sample = servo_sample(np.r_[np.full(4, 1.5), np.full(4, 0.2)])
+    sample = replace(sample, velocity_rad_s=np.full(8, 0.7))
+    (wheels,) = alignment.measure(Inputs(0, 0, servos=(sample,))).wheels
+    np.testing.assert_array_equal(wheels.wheel_angle_rad, 1.5)
+    np.testing.assert_array_equal(wheels.wheel_rate_rad_s, 0.7)
+    np.testing.assert_array_equal(wheels.steering_rad, 0.2)
+
+
+ABSURD = [1.0e3, 1e12, -1e154, 1e200, 1.7e308, math.inf, math.nan]
+PLACES = [(place, value) for place in ("position_m", "quaternion_wxyz") for value in ABSURD]
+
+
+@pytest.mark.parametrize(("place", "value"), [*PLACES, ("quaternion_wxyz", 0.5), ("quaternion_wxyz", 1.1)])
+def test_an_absurd_camera_or_capture_pose_leaves_no_trace(place, value):
+    """One bad sample, and every later heading is as if it had not been."""
+    alignment = Alignment(AlignmentParameters())
+    for cycle in range(5):
+        stamp, angle = Stamp(cycle, cycle, cycle), 0.1 * cycle
+        good = {"position_m": np.array([0.1, 0, 0]), "quaternion_wxyz": quat_from_yaw(angle)}
+        if cycle == 2:
+            spoilt = good[place].copy()
+            spoilt[0] = value
+            good[place] = spoilt
+        camera = TrackerSample(stamp, velocity_m_s=np.zeros(3), angular_velocity_rad_s=np.zeros(3),
+                               confidence=3, **good)  # fmt: skip
+        capture = MocapSample(stamp, tracking_valid=True, latency_s=0.0, marker_error_m=0.0, **good)
+        measured = alignment.measure(Inputs(cycle, cycle, tracker=(camera,), mocap=(capture,)))
+        assert len(measured.tracker) == (0 if cycle == 2 else 1)
+        assert measured.mocap[0].valid == (cycle != 2)
+        if cycle != 2:
+            assert measured.tracker[0].pose[2] == pytest.approx(angle)
+            assert measured.mocap[0].pose[2] == pytest.approx(angle)
+
+
+def test_an_absurd_gravity_leaves_no_trace():
+    """Under a mount that turns it, it overflows to infinity in one axis and to no number in the other."""
+    mount = Mount(rotation_wxyz=tuple(quat_from_rotvec([0.3, 0.2, -1.0]).tolist()))
+    alignment = Alignment(AlignmentParameters(imu=mount))
+    for cycle in range(4):
+        up = np.array([9.81, 0, 0]) if cycle != 1 else np.full(3, 1.7e308)
+        sample = ImuSample(
+            Stamp(cycle, cycle, cycle), np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), up, (3, 3, 3, 3)
+        )
+        (gyro,) = alignment.measure(Inputs(cycle, cycle, imu=(sample,))).gyro
+        assert math.isnan(gyro.gravity_heading_rad) == (cycle == 1)

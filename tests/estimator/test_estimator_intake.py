@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
@@ -10,6 +11,7 @@ from hil.estimator import make_estimator
 from hil.estimator.history import CAPACITY
 from hil.estimator.smoother import smooth
 from hil.kinematics import WheelGeometry
+from hil.signals import Measurements
 
 
 def bits(states):
@@ -71,3 +73,46 @@ def test_a_sample_that_comes_twice_is_counted_and_changes_nothing():
     assert bits([once]) == bits([twice])
     refused = twice.diagnostics["rejected_duplicate"] - once.diagnostics["rejected_duplicate"]
     assert refused == len(earlier.wheels) > 0
+
+
+ABSURD = [1.001e3, 1e12, -1e13, 1e154, -1.7e308]
+
+
+def spoilt(measurements, value):
+    """A cycle's measurements in which every sensor adds an absurd sample to its good ones."""
+    poses, gyro, wheels = measurements.tracker, measurements.gyro, measurements.wheels
+    bad_pose = [replace(p, pose=np.array([value, 0.0, 0.1])) for p in poses]
+    bad_pose += [replace(p, pose=np.array([0.1, 0.1, 1e4 * value])) for p in poses]
+    bad_gyro = [replace(g, yaw_rate_rad_s=value) for g in gyro]
+    bad_gyro += [replace(g, gravity_heading_rad=1e4 * value) for g in gyro]
+    bad_wheels = [replace(w, wheel_angle_rad=np.full(4, 1e4 * value)) for w in wheels]
+    return replace(measurements, tracker=tuple(bad_pose), gyro=tuple(bad_gyro), wheels=tuple(bad_wheels))
+
+
+def run(kind, cycles, change):
+    """States of a filter whose cycles 20 to 24 are changed; none may be without numbers or covariance."""
+    estimator = make_estimator(EstimatorConfig(kind=kind), WheelGeometry.nominal(), surface="wall")
+    estimator.reset(cycles.start)
+    for k, measurements in enumerate(cycles.measurements):
+        state = estimator.update(change(measurements) if 20 <= k < 25 else measurements)
+        assert np.isfinite(state.pose_body_in_wall).all()
+        assert np.isfinite(state.covariance).all()
+        assert np.linalg.eigvalsh(state.covariance)[0] > 0.0
+    return state
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+@pytest.mark.parametrize("value", ABSURD)
+def test_absurd_values_are_refused_as_if_they_had_not_come(kind, value):
+    cycles = drive(seconds=0.6, seed=5)
+    state = run(kind, cycles, lambda m: spoilt(m, value))
+    calm = run(kind, cycles, lambda m: Measurements(m.cycle, m.t_ns))
+    assert state.diagnostics["rejected_implausible"] > 0
+    np.testing.assert_array_equal(state.pose_body_in_wall, calm.pose_body_in_wall)
+    np.testing.assert_array_equal(state.covariance, calm.covariance)
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_what_is_just_not_absurd_leaves_a_covariance(kind):
+    run(kind, drive(seconds=0.6, seed=5), lambda m: spoilt(m, 999.0))

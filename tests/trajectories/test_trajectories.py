@@ -11,6 +11,7 @@ from hil.errors import DataError, TrajectoryError, UsageError
 from hil.geometry import rotation2
 from hil.kinematics import WheelGeometry
 from hil.motion_limits import MotionLimits, check
+from hil.signals import Reference
 
 CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)
@@ -156,3 +157,39 @@ def test_a_trajectory_survives_json_bit_for_bit(trajectory):
 def test_what_is_no_trajectory_is_refused(data):
     with pytest.raises(UsageError, match="no trajectory"):
         tr.Trajectory.from_mapping(data)
+
+
+class Turning:
+    """A reference that stands at a heading and begins to move and to turn."""
+
+    name, duration_s = "turning", 0.0
+
+    def __init__(self, heading_rad, acceleration):
+        self.now = Reference(0.0, np.array([0, 0, heading_rad]), np.zeros(3), np.array(acceleration, float))
+
+    def sample(self, t_s):
+        return self.now
+
+
+@pytest.mark.parametrize("heading", [0.0, 0.7, -0.7, 2.0])
+def test_the_pull_on_a_wheel_is_that_of_its_place_on_the_wall(heading):
+    """Acceleration in wall axes and a turn: each wheel's own is a + alpha x its place in wall axes."""
+    acceleration, alpha = np.array([0.3, -0.1]), 2.0
+    places = np.column_stack([CAD[1::2, 2], -CAD[0::2, 2]]) @ rotation2(heading).T
+    pull = np.hypot(acceleration[0] - alpha * places[:, 1], acceleration[1] + alpha * places[:, 0]).max()
+    reference = Turning(heading, [*acceleration, alpha])
+    check(reference, CAD, MotionLimits(wheel_acceleration_m_s2=pull + 1e-6))
+    with pytest.raises(TrajectoryError, match="wheel acceleration") as error:
+        check(reference, CAD, MotionLimits(wheel_acceleration_m_s2=pull - 1e-5))
+    assert error.value.value == pytest.approx(pull)
+
+
+def test_limits_hold_at_their_very_value():
+    way = tr.line(ORIGIN, [0.5, 0, 0], duration_s=10.0)
+    tight = {"wheel_speed_m_s": 1.875 * 0.5 / 10.0, "wheel_acceleration_m_s2": 5.7735027 * 0.5 / 100.0}
+    check(way, CAD, MotionLimits(**tight, x_range_m=(0.0, 0.5), y_range_m=(0.0, 0.0)))
+    for key in tight:
+        with pytest.raises(TrajectoryError):
+            check(way, CAD, MotionLimits(**{**tight, key: 0.999 * tight[key]}))
+    with pytest.raises(TrajectoryError, match="-x on the wall"):
+        check(way, CAD, MotionLimits(x_range_m=(1e-6, 1.0)))

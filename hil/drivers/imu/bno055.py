@@ -224,5 +224,5 @@ class Bno055Imu(Sensor[ImuSample]):
         if status is not Status.OK:
             self._suspicious = now_ns - self._checked_ns > _RECHECK_NS
         elif stuck:
-            return Status.STALE
+            return Status.FROZEN
         return status

@@ -27,7 +27,7 @@ _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _FARTHEST_M = 1000.0
 _LONGEST_UP_S, _LONGEST_LATENCY_S = 5_000_000_000, 10
 _NAN7 = (math.nan,) * 7
-_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
+_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 _REMEDY = (
     "check that Motive streams (rigid bodies on, the right interface, unicast or multicast as configured) "
     "and that no firewall closes UDP 1510 and 1511"
@@ -237,7 +237,7 @@ class NatNetMocap(Sensor[MocapSample]):
         if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
             return Status.IMPLAUSIBLE
         if self._stuck.stuck(pose, stamp.host_ns):
-            return Status.STALE
+            return Status.FROZEN
         if self._jumps.jumped(stamp.t_ns / NS_PER_S, pose[:3], pose[3:]):
             return Status.JUMP
         return Status.OK

@@ -42,9 +42,10 @@ _NS_PER_MS = 1e6
 _LATEST_MS = 5e12
 _USABLE_CONFIDENCE = 2
 _FARTHEST_M = 1000.0
+_FASTEST = 100.0
 _NORM_LOW, _NORM_HIGH = 0.98, 1.02
 _RESTART_FRAMES = 200
-_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE)
+_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN)
 
 _Raw = tuple[float, ...]
 
@@ -278,12 +279,13 @@ class T265Tracker(Sensor[TrackerSample]):
             return Status.NOT_FINITE
         pose = raw[4:11]
         norm = math.hypot(*pose[3:])
-        if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
+        near = math.hypot(*pose[:3]) < _FARTHEST_M and max(map(abs, raw[11:])) < _FASTEST
+        if not (_NORM_LOW < norm < _NORM_HIGH and near):
             return Status.IMPLAUSIBLE
         if confidence <= 0:
             return Status.NOT_TRACKED
         if self._stuck.stuck(pose, int(raw[0])):
-            return Status.STALE
+            return Status.FROZEN
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
         if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):

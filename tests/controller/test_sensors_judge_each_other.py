@@ -1,0 +1,246 @@
+"""A sensor that lies is found by what the others say before the robot is far off; honest ones are let be."""
+
+import numpy as np
+import pytest
+
+from hil.bench import open_bench
+from hil.errors import DeviceTimeoutError, HilError, SafetyStop
+from hil.live.playback import open_recording, verify_run
+from hil.recording.mcap_writer import McapRecorder
+from hil.trajectories import circle, line, scan, through
+
+ORIGIN = np.zeros(3)
+UP, ACROSS, BACK = [0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, -0.3, 0.0]
+FAR_M = 0.030
+
+
+class Ride:
+    """What became of one drive from a known start: events, distance from the reference, how it ended."""
+
+    def __init__(self, way, *faults, bench="emulated", seed=0, feedback="ekf", **settings):
+        self.events, self.off_m, self.stop, self.reference = [], [0.0], None, None
+        opened = open_bench(bench, seed=seed, faults=faults, overrides=settings)
+        with opened as self.bench:
+            try:
+                self.bench.drive(way, feedback=feedback, hold_s=0.5, start_pose=ORIGIN, on_cycle=self.look)
+            except HilError as error:
+                self.stop = error
+            self.ended_s = self.bench.clock.now_ns() * 1e-9
+            self.off_m.append(self._off_m(self.bench.truth()) if self.reference is not None else 0.0)
+
+    def look(self, record):
+        self.events += record.events
+        self.reference = record.reference
+        if record.reference is not None:
+            self.off_m.append(self._off_m(self.bench.truth()))
+
+    def _off_m(self, truth):
+        return np.hypot(*(truth.pose_body_in_wall[:2] - self.reference.pose_in_wall[:2]))
+
+    def assert_near(self):
+        assert max(self.off_m) < FAR_M
+
+    def told(self, source, word):
+        """Times at which a device was named, s."""
+        return [e.t_ns * 1e-9 for e in self.events if e.source == source and word in e.message]
+
+
+def straight(to):
+    return line(ORIGIN, [*to[:2], 0.0])
+
+
+MOTIONS = {"up": (UP, "ekf", 0.8, 0), "up later": (UP, "ukf", 2.5, 1), "across": (ACROSS, "ekf", 1.5, 2),
+           "back": (BACK, "ukf", 3.2, 3)}  # fmt: skip
+QUICK = {(0.3, "up"), (0.3, "across"), (0.5, "up later"), (2.0, "back"), (0.0, "across")}
+
+
+def scales():
+    """Every scale on every motion; all but a few in the long run only."""
+    for scale in (0.0, 0.3, 0.5, 2.0):
+        for motion in MOTIONS:
+            marks = () if (scale, motion) in QUICK else pytest.mark.long
+            yield pytest.param(scale, motion, marks=marks)
+
+
+@pytest.mark.parametrize(("scale", "motion"), list(scales()))
+def test_a_camera_that_sees_another_scale_stops_the_robot(scale, motion):
+    way, feedback, at_s, seed = MOTIONS[motion]
+    ride = Ride(straight(way), f"tracker:wrong@{at_s},scale={scale}", feedback=feedback, seed=seed)
+    assert isinstance(ride.stop, SafetyStop)
+    assert ride.stop.reason == "sensors_disagree"
+    assert "camera" in str(ride.stop)
+    assert at_s < ride.told("tracker", "wheels")[0] < ride.ended_s
+    ride.assert_near()
+
+
+def test_a_fifth_too_much_is_found_on_a_longer_way():
+    """A fifth of the way up cannot be creep, which only takes away."""
+    ride = Ride(straight([0.5, 0, 0]), "tracker:wrong@1.5,scale=1.2")
+    assert ride.stop.reason == "sensors_disagree"
+    assert max(ride.off_m) < 0.04
+
+
+@pytest.mark.parametrize(("way", "at_s", "feedback"), [(UP, 2.5, "ekf"), (ACROSS, 1.5, "ukf")])
+def test_a_frozen_camera_is_named_at_once_and_lived_without_for_a_while(way, at_s, feedback):
+    ride = Ride(straight(way), f"tracker:stuck@{at_s}", feedback=feedback)
+    assert isinstance(ride.stop, DeviceTimeoutError)
+    assert at_s < ride.told("tracker", "frozen")[0] < at_s + 0.3
+    ride.assert_near()
+
+
+@pytest.mark.parametrize("device", ["imu", "mocap"])
+def test_other_frozen_streams_are_named_too(device):
+    ride = Ride(straight(UP), f"{device}:stuck@2+0.6")
+    assert 2.0 < ride.told(device, "frozen")[0] < 2.3
+    assert ride.stop is None
+
+
+def test_a_gyro_that_turns_by_itself_is_the_one_that_is_named():
+    ride = Ride(straight(UP), "imu:wrong@1.5,rate_rad_s=0.2")
+    assert ride.stop.reason == "sensors_disagree"
+    assert ride.told("imu", "gyro")
+    assert not ride.told("tracker", "")
+    ride.assert_near()
+
+
+def test_servos_that_repeat_themselves_are_named_beside_the_camera_that_moves_on():
+    ride = Ride(straight(UP), "servos:stuck@2.5")
+    assert ride.stop.reason == "blocked"
+    assert all(word in str(ride.stop) for word in ("FL", "FR", "also sensors_disagree"))
+    assert ride.ended_s < 3.0
+    ride.assert_near()
+
+
+@pytest.mark.parametrize(
+    ("fault", "servo", "turned"),
+    [
+        ("servos:jump@2.5", "steer_FR (ID 8)", "+0.50 rad"),
+        ("servo.steer_FL:jump@2.5,angle_rad=1.0", "steer_FL (ID 5)", "+1.00 rad"),
+        ("servo.drive_BR:jump@2.5", "drive_BR (ID 3)", "+0.5"),
+    ],
+)
+def test_a_servo_whose_encoder_slips_is_named_and_stops_the_robot(fault, servo, turned):
+    ride = Ride(straight(UP), fault)
+    assert ride.stop.reason == "servo_jump"
+    (event,) = (e for e in ride.events if servo in e.message)
+    assert turned in event.message
+    if "steer" in servo:
+        assert f"external encoder {servo[6:8]} turned by 0.00 rad" in event.message
+    ride.assert_near()
+
+
+SILENT = {
+    "servos:unplug": "none of the eight answers", "servo.drive_BL:off": "drive_BL (ID 2): timeout",
+    "servo.2:corrupt": "drive_BL (ID 2): crc", "servo.steer_FR:brownout": "steer_FR (ID 8): timeout",
+}  # fmt: skip
+SILENT_TOO = {
+    "servos:off": "none of the eight", "servos:baud_mismatch": "none of the eight",
+    "servos:brownout": "none of the eight", "servos:garbage": "none of the eight",
+    "servos:corrupt": "none of the eight", "servos:truncate": "none of the eight",
+    "servos:drop": "none of the eight", "servos:reset": "none of the eight",
+    "servo.7:intermittent": "steer_BR (ID 7): timeout", "servo.2:garbage": "drive_BL (ID 2): timeout",
+    "servo.2:drop": "drive_BL (ID 2): timeout", "servo.6:reset": "steer_BL (ID 6): timeout",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", [*SILENT, *(pytest.param(f, marks=pytest.mark.long) for f in SILENT_TOO)])
+def test_servos_that_fall_silent_in_motion_are_named_with_what_to_do(fault):
+    options = {"corrupt": ",probability=1", "drop": ",probability=1", "truncate": ",probability=1",
+               "intermittent": ",duty=0.9"}.get(fault.split(":")[1], "")  # fmt: skip
+    ride = Ride(straight([0.1, 0, 0]), f"{fault}@1{options}")
+    assert ride.stop.reason == "stale_servos"
+    assert (SILENT | SILENT_TOO)[fault] in str(ride.stop)
+    assert "check" in str(ride.stop)
+    for wheel in ("FL", "BR") if "ID 2" in (SILENT | SILENT_TOO)[fault] and "corrupt" not in fault else ():
+        assert wheel not in str(ride.stop)
+
+
+@pytest.mark.parametrize(
+    ("fault", "wheel"), [("encoder.BL:jump@2,angle_rad=0.2", "BL"), ("servo.steer_FR:wrong@2", "FR")]
+)
+def test_a_horn_that_slips_is_named_with_both_devices(fault, wheel):
+    ride = Ride(straight(UP), fault)
+    assert ride.stop.reason == "horn_slip"
+    (event,) = (e for e in ride.events if e.source == "encoders")
+    assert f"wheel {wheel}" in event.message
+    assert "external encoder" in event.message
+    assert f"servo steer_{wheel} (ID " in event.message
+    assert ("+0.2" if "encoder." in fault else "-0.1") in event.message
+    assert ride.told("encoders", "")[0] < ride.ended_s
+    ride.assert_near()
+
+
+def test_who_steers_by_odometry_is_told_of_the_camera_and_drives_on():
+    ride = Ride(straight(UP), "tracker:wrong@1.5,scale=0.3", feedback="odometry")
+    assert ride.told("tracker", "camera")
+    assert ride.stop is None
+
+
+SURVIVED = [
+    "tracker:jump@2.5,distance_m=0.3", "tracker:delayed@2+1,delay_s=0.2", "tracker:off@1.5+0.8",
+    "encoders:delayed@1,delay_s=0.03",
+]  # fmt: skip
+SURVIVED_TOO = [
+    "tracker:delayed,delay_s=0.05", "tracker:intermittent@1", "tracker:wrong@2+1,confidence=1",
+    "tracker:drop@1,probability=0.5", "tracker:slow@1,factor=4", "tracker:reset@2", "imu:off@2+0.4",
+    "imu:jump@2", "servos:delayed@2,delay_s=0.02",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", SURVIVED + [pytest.param(f, marks=pytest.mark.long) for f in SURVIVED_TOO])
+def test_what_the_estimator_copes_with_raises_no_doubt(fault):
+    ride = Ride(straight(UP), fault)
+    assert ride.stop is None
+    assert not [e for e in ride.events if "camera" in e.message or "encoder" in e.message]
+    ride.assert_near()
+
+
+def clean_rides(seeds):
+    """(bench, way, feedback, seed) of honest sensors; lines as long as the wall's procedures have them."""
+    walls = (
+        (line(ORIGIN, [1.5, 0, 0], duration_s=30.0), "ekf"),
+        (line(ORIGIN, [0, 1.5, 0], duration_s=30.0), "ukf"),
+        (scan(ORIGIN, 0.5, 3, 0.1, speed_m_s=0.1), "ekf"), (line(ORIGIN, [-0.6, -0.6, 0.15]), "ekf"),
+        (line(ORIGIN, [0.6, -0.6, -0.15]), "ukf"),
+    )  # fmt: skip
+    floors = (
+        (circle(ORIGIN, 0.3), "ekf"), (line(ORIGIN, [0.0, 0.0, 3.0]), "ukf"),
+        (through([ORIGIN, [0.3, 0.1, 1.0], [0.1, -0.2, -1.0]]), "ekf"),
+    )  # fmt: skip
+    rides = [("emulated", *walls[k % len(walls)], k) for k in range(seeds)]
+    return rides + [("emulated_floor", *floors[k % len(floors)], k) for k in range((seeds + 4) // 5)]
+
+
+def alarms(bench, way, feedback, seed):
+    ride = Ride(way, bench=bench, seed=seed, feedback=feedback)
+    return [str(e.message) for e in ride.events] + ([str(ride.stop)] if ride.stop is not None else [])
+
+
+def test_honest_sensors_raise_no_alarm():
+    short = [(line(ORIGIN, to), f) for to, f in ((UP, "ekf"), (ACROSS, "ukf"), ([0.2, -0.2, 0.1], "ekf"))]
+    for seed, (way, feedback) in enumerate(short):
+        assert alarms("emulated", way, feedback, 20 + seed) == []
+    assert alarms("emulated_floor", line(ORIGIN, [0.1, 0.1, 1.5]), "ekf", 30) == []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_fifty_clean_runs_on_the_wall_raise_no_alarm():
+    found = {
+        (bench, seed): said
+        for bench, way, f, seed in clean_rides(50)
+        if (said := alarms(bench, way, f, seed))
+    }
+    assert found == {}
+
+
+def test_a_stop_by_disagreement_is_replayed(tmp_path):
+    path = tmp_path / "stop.mcap"
+    with open_bench("emulated", seed=0, faults=("tracker:wrong@1.5,scale=0.3",)) as bench:
+        bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
+        with pytest.raises(SafetyStop, match="sensors_disagree"):
+            bench.drive(straight(UP), start_pose=ORIGIN)
+    opened = open_recording(path)
+    (run,) = opened.runs
+    assert [e.source for r in run.records for e in r.events] == ["tracker", "supervisor"]
+    assert verify_run(opened.bench, run)["difference"] is None

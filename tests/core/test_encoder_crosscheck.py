@@ -1,0 +1,122 @@
+"""Injected horn slip and backlash are found again, and nothing is found where nothing is."""
+
+import numpy as np
+import pytest
+
+from hil.config.encoders import EncodersConfig
+from hil.crosscheck import CrossCheck, SteeringWatch
+from hil.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
+
+
+def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):
+    """Steps back and forth, resting at each end; slip comes in half-way."""
+    rng = np.random.default_rng(0)
+    config = config or EncodersConfig()
+    result = None
+    for turn in range(12):
+        target = 0.4 if turn % 2 == 0 else -0.4
+        start = -target if turn else 0.0
+        for k in range(60):
+            servo = start + (target - start) * min(1.0, k / 20)
+            behind = servo + (0.5 * play if target < start else -0.5 * play)
+            behind += slip if turn >= 6 else 0.0
+            encoder = np.array([behind, servo, servo, servo]) + rng.normal(0, noise, 4)
+            encoder = np.array(config.sign) * encoder + np.array(config.zero_rad)
+            result = check.update(encoder, np.full(4, servo))
+    return result
+
+
+def test_two_equal_angles_raise_no_alarm():
+    result = steer(CrossCheck(EncodersConfig()), noise=0.001)
+    assert result.horn_slip == (False,) * 4
+    assert result.backlash_excessive == (False,) * 4
+    np.testing.assert_allclose(result.difference_rad, 0.0, atol=0.002)
+
+
+@pytest.mark.parametrize("slip", [0.1, -0.25])
+def test_horn_slip_is_measured_on_its_axis(slip):
+    result = steer(CrossCheck(EncodersConfig()), slip=slip, noise=0.001)
+    assert result.horn_slip == (True, False, False, False)
+    assert result.difference_rad[0] == pytest.approx(slip, abs=0.003)
+
+
+def test_backlash_is_measured_on_its_axis():
+    result = steer(CrossCheck(EncodersConfig()), play=0.02, noise=0.0005)
+    assert result.backlash_rad[0] == pytest.approx(-0.02, abs=0.003)
+    assert result.backlash_excessive == (True, False, False, False)
+    assert result.horn_slip == (False,) * 4
+
+
+def test_mounting_sign_and_zero_are_taken_out():
+    config = EncodersConfig(sign=(-1, 1, -1, 1), zero_rad=(3.0, -3.0, 0.2, 0.0))
+    result = steer(CrossCheck(config), config=config)
+    np.testing.assert_allclose(result.difference_rad, 0.0, atol=1e-6)
+
+
+def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
+    check = CrossCheck(EncodersConfig())
+    nan = np.full(4, np.nan)
+    for _ in range(50):
+        result = check.update(nan, np.zeros(4))
+    assert np.all(np.isnan(result.difference_rad))
+    assert result.horn_slip == (False,) * 4
+    for _ in range(50):
+        result = check.update(np.array([0.5, np.nan, 0.5, 0.5]), np.array([0.0, 0.0, np.nan, 0.0]))
+    assert np.isnan(result.difference_rad[1])
+    assert np.isnan(result.difference_rad[2])
+    assert result.difference_rad[0] == pytest.approx(0.0)
+
+
+PERIOD_NS = 10_000_000
+
+
+def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=((40, 10**6),)):
+    """A steering watch that sees one axis off in stretches of cycles; events by cycle, stops by cycle."""
+    config = config or EncodersConfig()
+    watch, told, stops = SteeringWatch(config, (5, 6, 7, 8)), [], []
+    for k in range(cycles):
+        off = np.array([0.0, off_rad if any(a <= k < b for a, b in slips) else 0.0, 0.0, 0.0])
+        stamp, events = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), []
+        angle = np.mod(np.array(config.sign) * (servo + off) + np.array(config.zero_rad) + np.pi, 2 * np.pi)
+        sample = EncoderSample(stamp, angle - np.pi, (Status.OK,) * 4, (0,) * 4)
+        wheels = WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.full(4, servo), (True,) * 4)
+        inputs = Inputs(k, k * PERIOD_NS, encoders=(sample,))
+        measured = Measurements(k, k * PERIOD_NS, wheels=(wheels,))
+        watch.judge(inputs, measured, events, lambda *cause, k=k: stops.append((k, *cause)))
+        told += [(k, e) for e in events]
+    return told, stops
+
+
+@pytest.mark.parametrize(
+    ("servo", "config"), [(0.0, None), (3.1, None), (-3.1, EncodersConfig(zero_rad=(3.0,) * 4))]
+)
+def test_a_slip_is_told_with_both_devices_and_then_stops(servo, config):
+    told, stops = watched(0.2, servo=servo, config=config)
+    ((at, event),) = told
+    assert 40 <= at <= 46
+    assert (event.level, event.source) == ("warning", "encoders")
+    assert "wheel BL: its external encoder has moved +0.200 rad (+11.5 deg)" in event.message
+    assert "servo steer_BL (ID 6)" in event.message
+    first, reason, said = stops[0]
+    assert at + 5 < first <= at + 10
+    assert reason == "horn_slip"
+    assert "+0.200 rad" in said
+
+
+@pytest.mark.parametrize(("off_rad", "told", "stopped"), [(0.028, 0, False), (0.032, 1, False),
+                                                          (-0.058, 1, False), (-0.062, 1, True)])  # fmt: skip
+def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, stopped):
+    events, stops = watched(off_rad, cycles=400)
+    assert len(events) == told
+    assert bool(stops) is stopped
+
+
+def test_a_slip_that_comes_again_is_told_again():
+    told, _ = watched(0.05, cycles=400, slips=((40, 120), (280, 360)))
+    assert [k // 200 for k, _ in told] == [0, 1]
+
+
+def test_without_one_of_the_two_nothing_is_compared():
+    watch, events = SteeringWatch(EncodersConfig()), []
+    watch.judge(Inputs(0, 0), Measurements(0, 0), events, lambda *cause: pytest.fail(str(cause)))
+    assert events == []

@@ -1,0 +1,78 @@
+"""Samples that cannot be used are told once each; a lost packet is not worth a word."""
+
+import numpy as np
+import pytest
+
+from hil.sample_watch import SampleWatch
+from hil.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
+
+PERIOD_NS = 10_000_000
+NAN = np.full(4, np.nan)
+
+
+def tracker(stamp, status):
+    return TrackerSample(stamp, NAN[:3], NAN, NAN[:3], NAN[:3], 3, status)
+
+
+def imu(stamp, status):
+    return ImuSample(stamp, NAN, NAN[:3], NAN[:3], NAN[:3], (3, 3, 3, 3), status)
+
+
+def mocap(stamp, status):
+    return MocapSample(stamp, NAN[:3], NAN, True, 0.0, 0.0, status)
+
+
+def encoders(stamp, status):
+    return EncoderSample(stamp, NAN, (Status.OK, status, Status.OK, Status.OK), (0,) * 4)
+
+
+MAKERS = {"tracker": tracker, "imu": imu, "mocap": mocap, "encoders": encoders}
+
+
+def watched(device, statuses, stale_s=None):
+    """Events of a device that sends one sample per cycle; None is no sample."""
+    watch, events = SampleWatch(stale_s or {}), []
+    for k, status in enumerate(statuses):
+        stamp = Stamp(k * PERIOD_NS, k * PERIOD_NS, k)
+        samples = () if status is None else (MAKERS[device](stamp, status),)
+        watch.judge(Inputs(k, k * PERIOD_NS, **{device: samples}), events)
+    return events
+
+
+TOLD = [
+    (Status.FROZEN, "frozen"), (Status.IMPLAUSIBLE, "cannot be"), (Status.NOT_FINITE, "no numbers"),
+    (Status.JUMP, "jumped"), (Status.RESET, "started again"), (Status.HARDWARE_ERROR, "hardware error"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("device", list(MAKERS))
+@pytest.mark.parametrize(("status", "word"), TOLD)
+def test_what_cannot_be_used_is_told_once(device, status, word):
+    (event,) = watched(device, [Status.OK] * 3 + [status] * 300 + [Status.OK] * 3)
+    assert (event.t_ns, event.level, event.source) == (3 * PERIOD_NS, "warning", device)
+    assert word in event.message
+    assert event.message.startswith("BL ") == (device == "encoders")
+
+
+def test_it_is_told_again_after_a_second_without():
+    apart = [Status.IMPLAUSIBLE] + [Status.OK] * 100
+    assert len(watched("imu", [*apart, Status.IMPLAUSIBLE])) == 2
+    assert len(watched("imu", [*apart[:-1], Status.IMPLAUSIBLE])) == 1
+
+
+@pytest.mark.parametrize("device", list(MAKERS))
+@pytest.mark.parametrize("status", [None, Status.TIMEOUT, Status.CRC, Status.LOW_CONFIDENCE, Status.STARTING])
+def test_what_passes_is_not_worth_a_word(device, status):
+    assert watched(device, [Status.OK, status, Status.OK, status, status]) == []
+
+
+def test_a_silence_is_told_when_it_has_lasted_and_so_is_its_end():
+    told = watched("imu", [Status.OK, *[None] * 60, Status.OK, Status.OK], {"imu": 0.5})
+    assert [(e.t_ns // PERIOD_NS, e.level, e.message) for e in told] == [
+        (51, "warning", "stale for 0.510 s"), (61, "info", "answers again"),
+    ]  # fmt: skip
+
+
+def test_frozen_samples_are_a_silence_too():
+    told = watched("tracker", [Status.OK, *[Status.FROZEN] * 60], {"tracker": 0.5})
+    assert [e.message.split()[0] for e in told] == ["repeats", "stale"]

@@ -1,0 +1,86 @@
+"""Goals: what is followed is clipped, and what is held is where the servos are, within one turn."""
+
+import numpy as np
+import pytest
+
+from hil.config.servos import ServosConfig
+from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
+from hil.drivers.servos.goals import Goals
+from hil.drivers.servos.packets import GoalWrite
+from hil.errors import UsageError
+from hil.signals import ServoSetpoint
+
+LOW, HIGH = 700, 3400
+
+
+def block(**registers):
+    """The registers of one servo, from address 0 on."""
+    data = bytearray(147)
+    for name, raw in {"velocity_limit": 1023, "min_position_limit": LOW, "max_position_limit": HIGH,
+                      "present_position": 2048, **registers}.items():  # fmt: skip
+        register = TABLE[name]
+        data[register.address : register.address + register.size] = register.encode(raw)
+    return bytes(data)
+
+
+def goals(blocks=None, **config):
+    write = GoalWrite(range(1, 9), 224)
+    return Goals(ServosConfig(**config), blocks or [block()] * 8, write, "servos"), write
+
+
+@pytest.mark.parametrize(
+    ("register", "goal"),
+    [
+        (2048, 2048), (2048 + 4096, 2048), (2048 - 3 * 4096, 2048), (4096 * 1000 + 3000, 3000),
+        (LOW, LOW), (LOW - 1, LOW), (0, LOW), (-4096 + LOW, LOW), (HIGH, HIGH), (HIGH + 1, HIGH),
+        (4095, HIGH), (-1, HIGH),
+    ],
+)  # fmt: skip
+def test_a_servo_of_one_turn_holds_within_it_and_within_its_limits(register, goal):
+    """A goal beyond one turn or the limits is ignored in silence: the servo would keep its old one."""
+    registers = np.array([9000, -9000, 5, 0, register, 2048, register, 2048])
+    held = goals()[0].still(registers)
+    assert held.tolist() == [0, 0, 0, 0, goal, 2048, goal, 2048]
+
+
+def test_limits_are_those_of_each_servo():
+    blocks = [block()] * 4 + [block(min_position_limit=1000 + 10 * k, max_position_limit=2000 + 10 * k)
+                              for k in range(4)]  # fmt: skip
+    held = goals(blocks)[0].still(np.array([0, 0, 0, 0, 0, 0, 4000, 4000]))
+    assert held[4:].tolist() == [1000, 1010, 2020, 2030]
+
+
+@pytest.mark.parametrize("register", [2048 + 4096, -30_000, 5])
+def test_a_servo_of_many_turns_holds_where_it_is(register):
+    held = goals(steer_mode="extended")[0].still(np.array([1, 2, 3, 4, register, 0, 0, register]))
+    assert held.tolist() == [0, 0, 0, 0, register, 0, 0, register]
+
+
+def test_holding_forgets_what_was_followed():
+    one, write = goals()
+    one.follow(ServoSetpoint(np.full(4, 2.0), np.full(4, 0.5)), np.zeros(8, dtype=np.int64))
+    one.hold(np.array([0, 0, 0, 0, 2048, 2000, 2100, 2048 + 4096]))
+    assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2000, 2100, 2048]))
+
+
+def test_what_is_followed_is_clipped_and_counted_from_the_centre():
+    one, write = goals(steer_limit_rad=0.6)
+    lost = np.array([0, 0, 0, 0, 0, 4096, 0, 0])
+    rates = np.array([2.0, -2.0, 1e3, -1e3])
+    one.follow(ServoSetpoint(rates, np.array([0.5, 0.5, 2.0, -2.0])), lost)
+    steps, top = round(0.5 / RAD_PER_COUNT), round(0.6 / RAD_PER_COUNT)
+    speed = round(2.0 / RAD_S_PER_COUNT)
+    most = min(1023, int(ServosConfig().velocity_limit_rad_s / RAD_S_PER_COUNT))
+    expected = [speed, -speed, most, -most, 2048 + steps, LOW, 2048 + top, 2048 - top]
+    assert one.packet() == write.packet(np.array(expected))
+    one.rest()
+    assert one.packet() == write.packet(np.array([0, 0, 0, 0, *expected[4:]]))
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_goals_that_are_no_numbers_leave_the_old_ones(bad):
+    one, write = goals()
+    rates = np.array([bad, 0, 0, 0])
+    with pytest.raises(UsageError, match="not finite"):
+        one.follow(ServoSetpoint(rates, np.zeros(4)), np.zeros(8, dtype=np.int64))
+    assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2048, 2048, 2048]))
