@@ -27,6 +27,8 @@ class ControlConfig(BaseModel):
         servo_lag_s: servo, reporting and bus lag in the optimal law's model.
         still_speed_m_s: below this a wheel holds its last angle.
         flip_hysteresis_rad: beyond a quarter turn before a module is flipped.
+        contradiction_m_s: how fast a wheel may slip because the wheels' angles belong to no common centre of
+            rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
         steering_limit_rad, steering_rate_rad_s: of a steering module.
         wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
         heading_limit_rad: largest heading of a reference on a wall.
@@ -46,6 +48,7 @@ class ControlConfig(BaseModel):
     servo_lag_s: Annotated[float, Within(0.001, 1.0, "a servo follows within a second")] = 0.1
     still_speed_m_s: Annotated[float, Within(0.0, 0.05, "faster than that, a wheel rolls")] = 0.002
     flip_hysteresis_rad: float = Field(0.1047, ge=0, le=0.11)
+    contradiction_m_s: float = Field(0.004, gt=0)
     steering_limit_rad: float = Field(2.0944, gt=1.6, le=3.0)
     steering_rate_rad_s: WheelRate = 5.0
     wheel_speed_m_s: Annotated[float, Within(0.001, 3.5, "wheels of 0.5 m at 7 rad/s")] = 0.122

@@ -3,8 +3,9 @@
 1. inverse kinematics; 2. a wheel that hardly moves holds its last angle (a centre of rotation on a
 wheel is singular); 3. flip by half a turn when that is the shorter turn from the **measured** angle,
 with hysteresis; 4. keep inside the steering range, else flip; 5. cosine compensation; 6. desaturate
-all wheels alike, which keeps the centre of rotation; 7. steering rate limit
-(`facts/plant_and_control.md`).
+all wheels alike, which keeps the centre of rotation; 7. steering rate limit: all modules are slowed alike
+and arrive together; 8. slow all wheels alike while their angles, on the way to a new centre of rotation,
+contradict each other.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.geometry import Array, wrap, wrap_array
-from hil.kinematics import WheelGeometry, inverse
+from hil.kinematics import WheelGeometry, inverse, wheel_vectors
 from hil.signals import WheelSetpoint
 
 _QUARTER_RAD = np.pi / 2.0
@@ -30,6 +31,7 @@ class ModuleLimits:
     steering_rate_rad_s: float = 5.0
     still_speed_m_s: float = 0.002
     flip_hysteresis_rad: float = 0.1047
+    contradiction_m_s: float = 0.004
 
 
 def optimize(
@@ -47,10 +49,10 @@ def optimize(
     return speed, near
 
 
-def desaturate(speed: Array, limit: float) -> Array:
-    """All speeds scaled by one factor so that none exceeds the limit."""
-    peak = max(map(abs, speed.tolist()))
-    return speed if peak <= limit else speed * (limit / peak)
+def desaturate(values: Array, limit: float) -> Array:
+    """All values (4,) scaled by one factor so that none exceeds the limit."""
+    peak = max(map(abs, values.tolist()))
+    return values if peak <= limit else values * (limit / peak)
 
 
 def _clipped(values: Array, limit: float) -> Array:
@@ -63,6 +65,8 @@ class ModuleLayer:
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
+        p = geometry.projection()
+        self._contradicting = np.eye(8) - p @ np.linalg.pinv(p)
         self.reset()
 
     def reset(self) -> None:
@@ -92,6 +96,19 @@ class ModuleLayer:
         speed = desaturate(speed * np.maximum(0.0, np.cos(error)), limits.speed_m_s)
         reach = limits.steering_rate_rad_s * self.dt_s
         sent = measured_rad if self._sent is None else self._sent
-        self._sent = sent + _clipped(target - sent, reach)
+        self._sent = sent + desaturate(target - sent, reach)
         bounded = _clipped(self._sent, limits.steering_rad)
+        speed = self._agreeing(speed, np.stack([measured_rad, bounded]))
         return WheelSetpoint(speed / self.geometry.radius_m, bounded)
+
+    def _agreeing(self, speed: Array, steering_rad: Array) -> Array:
+        """Speeds (4,) scaled by one factor so that no wheel slips by more than the limit.
+
+        What a wheel slips is what the rigid-body motion that fits all wheels best, by least squares,
+        leaves of its velocity; at each of the steering angles (n, 4) that the wheels may have meanwhile.
+        """
+        u = wheel_vectors(speed, steering_rad - self.geometry.steering_zero_rad)
+        left = u @ self._contradicting
+        peak = float(np.max(np.hypot(left[:, 0::2], left[:, 1::2])))
+        limit = self.limits.contradiction_m_s
+        return speed if peak <= limit else speed * (limit / peak)

@@ -84,6 +84,7 @@ def make_controller(
         config.steering_rate_rad_s,
         config.still_speed_m_s,
         config.flip_hysteresis_rad,
+        config.contradiction_m_s,
     )
     return TrackingController(
         law,

@@ -145,6 +145,43 @@ def test_desaturation_keeps_the_centre_of_rotation(seed):
     assert back @ twist > 0
 
 
+def slip_m_s(out, steering):
+    """Largest slip of a wheel, m/s: its velocity beside the rigid-body motion that fits all wheels best."""
+    u = wheel_vectors(out.wheel_rate_rad_s * CAD.radius_m, steering)
+    left = (u - CAD.projection() @ np.linalg.lstsq(CAD.projection(), u, rcond=None)[0]).reshape(4, 2)
+    return np.hypot(*left.T).max()
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40)
+def test_wheels_do_not_contradict_each_other_while_they_are_steered(seed):
+    """Twists that change at once: as commanded, at the angles measured and at those just sent, no wheel
+    slips by more than 5 mm/s, and the motion asked for is reached."""
+    rng = np.random.default_rng(seed)
+    layer, steering = ModuleLayer(CAD, ModuleLimits(), DT), np.zeros(4)
+    for _ in range(3):
+        twist = np.array([*rng.uniform(-0.08, 0.08, 2), rng.uniform(-0.3, 0.3)])
+        for _ in range(100):
+            out = layer.allocate(twist, steering)
+            for angles in (steering, out.steering_rad):
+                assert slip_m_s(out, angles) <= 5e-3
+            steering = steering + 0.5 * (out.steering_rad - steering)
+        wanted = np.hypot(*(CAD.projection() @ twist).reshape(4, 2).T)
+        if wanted.min() > ModuleLimits().still_speed_m_s and wanted.max() < ModuleLimits().speed_m_s:
+            reached = forward(CAD, out.wheel_rate_rad_s * CAD.radius_m, out.steering_rad)
+            np.testing.assert_allclose(reached, twist, atol=1e-6)
+
+
+def test_modules_arrive_together():
+    layer, steering, way = ModuleLayer(CAD, ModuleLimits(), DT), np.array([0.0, 0.3, 0.0, 0.0]), []
+    for _ in range(60):
+        steering = layer.allocate(np.array([0.0, 0.0, 0.3]), steering).steering_rad
+        way.append(steering)
+    left = np.abs(np.array(way) - way[-1])
+    done = [int(np.argmax(column < 1e-9)) for column in left.T]
+    assert len(set(done)) == 1
+
+
 def test_a_wheel_in_the_centre_of_rotation_holds_its_angle():
     twist = np.array([CAD.y_m[0], -CAD.x_m[0], 1.0]) * 0.1
     layer = ModuleLayer(CAD, ModuleLimits(), DT)
