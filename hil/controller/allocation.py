@@ -20,6 +20,7 @@ from hil.kinematics import WheelGeometry, inverse, wheel_vectors
 from hil.signals import WheelSetpoint
 
 _QUARTER_RAD = np.pi / 2.0
+_FOLLOWING = 0.9
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,11 @@ def _clipped(values: Array, limit: float) -> Array:
 
 
 class ModuleLayer:
-    """Keeps each module's held angle between calls."""
+    """Keeps each module's held angle between calls.
+
+    Attributes:
+        following: whether the latest twist is what the wheels were told to do: not held, limited or slowed.
+    """
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
@@ -71,6 +76,7 @@ class ModuleLayer:
 
     def reset(self) -> None:
         """Forget held and sent angles: they start again from the measured ones."""
+        self.following = False
         self._held: Array | None = None
         self._sent: Array | None = None
 
@@ -78,6 +84,7 @@ class ModuleLayer:
         """Wheels at rest at the held (or measured) angles."""
         held = measured_rad.copy() if self._held is None else self._held
         self._held = self._sent = held
+        self.following = False
         return WheelSetpoint(np.zeros(4), held.copy())
 
     def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
@@ -90,15 +97,16 @@ class ModuleLayer:
                 speeds[i] = 0.0
                 continue
             speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], limits)
-        speed, target = np.array(speeds), np.array(goals)
+        asked, target = np.array(speeds), np.array(goals)
         self._held = target
         error = wrap_array(target - measured_rad)
-        speed = desaturate(speed * np.maximum(0.0, np.cos(error)), limits.speed_m_s)
+        speed = desaturate(asked * np.maximum(0.0, np.cos(error)), limits.speed_m_s)
         reach = limits.steering_rate_rad_s * self.dt_s
         sent = measured_rad if self._sent is None else self._sent
         self._sent = sent + desaturate(target - sent, reach)
         bounded = _clipped(self._sent, limits.steering_rad)
         speed = self._agreeing(speed, np.stack([measured_rad, bounded]))
+        self.following = bool(np.any(asked) and np.all(np.abs(speed) >= _FOLLOWING * np.abs(asked)))
         return WheelSetpoint(speed / self.geometry.radius_m, bounded)
 
     def _agreeing(self, speed: Array, steering_rad: Array) -> Array:

@@ -215,6 +215,56 @@ def test_integral_action_beats_the_proportional_law_under_sag():
     assert rms[1] <= 0.7 * rms[0]
 
 
+def controller_of(**given):
+    return make_controller(ControlConfig(**given), CAD, line(np.zeros(3), [0.5, 0, 0], duration_s=5.0))
+
+
+def test_integral_action_is_what_one_gets_unasked():
+    config = ControlConfig()
+    assert config.law == "optimal"
+    assert config.integral
+    assert config.integral_weight > 0.0
+
+
+def asked_after(waiting, **given):
+    """Forward speed, m/s, asked for 1.5 mm behind the end, after `waiting(controller)` in 60 s of cycles."""
+    controller = controller_of(**given)
+    for _ in range(6000):
+        waiting(controller)
+    end = reference([0.5, 0, 0], [0, 0, 0], 5.0, done=True)
+    out = controller.update(state([0.4985, 0, 0]), end, wheels(np.zeros(4)))
+    return float(forward(CAD, out.wheel_rate_rad_s * CAD.radius_m, out.steering_rad)[0])
+
+
+def at_the_goal(controller):
+    end = reference([0.5, 0, 0], [0, 0, 0], 5.0, done=True)
+    out = controller.update(state([0.4991, 0, 0]), end, wheels(np.zeros(4)))
+    assert not out.wheel_rate_rad_s.any()
+
+
+def at_the_limit(controller):
+    controller.update(state([0.3, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.zeros(4)))
+
+
+def steering(controller):
+    controller.update(state([0.49, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.full(4, 1.2)))
+
+
+@pytest.mark.parametrize("waiting", [at_the_goal, at_the_limit, steering])
+def test_the_integral_does_not_grow_while_the_wheels_cannot_follow(waiting):
+    """Held at the goal, at the limit of speed, or with modules that do not turn: nothing is let loose."""
+    assert asked_after(waiting) == pytest.approx(asked_after(waiting, integral_clamp=1e-4), rel=0.01)
+
+
+def test_the_integral_is_bounded_by_what_a_wall_can_do():
+    """A robot that drives and does not move: 29 mm/s beside the proportional part, and no more."""
+
+    def driving(controller):
+        controller.update(state([0.49, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.zeros(4)))
+
+    assert asked_after(driving) - asked_after(driving, integral_clamp=1e-4) == pytest.approx(0.029, abs=2e-3)
+
+
 def test_optimal_law_without_integral_still_tracks():
     errors = drive("optimal", line(np.zeros(3), [0.5, 0, 0]), integral=False)
     assert np.abs(errors[-1, :2]).max() < 2e-3
@@ -258,8 +308,9 @@ def test_nonsense_stops_the_robot(bad):
     trajectory = line(np.zeros(3), [0.5, 0, 0])
     gains = (math.nan, 4.0, 3.0) if bad == "gains" else (4.0, 4.0, 3.0)
     controller = make_controller(
-        ControlConfig.model_construct(**{**ControlConfig().model_dump(), "gains": gains}), CAD, trajectory
-    )
+        ControlConfig.model_construct(**{**ControlConfig().model_dump(), "law": "nonlinear", "gains": gains}),
+        CAD, trajectory,
+    )  # fmt: skip
     pose = [math.nan, 0, 0] if bad == "state" else [0, 0, 0]
     goal = [math.nan, 0, 0] if bad == "reference" else [0.1, 0, 0]
     with pytest.raises(SafetyStop, match="not_finite"):
