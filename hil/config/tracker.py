@@ -73,8 +73,10 @@ class TrackerConfig(BaseModel):
     endpoint: FeedEndpoint | None = None
     mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
-    scale: float = Field(1.0, gt=0.8, lt=1.25)
-    scale_sigma: float | None = Field(None, gt=0, lt=0.2)
+    scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
+    scale_sigma: (
+        Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None
+    ) = None
     latency_s: float = Field(0.020, ge=0, le=0.5)
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05
