@@ -57,6 +57,7 @@ class AlignmentParameters:
     Attributes:
         drive_sign, steer_sign: (4,) of +-1, wheel order.
         steer_zero_rad: (4,) servo angle at which the wheel points along body x.
+        tracker_scale: way that the camera reports over the true way.
         on_wall: gravity lies in the motion plane.
     """
 
@@ -65,6 +66,7 @@ class AlignmentParameters:
     steer_zero_rad: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
     imu: Mount = Mount()
     tracker: Mount = Mount()
+    tracker_scale: float = 1.0
     on_wall: bool = True
 
     def __post_init__(self) -> None:
@@ -148,7 +150,9 @@ class Alignment:
         mount = self.parameters.tracker
         mount_m, mount_wxyz = mount.position_m, mount.rotation_wxyz
         turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), conjugated(mount_wxyz)))
-        moved = rotated(mount_wxyz, rotated(back, (px - sx, py - sy, pz - sz)))
+        scale = self.parameters.tracker_scale
+        way = ((px - sx) / scale, (py - sy) / scale, (pz - sz) / scale)
+        moved = rotated(mount_wxyz, rotated(back, way))
         lever = rotated(turn, mount_m)
         yaw = self._unwrap("tracker", yaw_of_quat(turn))
         return PoseMeasurement(

@@ -128,13 +128,12 @@ def _check_wall(config: BenchConfig) -> None:
 def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float]]:
     """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction.
 
-    A resumed run begins in a fresh world: the first rest differs, so that it does not repeat the noise
-    of the repetitions before.
+    Each begins on a bench opened afresh, so that it does not depend on which repetitions the same run has
+    driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
+    every repetition, so that two worlds of one seed do not repeat each other's noise.
     """
-    bench = ctx.opened
-    if bench is None:
-        bench = ctx.reopen("lines", overrides=_WITHOUT)
-        stand(bench, 0.5 + _STAGGER_S * number)
+    bench = ctx.reopen(f"lines {number}", overrides=_WITHOUT)
+    stand(bench, 0.5 + _STAGGER_S * number)
     found = {}
     for k, direction in enumerate(DIRECTIONS):
         pose = stand(bench)

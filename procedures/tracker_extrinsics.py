@@ -40,6 +40,7 @@ from procedures.parts.tracking import stand
 
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8
+_LEAST_SCALE_SIGMA = 1e-5
 
 
 class Parameters(BaseModel):
@@ -214,6 +215,9 @@ def _table(ctx: Context, found: Extrinsics) -> None:
         for k, name in enumerate(("roll", "pitch", "yaw"))
     ]  # fmt: skip
     rows.append(
+        ["scale", f"{config.scale:.5f}", f"{found.scale:.5f}", f"± {found.scale_uncertainty:.5f}", "1"]
+    )
+    rows.append(
         ["latency", f"{1e3 * config.latency_s:.1f}", f"{1e3 * (config.latency_s + found.late_s):.2f}",
          f"± {1e3 * found.late_uncertainty_s:.2f}", "ms"]
     )  # fmt: skip
@@ -282,6 +286,8 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     values: dict[str, Any] = {
         "mount_position_m": [round(float(v), 5) for v in (x, y, config.mount_position_m[2])],
         "mount_rotation_wxyz": [round(float(v), 6) for v in found.rotation_wxyz],
+        "scale": round(found.scale, 5),
+        "scale_sigma": float(f"{max(0.5 * found.scale_uncertainty, _LEAST_SCALE_SIGMA):.2g}"),
         "latency_s": round(max(0.0, config.latency_s + found.late_s), 5),
     }
     true = {
@@ -291,4 +297,4 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     overrides = {**unused, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
     bench = ctx.reopen("applied", overrides=overrides)
     ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
-    write_fragment(ctx, {"tracker": values}, "Mount and latency of the tracking camera.")
+    write_fragment(ctx, {"tracker": values}, "Mount, scale and latency of the tracking camera.")

@@ -7,7 +7,13 @@ the loop had.
 from __future__ import annotations
 
 from hil.alignment import Alignment
-from hil.bench.settings import alignment_parameters, checks, motion_limits, safety_limits
+from hil.bench.settings import (
+    alignment_parameters,
+    checks,
+    motion_limits,
+    safety_limits,
+    with_measured_scale,
+)
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
 from hil.controller.joint_script import JointScript, ScriptedController
@@ -44,7 +50,7 @@ class Blueprint:
         fitted_with: str = "",
         seed: int = 0,
     ) -> None:
-        self.config, self.geometry, self.seed = config, geometry, seed
+        self.config, self.geometry, self.seed = with_measured_scale(config), geometry, seed
         self.calibration, self.fitted_with = calibration, fitted_with
         self.alignment_parameters = alignment_parameters(config)
 

@@ -72,13 +72,15 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
 
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
-    """Zeros, signs and mounts of a configuration."""
-    mounts: dict[str, Any] = {
+    """Zeros, signs, mounts and the camera's scale of a configuration."""
+    known: dict[str, Any] = {
         name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
         for name in ("imu", "tracker")
         if (device := getattr(config, name)) is not None
     }
-    return AlignmentParameters(**config.alignment.model_dump(), **mounts, on_wall=config.environment.on_wall)
+    if config.tracker is not None:
+        known["tracker_scale"] = config.tracker.scale
+    return AlignmentParameters(**config.alignment.model_dump(), **known, on_wall=config.environment.on_wall)
 
 
 def geometry_of(config: BenchConfig) -> WheelGeometry:
@@ -144,4 +146,24 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
         return config
     LOG.info("estimator.wheels.model = %r, as the calibration was fitted", wanted)
     changed = estimator.model_copy(update={"wheels": wheels.model_copy(update={"model": wanted})})
+    return config.model_copy(update={"estimator": changed})
+
+
+def with_measured_scale(config: BenchConfig) -> BenchConfig:
+    """A configuration whose filters start from the measured uncertainty of the camera's scale.
+
+    `estimator.tracker.scale_sigma` stays where the bench file, or a preset, names it: a difference is a
+    warning. Without a measurement nothing changes.
+    """
+    measured = None if config.tracker is None else config.tracker.scale_sigma
+    estimator, noise = config.estimator, config.estimator.tracker
+    if measured is None or noise.scale_sigma == measured:
+        return config
+    if "scale_sigma" in noise.model_fields_set:
+        LOG.warning(
+            "tracker.scale_sigma = %g was measured; estimator.tracker.scale_sigma = %g is given and is used",
+            measured, noise.scale_sigma,
+        )  # fmt: skip
+        return config
+    changed = estimator.model_copy(update={"tracker": noise.model_copy(update={"scale_sigma": measured})})
     return config.model_copy(update={"estimator": changed})

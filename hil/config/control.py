@@ -17,16 +17,19 @@ class ControlConfig(BaseModel):
     """Which law, its gains, the module layer and its limits.
 
     Attributes:
-        law: `nonlinear` (model-based, per wheel) or `optimal` (time-varying LQR).
+        law: `optimal` (time-varying LQR), or `nonlinear` (the authors', model-based, per wheel), which lags
+            behind by what the wheels slip.
         gains: k_x, k_y, k_theta of the non-linear law, 1/s.
         dead_zone: pose errors (m, m, rad) that are not corrected: below what wheels of 4096 steps a turn
             resolve, a slow wheel would steer after noise, through the play of its gear.
-        integral: whether the optimal law has integral action.
+        integral: whether the optimal law has integral action; it learns only while the wheels can follow.
         state_weight, integral_weight, input_weight: LQR weights (diagonal, per axis alike).
         integral_clamp: bound of the integral states, m s and rad s.
         servo_lag_s: servo, reporting and bus lag in the optimal law's model.
         still_speed_m_s: below this a wheel holds its last angle.
         flip_hysteresis_rad: beyond a quarter turn before a module is flipped.
+        contradiction_m_s: how fast a wheel may slip because the wheels' angles belong to no common centre of
+            rotation, as they do while modules steer: beyond, all four wheels are slowed alike.
         steering_limit_rad, steering_rate_rad_s: of a steering module.
         wheel_speed_m_s, acceleration_m_s2: largest of any wheel; references and setpoints keep within.
         heading_limit_rad: largest heading of a reference on a wall.
@@ -35,17 +38,18 @@ class ControlConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
-    law: Literal["nonlinear", "optimal"] = "nonlinear"
+    law: Literal["nonlinear", "optimal"] = "optimal"
     gains: tuple[Gain, Gain, Gain] = (4.0, 4.0, 3.0)
     dead_zone: tuple[DeadZone, DeadZone, DeadZone] = (1e-4, 1e-4, 5e-4)
     integral: bool = True
     state_weight: Weight = 25.0
     integral_weight: Annotated[float, Within(0.0, 1e6, "only the ratios of the weights count")] = 20.0
     input_weight: Weight = 1.0
-    integral_clamp: Annotated[float, Within(1e-4, 10.0, "m s, rad s; more winds up")] = 0.1
+    integral_clamp: Annotated[float, Within(1e-4, 10.0, "m s, rad s; more winds up")] = 0.01
     servo_lag_s: Annotated[float, Within(0.001, 1.0, "a servo follows within a second")] = 0.1
     still_speed_m_s: Annotated[float, Within(0.0, 0.05, "faster than that, a wheel rolls")] = 0.002
     flip_hysteresis_rad: float = Field(0.1047, ge=0, le=0.11)
+    contradiction_m_s: Annotated[float, Within(1e-4, 0.5, "wheels are not faster than that")] = 0.004
     steering_limit_rad: float = Field(2.0944, gt=1.6, le=3.0)
     steering_rate_rad_s: WheelRate = 5.0
     wheel_speed_m_s: Annotated[float, Within(0.001, 3.5, "wheels of 0.5 m at 7 rad/s")] = 0.122

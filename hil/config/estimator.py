@@ -109,7 +109,8 @@ class TrackerNoise(_Strict):
         position_m, heading_rad: white noise of one pose.
         drift_per_sqrt_m, drift_per_sqrt_s: random walk of the frame's position, m.
         yaw_drift_per_sqrt_s: random walk of the frame's heading about the robot, rad.
-        scale_sigma: prior of the camera's scale error (free unless 0).
+        scale_sigma: prior of the camera's scale error (free unless 0), of what is left of it where the bench
+            file knows `tracker.scale`; then `tracker.scale_sigma` is the default.
         baseline_s: the frame is cloned anew after this time; 0 keeps it until a jump.
         least_quality: confidence below which a pose is dropped; the next one up is trusted half as much.
         jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.

@@ -48,6 +48,10 @@ class TrackerConfig(BaseModel):
         endpoint: poses come from an emulated camera in another process instead of the USB library.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (arXiv 2509.04016);
             applied by the alignment.
+        scale: way that the camera reports over the true way; the alignment divides by it.
+        scale_sigma: standard uncertainty of `scale` where it was measured (`tracker_extrinsics`): the
+            estimator's prior for the scale error that is left, unless `estimator.tracker.scale_sigma` is
+            given, too.
         latency_s: smallest time from exposure to the host, which no host clock can see.
         jump_distance_m, jump_angle_rad: largest step beside what `max_speed_m_s` and
             `max_rate_rad_s` explain; anything larger is a relocalisation.
@@ -69,6 +73,10 @@ class TrackerConfig(BaseModel):
     endpoint: FeedEndpoint | None = None
     mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
     mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
+    scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
+    scale_sigma: (
+        Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None
+    ) = None
     latency_s: float = Field(0.020, ge=0, le=0.5)
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05

@@ -39,6 +39,14 @@ class Law(Protocol):
     def twist(self, error: Array, reference: Reference) -> Array:
         """Commanded body twist (3,) for an error (3,)."""
 
+    @abstractmethod
+    def learn(self, error: Array) -> None:
+        """Take an error (3,) into the integral, if there is one.
+
+        Called after `twist`, in cycles whose command the wheels can follow: an integral that also grew at
+        rest, at a limit or while modules steer would be let loose afterwards.
+        """
+
 
 class NonlinearLaw(Law):
     """Model-based law t = t_d + K e, the body form of the authors' per-wheel law.
@@ -56,6 +64,9 @@ class NonlinearLaw(Law):
     def twist(self, error: Array, reference: Reference) -> Array:
         """Feed-forward plus proportional correction."""
         return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
+
+    def learn(self, error: Array) -> None:
+        """No integral."""
 
 
 def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Array]:
@@ -139,10 +150,13 @@ class OptimalLaw(Law):
         k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
         z = np.concatenate([error, self._integral, self._lagged])
         correction = -self._gains[k] @ z
-        if self._integrates:
-            self._integral = np.clip(self._integral + error * self._dt_s, -self._clamp, self._clamp)
         self._lagged = self._decay * self._lagged + (1.0 - self._decay) * correction
         return np.asarray(reference.twist_body + correction, dtype=np.float64)
+
+    def learn(self, error: Array) -> None:
+        """One step of the integral, within its clamp."""
+        if self._integrates:
+            self._integral = np.clip(self._integral + error * self._dt_s, -self._clamp, self._clamp)
 
 
 def _without_integral(model: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -45,7 +45,8 @@ class TrackingController(Controller):
             SafetyStop: `not_finite` when state, reference or the law's output is not finite.
         """
         error = pose_error(state, reference)
-        twist = self._law.twist(beyond(error, self._dead_zone), reference)
+        outside = beyond(error, self._dead_zone)
+        twist = self._law.twist(outside, reference)
         figures = (*error.tolist(), *twist.tolist(), *reference.pose_in_wall.tolist())
         if not all(map(math.isfinite, figures)):
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
@@ -56,7 +57,10 @@ class TrackingController(Controller):
         )
         if at_goal:
             return self._modules.hold(wheels.steering_rad)
-        return self._modules.allocate(twist, wheels.steering_rad)
+        setpoint = self._modules.allocate(twist, wheels.steering_rad)
+        if self._modules.following:
+            self._law.learn(outside)
+        return setpoint
 
 
 def make_controller(
@@ -84,6 +88,7 @@ def make_controller(
         config.steering_rate_rad_s,
         config.still_speed_m_s,
         config.flip_hysteresis_rad,
+        config.contradiction_m_s,
     )
     return TrackingController(
         law,

@@ -145,6 +145,43 @@ def test_desaturation_keeps_the_centre_of_rotation(seed):
     assert back @ twist > 0
 
 
+def slip_m_s(out, steering):
+    """Largest slip of a wheel, m/s: its velocity beside the rigid-body motion that fits all wheels best."""
+    u = wheel_vectors(out.wheel_rate_rad_s * CAD.radius_m, steering)
+    left = (u - CAD.projection() @ np.linalg.lstsq(CAD.projection(), u, rcond=None)[0]).reshape(4, 2)
+    return np.hypot(*left.T).max()
+
+
+@given(st.integers(0, 10_000))
+@settings(max_examples=40)
+def test_wheels_do_not_contradict_each_other_while_they_are_steered(seed):
+    """Twists that change at once: as commanded, at the angles measured and at those just sent, no wheel
+    slips by more than 5 mm/s, and the motion asked for is reached."""
+    rng = np.random.default_rng(seed)
+    layer, steering = ModuleLayer(CAD, ModuleLimits(), DT), np.zeros(4)
+    for _ in range(3):
+        twist = np.array([*rng.uniform(-0.08, 0.08, 2), rng.uniform(-0.3, 0.3)])
+        for _ in range(100):
+            out = layer.allocate(twist, steering)
+            for angles in (steering, out.steering_rad):
+                assert slip_m_s(out, angles) <= 5e-3
+            steering = steering + 0.5 * (out.steering_rad - steering)
+        wanted = np.hypot(*(CAD.projection() @ twist).reshape(4, 2).T)
+        if wanted.min() > ModuleLimits().still_speed_m_s and wanted.max() < ModuleLimits().speed_m_s:
+            reached = forward(CAD, out.wheel_rate_rad_s * CAD.radius_m, out.steering_rad)
+            np.testing.assert_allclose(reached, twist, atol=1e-6)
+
+
+def test_modules_arrive_together():
+    layer, steering, way = ModuleLayer(CAD, ModuleLimits(), DT), np.array([0.0, 0.3, 0.0, 0.0]), []
+    for _ in range(60):
+        steering = layer.allocate(np.array([0.0, 0.0, 0.3]), steering).steering_rad
+        way.append(steering)
+    left = np.abs(np.array(way) - way[-1])
+    done = [int(np.argmax(column < 1e-9)) for column in left.T]
+    assert len(set(done)) == 1
+
+
 def test_a_wheel_in_the_centre_of_rotation_holds_its_angle():
     twist = np.array([CAD.y_m[0], -CAD.x_m[0], 1.0]) * 0.1
     layer = ModuleLayer(CAD, ModuleLimits(), DT)
@@ -176,6 +213,56 @@ def test_integral_action_beats_the_proportional_law_under_sag():
     assert plain[moving, 0].mean() == pytest.approx(2e-3 / 4.0 + ControlConfig().dead_zone[0], rel=0.1)
     rms = [np.sqrt(np.mean(e[:, 0] ** 2)) for e in (plain, optimal)]
     assert rms[1] <= 0.7 * rms[0]
+
+
+def controller_of(**given):
+    return make_controller(ControlConfig(**given), CAD, line(np.zeros(3), [0.5, 0, 0], duration_s=5.0))
+
+
+def test_integral_action_is_what_one_gets_unasked():
+    config = ControlConfig()
+    assert config.law == "optimal"
+    assert config.integral
+    assert config.integral_weight > 0.0
+
+
+def asked_after(waiting, **given):
+    """Forward speed, m/s, asked for 1.5 mm behind the end, after `waiting(controller)` in 60 s of cycles."""
+    controller = controller_of(**given)
+    for _ in range(6000):
+        waiting(controller)
+    end = reference([0.5, 0, 0], [0, 0, 0], 5.0, done=True)
+    out = controller.update(state([0.4985, 0, 0]), end, wheels(np.zeros(4)))
+    return float(forward(CAD, out.wheel_rate_rad_s * CAD.radius_m, out.steering_rad)[0])
+
+
+def at_the_goal(controller):
+    end = reference([0.5, 0, 0], [0, 0, 0], 5.0, done=True)
+    out = controller.update(state([0.4991, 0, 0]), end, wheels(np.zeros(4)))
+    assert not out.wheel_rate_rad_s.any()
+
+
+def at_the_limit(controller):
+    controller.update(state([0.3, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.zeros(4)))
+
+
+def steering(controller):
+    controller.update(state([0.49, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.full(4, 1.2)))
+
+
+@pytest.mark.parametrize("waiting", [at_the_goal, at_the_limit, steering])
+def test_the_integral_does_not_grow_while_the_wheels_cannot_follow(waiting):
+    """Held at the goal, at the limit of speed, or with modules that do not turn: nothing is let loose."""
+    assert asked_after(waiting) == pytest.approx(asked_after(waiting, integral_clamp=1e-4), rel=0.01)
+
+
+def test_the_integral_is_bounded_by_what_a_wall_can_do():
+    """A robot that drives and does not move: 29 mm/s beside the proportional part, and no more."""
+
+    def driving(controller):
+        controller.update(state([0.49, 0, 0]), reference([0.5, 0, 0], [0, 0, 0], 5.0), wheels(np.zeros(4)))
+
+    assert asked_after(driving) - asked_after(driving, integral_clamp=1e-4) == pytest.approx(0.029, abs=2e-3)
 
 
 def test_optimal_law_without_integral_still_tracks():
@@ -221,8 +308,9 @@ def test_nonsense_stops_the_robot(bad):
     trajectory = line(np.zeros(3), [0.5, 0, 0])
     gains = (math.nan, 4.0, 3.0) if bad == "gains" else (4.0, 4.0, 3.0)
     controller = make_controller(
-        ControlConfig.model_construct(**{**ControlConfig().model_dump(), "gains": gains}), CAD, trajectory
-    )
+        ControlConfig.model_construct(**{**ControlConfig().model_dump(), "law": "nonlinear", "gains": gains}),
+        CAD, trajectory,
+    )  # fmt: skip
     pose = [math.nan, 0, 0] if bad == "state" else [0, 0, 0]
     goal = [math.nan, 0, 0] if bad == "reference" else [0.1, 0, 0]
     with pytest.raises(SafetyStop, match="not_finite"):

@@ -53,11 +53,15 @@ def test_a_wheel_with_a_silent_servo_is_not_valid():
     assert wheels.wheels[0].valid == (True, False, True, True)
 
 
+@pytest.mark.parametrize("scale", [1.0, 1.04, 0.97])
 @pytest.mark.parametrize("attitude", [[0.0, 0.0, 0.4], [0.0, -math.pi / 2, 0.0], [0.3, 1.2, -2.0]])
-def test_tracker_mount_and_start_frame_cancel(attitude):
-    """A camera bolted to a body that moves in its own plane gives the body's planar pose."""
+def test_tracker_mount_scale_and_start_frame_cancel(attitude, scale):
+    """A camera bolted to a body that moves in its own plane gives the body's planar pose.
+
+    `scale` is the way that it reports over the true way, lever included: the alignment inverts it.
+    """
     mount = Mount((0.1489, 0.0092, 0.0666), tuple(quat_from_rotvec([0.02, -0.1, 0.3])))
-    alignment = Alignment(AlignmentParameters(tracker=mount))
+    alignment = Alignment(AlignmentParameters(tracker=mount, tracker_scale=scale))
     wall_in_world = quat_from_rotvec(attitude)
     yaw = 0.0
     for k in range(40):
@@ -67,8 +71,9 @@ def test_tracker_mount_and_start_frame_cancel(attitude):
         camera_m = body_m + quat_rotate(turn, mount.position_m)
         camera_wxyz = quat_multiply(wall_in_world, quat_multiply(turn, mount.rotation_wxyz))
         sample = TrackerSample(
-            Stamp(k, k, k), quat_rotate(wall_in_world, camera_m), camera_wxyz, np.zeros(3), np.zeros(3), 3
-        )
+            Stamp(k, k, k), scale * quat_rotate(wall_in_world, camera_m), camera_wxyz, np.zeros(3),
+            np.zeros(3), 3,
+        )  # fmt: skip
         (measured,) = alignment.measure(Inputs(k, k, tracker=(sample,))).tracker
         np.testing.assert_allclose(measured.pose, [*body_m[:2], yaw], atol=1e-9)
 

@@ -1,5 +1,6 @@
 """Surface identification: recovers the emulated wall's creep and hold, and fails where it cannot."""
 
+import json
 import math
 
 import numpy as np
@@ -21,9 +22,9 @@ QUICK = {"length_m": "0.4", "hold_step_deg": "1"}
 DAMPING_N_S_M = 30.0
 
 
-def identify(folder, seed=0, parameters=QUICK, **source):
+def identify(folder, seed=0, parameters=QUICK, resume=False, **source):
     options = RunOptions(
-        folder, MonotonicClock(), "2026-01-01T00:00:00", dict(parameters), operator=Terminal()
+        folder, MonotonicClock(), "2026-01-01T00:00:00", dict(parameters), operator=Terminal(), resume=resume
     )
     result = run_procedure(surface_identification.run, BenchSource(seed=seed, **source), options)
     return result, {row["name"]: row["value"] for row in result.measurements}
@@ -102,6 +103,22 @@ def test_over_twenty_seeds_the_stated_intervals_cover_the_truth(tmp_path):
 
 
 SHORT = {"length_m": "0.25", "repetitions": "2", "hold": "false"}
+
+
+def test_interrupted_after_any_step_it_finds_what_it_finds_undisturbed(tmp_path):
+    parameters = SHORT | {"hold": "true", "hold_step_deg": "10"}
+    whole, found = identify(tmp_path / "whole", seed=3, parameters=parameters)
+    lines = (tmp_path / "whole" / "journal.jsonl").read_text().splitlines(keepends=True)
+    ends = [k for k, line in enumerate(lines, start=1) if json.loads(line)["kind"] == "value"]
+    assert len(ends) == 4
+    for k in ends:
+        folder = tmp_path / f"after {k}"
+        folder.mkdir()
+        (folder / "journal.jsonl").write_text("".join(lines[:k]))
+        again, figures = identify(folder, seed=3, parameters=parameters, resume=True)
+        steps = [s["outcome"] for s in again.facts["steps"]]
+        assert steps.count("resumed") == ends.index(k) + 1
+        assert (again.verdict, figures) == (whole.verdict, found)
 
 
 @pytest.mark.parametrize(

@@ -5,8 +5,10 @@ import sys
 
 import numpy as np
 import pytest
-from procedure_runs import assert_covered, run
+from procedure_runs import assert_covered, part, run, true_world
 
+from hil.config.bench import load_bench
+from hil.fakes.tracker import T265
 from hil.geometry import quat_from_rotvec, quat_multiply
 from procedures.parts.samples import Series
 from procedures.parts.tracker_hand_eye import Truth, intervals, solve
@@ -33,6 +35,16 @@ def hidden(seed):
     return np.array([*np.multiply(position[:2], 1e3), *np.degrees(turn), 1e3 * late]), options
 
 
+def scale_of(seed, bench, options):
+    return part(true_world(bench, seed, {"emulation.tracker": options}), T265).odometry.scale
+
+
+def as_bench(fragment_text, folder):
+    """The fragment in a bench file, as a lab would use it."""
+    (folder / "bench.toml").write_text('schema = 1\nname = "lab"\n' + fragment_text)
+    return load_bench(folder / "bench.toml").tracker
+
+
 def recover(seed, folder, **source):
     truth, options = hidden(seed)
     done = run(
@@ -44,15 +56,22 @@ def recover(seed, folder, **source):
     found = np.array(
         [values[n] for n in ("mount_x", "mount_y")]
         + [values[f"{n}_correction"] for n in ("roll", "pitch", "yaw")]
-        + [values["late"]]
+        + [values["late"], values["scale"]]
     )
     half = np.array(
-        [values[f"{n}_uncertainty"] for n in ("mount_x", "mount_y", "roll", "pitch", "yaw", "late")]
+        [values[f"{n}_uncertainty"] for n in ("mount_x", "mount_y", "roll", "pitch", "yaw", "late", "scale")]
     )
-    fragment = tomllib.loads((folder / "bench_fragment.toml").read_text())["tracker"]
+    true_scale = scale_of(seed, source.get("bench", "emulated_floor"), options)
+    text = (folder / "bench_fragment.toml").read_text()
+    fragment = tomllib.loads(text)["tracker"]
+    assert fragment["scale"] == pytest.approx(values["scale"], abs=1e-5)
+    assert fragment["scale_sigma"] == pytest.approx(values["scale_uncertainty"] / 2.0, rel=0.05)
+    assert fragment["scale"] == pytest.approx(true_scale, abs=4.0 * fragment["scale_sigma"])
+    read = as_bench(text, folder)
+    assert (read.scale, read.scale_sigma) == (fragment["scale"], fragment["scale_sigma"])
     assert fragment["latency_s"] == pytest.approx(options["latency_s"], abs=0.006)
     assert fragment["mount_position_m"][:2] == pytest.approx(options["mount_position_m"][:2], abs=0.004)
-    return ((found - truth) / half).tolist(), done
+    return ((found - [*truth, true_scale]) / half).tolist(), done
 
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
