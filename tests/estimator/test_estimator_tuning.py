@@ -1,14 +1,16 @@
 """Tuning: finds noise that was put in, keeps what is good, refuses what it cannot fit."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from estimator_drives import drive
 
 from hil.cli.tune import command
+from hil.config.bench import load_bench
 from hil.config.estimator import EstimatorConfig
-from hil.errors import UsageError
+from hil.errors import ConfigError, UsageError
 from hil.estimator.tuning import TruthRun, score, tunable, tune, with_values
 from hil.kinematics import WheelGeometry
 
@@ -65,12 +67,28 @@ def test_the_command_saves_what_it_found(tmp_path, capsys, csv_with_truth):
     assert result["evaluations"] == 3
     assert f"per_sqrt_m = {result['values']['wheels.per_sqrt_m']:.4g}" in out.read_text()
     bench = tmp_path / "bench.toml"
-    bench.write_text('schema = 1\nname = "table"\nsurface = "floor"\n[estimator.gates]\none_dof = 9.0\n')
+    bench.write_text(
+        'schema = 1\nname = "table"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
+        "[robot]\nwheel_radius_m = [0.03, 0.03, 0.03, 0.03]\n[estimator.gates]\none_dof = 9.0\n"
+    )
     assert command.main([*arguments, "--bench", str(bench)], standalone_mode=False) == 0
+    assert json.loads(capsys.readouterr().out)["geometry"]["r_m"] == [0.03] * 4
+    assert result["geometry"]["r_m"] == [0.0254] * 4
     saved = out.read_text()
     assert 'name = "table"' in saved
     assert "one_dof = 9.0" in saved
     assert "drift_per_sqrt_m" in saved
+
+
+def test_a_recording_of_another_robot_than_the_benchs_is_refused(monkeypatch, tmp_path):
+    """The recording says which wheels it was made with; a bench file with others cannot be its robot's."""
+    config = load_bench("emulated_floor")
+    recorded = {**config.robot.model_dump(), "wheel_radius_m": [0.04] * 4}
+    opened = SimpleNamespace(header={"config": {"robot": recorded}}, bench=SimpleNamespace(config=config))
+    monkeypatch.setattr("hil.live.playback.open_recording", lambda path, **options: opened)
+    with pytest.raises(ConfigError, match=r"robot.wheel_radius_m: \[0.04, .* there, \[0.0254") as error:
+        command.main(["run.mcap", "--bench", "emulated_floor"], standalone_mode=False)
+    assert "another robot" in str(error.value)
 
 
 @pytest.fixture
