@@ -2,10 +2,11 @@
 
 import logging
 
+import numpy as np
 import pytest
 
 from hil.errors import DeviceTimeoutError
-from hil.signals import Status
+from hil.signals import ServoSetpoint, Status
 
 SECOND = 1_000_000_000
 
@@ -51,3 +52,15 @@ def test_a_watchdog_that_trips_in_a_pause_is_armed_again_without_a_warning(servo
     assert marked.status == (Status.RESET,) * 8
     found = [r for r in caplog.records if "tripped" in r.message]
     assert [r.levelno for r in found] == [logging.DEBUG]
+
+
+def test_a_bus_that_was_away_for_as_long_as_the_watchdog_waits_is_obeyed_again_at_once(servo_bench):
+    """Goals are refused in silence until somebody looks; waiting for the next look at health would take 1 s."""
+    bench = servo_bench("servos:unplug@1.1+0.1", config={"health_period_s": 60.0})
+    bench.driver.enable()
+    while bench.clock.now_ns() < 1.35 * SECOND:
+        bench.driver.read()
+        bench.driver.command(ServoSetpoint(np.full(4, 2.0), np.zeros(4)))
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+    assert not any(s.tripped for s in bench.bus.servos)
+    np.testing.assert_allclose(bench.plant.velocity[:4], 2.0, atol=0.3)

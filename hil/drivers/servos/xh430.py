@@ -163,7 +163,7 @@ class XH430Servos(Actuators):
             restarted = self._audit(reading)
         self._paused = False
         sample = self._samples.sample(reading, restarted)
-        self._doubtful |= self._samples.doubtful
+        self._doubtful |= self._samples.doubtful or Status.OK not in sample.status
         self._outage.note(sample.status, sample.alert, sample.stamp.host_ns)
         if self._config.prefetch and not self._commanded:
             self._cycle.ask(full=self._look_closely())
