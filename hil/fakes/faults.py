@@ -8,7 +8,6 @@ without `+` until the end. A device declares what it supports; anything else is 
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ WIRE_FAULTS = (
 )  # fmt: skip
 PLANT_FAULTS = ("adhesion_loss",)
 VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+_LARGEST = 1e9
 _SLOWNESS, _PERIOD_S, _DUTY, _PROBABILITY = 5.0, 0.5, 0.5, 0.1
 
 _SPEC = re.compile(
@@ -71,15 +71,20 @@ class Fault:
 
 
 def make_fault(
-    device: str, kind: str, *, at: float = 0.0, duration: float | None = None, **options: float
+    device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
 ) -> Fault:
-    """A fault from seconds; raises `UsageError` for an unknown kind or an impossible time."""
+    """A fault from seconds; raises `UsageError` for an unknown kind, an impossible time or option."""
     if kind not in VOCABULARY:
         raise UsageError(f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY))
-    if not (math.isfinite(at) and at >= 0) or (duration is not None and not duration > 0):
+    if not 0 <= at <= _LARGEST or (duration is not None and not 0 < duration <= _LARGEST):
         raise UsageError(
             f"fault {device}:{kind} has start {at} s and duration {duration} s",
-            expected="a start >= 0 and a duration > 0",
+            expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
+        )
+    wrong = [key for key, value in options.items() if not abs(value) <= _LARGEST]
+    if wrong:
+        raise UsageError(
+            f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]}", expected=f"at most {_LARGEST:g}"
         )
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
@@ -101,7 +106,7 @@ def parse_fault(spec: str) -> Fault:
         )
     except UsageError:
         raise
-    except ValueError:
+    except (ValueError, TypeError):
         raise UsageError(
             f"fault {spec!r} cannot be read",
             expected="DEVICE:KIND[@START_S[+DURATION_S]][,key=number...], for example imu:stuck@2+3",
