@@ -100,7 +100,7 @@ def open_recording(
     header = read_header(path)
     if bench is not None:
         config = load_bench(bench)
-    elif "config" in header:
+    elif isinstance(header.get("config"), dict):
         config = recorded_bench(header["config"], f"configuration in {path}")
     else:
         raise DataError(

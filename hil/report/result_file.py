@@ -31,6 +31,12 @@ class _Problem(_Part):
     step: str = ""
 
 
+class _Held(_Part):
+    state: str
+    moved_m: _Number = None
+    why: str = ""
+
+
 class _Row(_Part):
     name: str
     unit: str
@@ -81,6 +87,7 @@ class _Result(_Part):
     verdict: str
     exit_code: int = 0
     error: _Problem | None = None
+    held: _Held | None = None
     teardown_errors: list[_Problem] = []
     measurements: list[_Row]
     summary: str = ""
@@ -140,15 +147,12 @@ def address(folder: Path, path: str) -> str:
 
 
 def own_file(folder: Path, name: str) -> Path:
-    """Where to write a page of a results folder: a symbolic link of that name is removed, not followed.
+    """Where to write a page of a results folder.
 
     Raises:
-        DataError: the link cannot be removed.
+        DataError: a symbolic link has that name: what it leads to may be anything.
     """
     path = folder / name
-    try:
-        if path.is_symlink():
-            path.unlink()
-    except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error.strerror or error})") from None
+    if path.is_symlink():
+        raise DataError(str(path), "cannot be written (it is a symbolic link)", remedy="remove the link")
     return path

@@ -106,6 +106,7 @@ def test_a_run_whose_progress_nobody_reads_is_aborted_with_the_robot_held(folder
     assert run.returncode == 4
     result = json.loads((folder / "quiet" / "result.json").read_text())
     assert (result["verdict"], result["exit_code"]) == ("ABORTED", 4)
+    assert result["held"]["state"] == "HELD"
     done = [step["title"] for step in result["steps"] if step["outcome"] == "done"]
     assert done[:1] == ["drive 0"]
     assert "drive 4" not in done

@@ -149,9 +149,9 @@ def result(**values):
 
 
 RESULT_KEYS = st.sampled_from(
-    ["procedure", "verdict", "measurements", "error", "teardown_errors", "steps", "tables", "figures", "seed",
+    ["procedure", "verdict", "measurements", "error", "teardown_errors", "steps", "tables", "figures", "held",
      "attachments", "recordings", "notes", "parameters", "config", "calibration", "versions", "loop",
-     "faults", "duration_s"]
+     "faults", "duration_s", "seed"]
 )  # fmt: skip
 ROWS = st.dictionaries(
     st.sampled_from(["name", "unit", "value", "low", "high", "margin", "outcome", "limited", "rationale"]),

@@ -20,8 +20,8 @@ from hil.live.playback import open_recording, verify_recording
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
 from hil.recording.cycle_layout import COUNT, MAGIC, describe
+from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
-from hil.recording.mcap_writer import METADATA
 from hil.recording.ros_messages import octet_array, string
 from hil.recording.runs import RunStart, read_runs
 from hil.signals import CycleRecord, RobotState

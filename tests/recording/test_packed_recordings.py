@@ -16,7 +16,7 @@ from mcap.records import Attachment, Chunk, ChunkIndex
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 from mcap_cases import driving_record
-from test_mcap_topics import MAPPING, bag  # noqa: F401  # the fixture
+from test_mcap_topics import MAPPING, write_bag
 
 from hil.cli import main
 from hil.errors import DataError
@@ -195,8 +195,9 @@ def test_an_index_names_the_chunks_that_were_looked_at(tmp_path, mapping):
         read_bag(path, mapping)
 
 
-def test_a_bag_packed_as_a_whole_is_read_within_bounds(bag, mapping, tmp_path):  # noqa: F811
-    bag = bag[0]
+def test_a_bag_packed_as_a_whole_is_read_within_bounds(mapping, tmp_path):
+    bag = tmp_path / "line_x_1"
+    write_bag(bag)
     plain = read_bag(bag, mapping)
     file = next(bag.glob("*.mcap"))
     file.with_name(f"{file.name}.zstd").write_bytes(zstandard.compress(file.read_bytes()))
