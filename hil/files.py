@@ -20,7 +20,7 @@ def write_text(path: Path, text: str) -> Path:
         DataError: it cannot be written.
     """
     try:
-        path.write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise _refused(path, error) from None
     return path

@@ -9,6 +9,7 @@ SI units.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -20,7 +21,10 @@ import numpy as np
 
 from hil.errors import DataError, UsageError
 from hil.geometry import Array, ArrayLike, rotation2
+from hil.reading import read_text
 from hil.signals import Reference
+
+_MOST_WAYPOINT_BYTES = 16 << 20
 
 TimeLaw = Literal["quintic", "constant"]
 Pose = tuple[float, float, float]
@@ -114,9 +118,11 @@ class Trajectory:
     def from_mapping(cls, data: Mapping[str, Any]) -> Trajectory:
         """The inverse of `to_mapping`; raises `UsageError` for anything else."""
         try:
-            return cls(str(data["name"]), tuple(_segment(part) for part in data["segments"]))
-        except (KeyError, TypeError, ValueError) as error:
+            made = cls(str(data["name"]), tuple(_segment(part) for part in data["segments"]))
+            made.sample(0.0)
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
             raise UsageError(f"this is no trajectory ({error!r})", expected="what to_mapping wrote") from None
+        return made
 
     def sample(self, t_s: float) -> Reference:
         """Reference at a time; the twist is in the reference's body frame."""
@@ -236,12 +242,13 @@ def through(
 def read_waypoints(path: Path) -> list[Array]:
     """Poses of a CSV file with the header `x,y,theta` (m, m, rad)."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-        poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]
-    except (OSError, UnicodeDecodeError) as error:
+        text = read_text(path, _MOST_WAYPOINT_BYTES)
+    except (OSError, ValueError) as error:
         raise DataError(str(path), f"cannot be read ({error})") from None
-    except (KeyError, TypeError, ValueError):
+    try:
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]
+    except (KeyError, TypeError, ValueError, csv.Error):
         raise DataError(str(path), "is no waypoint list", expected="header x,y,theta and numbers") from None
     if len(poses) < 2 or not np.all(np.isfinite(poses)):
         raise DataError(str(path), f"holds {len(poses)} waypoint(s)", expected="at least 2, all finite")

@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -22,11 +21,7 @@ from hil.calibration.calibrate import Calibration
 from hil.errors import ConfigError
 from hil.geometry import Array
 from hil.kinematics import ForwardModel, WheelGeometry
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from hil.reading import read_toml
 
 Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
@@ -140,12 +135,7 @@ def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
 
 def read_calibration(path: Path) -> CalibrationFile:
     """Read and check a file; raises `ConfigError` with every problem at once."""
-    try:
-        tree = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})", remedy="run hil calibrate --out") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML ({error})") from None
+    tree = read_toml(path, remedy="run hil calibrate --out")
     try:
         return CalibrationFile.model_validate(tree)
     except ValidationError as error:

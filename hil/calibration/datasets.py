@@ -20,6 +20,7 @@ _GAP_S = 0.1
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
 _DEGREES_MARGIN_RAD = 1.4
+_CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
 _ROTATION_PATH_M = 0.3
 
@@ -144,7 +145,7 @@ def _count(repairs: dict[str, int], what: str, number: SupportsInt) -> None:
 
 def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[Array, Array, Array]:
     """Finite rows in strictly increasing time; receive stamps made increasing the authors' way."""
-    t_s, values = log.t_s, log.values
+    t_s, values = credible(log.t_s), credible(log.values)
     receive_s = log.receive_s if log.receive_s is not None else t_s
     good = np.isfinite(t_s) & np.all(np.isfinite(values[:, :needed]), axis=1)
     _count(repairs, f"{kind} rows without numbers dropped", np.count_nonzero(~good))
@@ -159,6 +160,11 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
     t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
     _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(t_s) > _GAP_S))
     return t_s, values, increasing(receive_s)
+
+
+def credible(values: Array) -> Array:
+    """Numbers of a file; NaN for what no quantity here can be, in whatever unit, and no sum can hold."""
+    return np.where(np.abs(values) < _CREDIBLE, values, np.nan)
 
 
 def increasing(t_s: Array) -> Array:

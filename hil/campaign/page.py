@@ -9,10 +9,12 @@ from typing import Any
 from urllib.parse import quote
 
 import numpy as np
+from markupsafe import Markup
 
 from hil.campaign.table import GOOD, Row
 from hil.files import write_text
-from hil.report.run_page import PAGE, environment, inline_svg
+from hil.report.figures import figure_image
+from hil.report.run_page import PAGE, environment
 from hil.report.run_plots import PALETTE, new_figure, style
 
 _ROWS_SHOWN = 500
@@ -31,7 +33,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     """
     names = dict.fromkeys(n for row in rows for n in row.measurements)
     drawn = [name for name in names if _values(name, rows)]
-    figures = [{"name": name, "svg": _figure(name, rows, f"c{k}")} for k, name in enumerate(drawn)]
+    figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
     shown = sorted(rows, key=lambda row: row.verdict in GOOD)[:_ROWS_SHOWN]
     page = (
         environment()
@@ -54,14 +56,14 @@ def _values(name: str, rows: Sequence[Row]) -> list[float]:
     return [m["value"] for row in rows if (m := row.measurements.get(name)) and m["value"] is not None]
 
 
-def _figure(name: str, rows: Sequence[Row], prefix: str) -> str:
-    """One column of dots per combination, its median, and the limits; `prefix` keeps its ids apart."""
+def _figure(name: str, rows: Sequence[Row]) -> Markup:
+    """One column of dots per combination, its median, and the limits."""
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.case.group, []).append(row)
     first = next(row.measurements[name] for row in rows if name in row.measurements)
     figure = new_figure(max(4.0, 1.6 + 0.9 * len(groups)), 2.8)
-    axes = style(figure.add_subplot(), "", f"{name} ({first['unit']})")
+    axes = style(figure.add_subplot(), "", f"{name} ({first['unit']})".replace("$", r"\$"))
     for column, own in enumerate(groups.values()):
         values = np.array(_values(name, own))
         if len(values) == 0:
@@ -76,6 +78,6 @@ def _figure(name: str, rows: Sequence[Row], prefix: str) -> str:
     axes.set_xticks(range(len(groups)), list(groups), fontsize=8, rotation=turned)
     axes.set_xlim(-0.6, len(groups) - 0.4)
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / f"{prefix}.svg"
+        file = Path(folder) / "figure.svg"
         figure.savefig(file)
-        return inline_svg(file)
+        return figure_image(file, name)

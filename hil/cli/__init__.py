@@ -16,7 +16,9 @@ import click
 
 from hil import __version__
 from hil.cli.options import SuggestingGroup
-from hil.errors import EXIT_ABORTED, EXIT_USAGE, HilError
+from hil.cli.output import Output
+from hil.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, HilError
+from hil.reading import printable
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
@@ -89,7 +91,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             args=list(argv) if argv is not None else None, prog_name="hil", standalone_mode=False
         )
     except HilError as error:
-        click.echo(f"hil: {error}", err=True)
+        click.echo(printable(f"hil: {error}"), err=True)
         return error.exit_code
     except click.exceptions.Abort:
         click.echo("hil: aborted", err=True)
@@ -102,11 +104,18 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.ClickException as error:
         error.show(sys.stderr)
         return EXIT_USAGE
-    except BrokenPipeError:
-        return EXIT_ABORTED
     return result if isinstance(result, int) else 0
 
 
 def script() -> None:
     """Console entry point."""
-    sys.exit(main())
+    try:
+        output = Output()
+    except Aborted as error:
+        click.echo(f"hil: {error}", err=True)
+        sys.exit(EXIT_ABORTED)
+    try:
+        code = main()
+    except Aborted:  # even the message about an error finds no reader
+        code = EXIT_ABORTED
+    sys.exit(code if output.finish() else EXIT_ABORTED)

@@ -17,6 +17,7 @@ from hil.cli.campaign_runs import Job, Setup, finished, lost, run_case
 from hil.cli.progress import reporting
 from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
 from hil.files import write_text
+from hil.reading import read_json
 
 if TYPE_CHECKING:
     from hil.campaign import Case, Row
@@ -130,11 +131,10 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
         return
     if not resume:
         raise ConfigError(f"{out}: holds another campaign", remedy="choose another --out, or --resume")
-    try:
-        before = json.loads(path.read_text(encoding="utf-8"))
-        different = [key for key in plan if before.get(key) != plan[key]]
-    except (OSError, ValueError, AttributeError) as error:
-        raise ConfigError(f"{path}: cannot be read ({error})") from None
+    before = read_json(path)
+    if not isinstance(before, dict):
+        raise ConfigError(f"{path}: is not the plan of a campaign")
+    different = [key for key in plan if before.get(key) != plan[key]]
     if different:
         raise ConfigError(
             f"{path}: the campaign had another {', '.join(different)}",

@@ -81,7 +81,7 @@ def run_case(job: Job) -> Row:
 
 def finished(job: Job) -> Row | None:
     """The row of a case that has run to its verdict before; None for one that has not."""
-    from hil.report.run_page import read_result
+    from hil.report.result_file import read_result
 
     try:
         tree = read_result(Path(job.folder))

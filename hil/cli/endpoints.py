@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 from pathlib import Path
 
 from hil.errors import DataError, UsageError
+from hil.reading import json_value, read_text
 
+_MOST_BYTES = 1 << 20
 _ADDRESSES = {"port", "interface", "server", "host"}
 
 
@@ -71,8 +72,8 @@ class EndpointsFile:
 def _left_behind(path: Path) -> bool:
     """Whether a file is what an emulator leaves when it is killed, or empty."""
     try:
-        text = path.read_text(encoding="utf-8") if path.is_file() else "?"
-        found = json.loads(text) if text.strip() else {}
+        text = read_text(path, _MOST_BYTES) if path.is_file() else "?"
+        found = json_value(text) if text.strip() else {}
     except (OSError, ValueError):
         return False
     entries = found.values() if isinstance(found, dict) else ["?"]

@@ -36,7 +36,7 @@ _KINDS = ("odometry", "ekf", "ukf")
     "commands",
     default="none",
     show_default=True,
-    help="Velocity commands from: stdin, udp:PORT (this host only; 0: any) or none.",
+    help="Velocity commands from: stdin, udp:PORT (this host, with the token; 0: any) or none.",
 )
 @click.option(
     "--dead-man",

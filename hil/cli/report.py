@@ -16,19 +16,21 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """Write the report of a results folder; with several folders, compare their runs."""
+    from hil.reading import printable
     from hil.report.compare_page import compare, comparison_text, write_compare_page
-    from hil.report.run_page import read_result, write_run_page
+    from hil.report.result_file import own_file, read_result
+    from hil.report.run_page import write_run_page
 
     if len(folders) == 1:
         page = write_run_page(folders[0], out)
         tree = read_result(folders[0])
         found = {"report": str(page), "procedure": tree["procedure"], "verdict": tree["verdict"]}
-        click.echo(json.dumps(found) if as_json else f"{tree['verdict']}: {page}")
+        click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {page}"))
         return 0
-    page = out if out is not None else folders[0] / "compare.html"
+    page = out if out is not None else own_file(folders[0], "compare.html")
     table = compare(folders)
     write_compare_page(page, table)
-    click.echo(json.dumps({**table, "report": str(page)}) if as_json else comparison_text(table))
+    click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(comparison_text(table)))
     if not as_json:
         click.echo(f"page: {page}")
     return 0

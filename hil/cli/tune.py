@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +13,6 @@ import click
 from hil.cli.progress import reporting
 from hil.errors import ConfigError, DataError, UsageError
 from hil.files import check_file, write_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -137,7 +131,7 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
 
     tree: dict[str, Any] = {}
     if bench is not None:
-        tree = tomllib.loads(find_bench(bench)[0])
+        tree = find_bench(bench)[0]
     for name, value in found.values.items():
         table, key = name.split(".")
         tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")

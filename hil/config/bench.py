@@ -6,7 +6,6 @@ Strict: unknown keys are errors, and every problem is reported at once with its 
 from __future__ import annotations
 
 import copy
-import sys
 from collections.abc import Mapping, Sequence
 from importlib import resources
 from pathlib import Path
@@ -34,11 +33,7 @@ from hil.config.sections import (
 from hil.config.servos import ServosConfig
 from hil.config.tracker import TrackerConfig
 from hil.errors import ConfigError, did_you_mean
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from hil.reading import read_toml, toml_tables
 
 _PATHS = ("calibration", "imu.calibration_file", "encoders.dbc", "emulation.replay")
 DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
@@ -122,21 +117,15 @@ def profile_names() -> tuple[str, ...]:
     return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
 
 
-def find_bench(source: str | Path) -> tuple[str, str]:
-    """Text and printable origin of a bench file: a path, or the name of a shipped profile."""
+def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
+    """Tables and printable origin of a bench file: a path, or the name of a shipped profile."""
     path = Path(source)
     if path.suffix == ".toml" or path.exists():
-        try:
-            return path.read_text(encoding="utf-8"), str(path)
-        except (OSError, UnicodeDecodeError) as error:
-            raise ConfigError(
-                f"{path}: cannot be read ({error})", remedy="give a bench.toml or a profile name"
-            ) from None
+        return read_toml(path, remedy="give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
-        return (
-            resources.files("hil.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8"),
-            f"profile {source}",
-        )
+        origin = f"profile {source}"
+        text = resources.files("hil.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
+        return toml_tables(text, origin), origin
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),
@@ -173,11 +162,7 @@ def load_bench(
     if isinstance(source, BenchConfig):
         tree, origin = source.model_dump(by_alias=True, exclude_unset=True), source.name
     else:
-        text, origin = find_bench(source)
-        try:
-            tree = tomllib.loads(text)
-        except tomllib.TOMLDecodeError as error:
-            raise ConfigError(f"{origin}: not valid TOML ({error})") from None
+        tree, origin = find_bench(source)
         if origin == str(source):
             _anchor(tree, Path(source).parent)
     for dotted, value in (overrides or {}).items():

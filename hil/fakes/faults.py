@@ -26,6 +26,7 @@ WIRE_FAULTS = (
 )  # fmt: skip
 PLANT_FAULTS = ("adhesion_loss",)
 VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+_LARGEST = 1e9
 Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""
 
@@ -76,18 +77,23 @@ class Fault:
 
 
 def make_fault(
-    device: str, kind: str, *, at: float = 0.0, duration: float | None = None, **options: float
+    device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
 ) -> Fault:
-    """A fault from seconds; raises `UsageError` for an unknown kind or an impossible time."""
+    """A fault from seconds; raises `UsageError` for an unknown kind, an impossible time or option."""
     if kind not in VOCABULARY:
         raise UsageError(
             f"fault {device}:{kind} is unknown", expected="one of " + ", ".join(VOCABULARY),
             remedy=did_you_mean(kind, VOCABULARY),
         )  # fmt: skip
-    if not 0 <= at < math.inf or (duration is not None and not 0 < duration < math.inf):
+    if not 0 <= at <= _LARGEST or (duration is not None and not 0 < duration <= _LARGEST):
         raise UsageError(
             f"fault {device}:{kind} has start {at} s and duration {duration} s",
-            expected="a start >= 0 and a duration > 0",
+            expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
+        )
+    wrong = [key for key, value in options.items() if not abs(value) <= _LARGEST]
+    if wrong:
+        raise UsageError(
+            f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]}", expected=f"at most {_LARGEST:g}"
         )
     for key, value in options.items():
         if not math.isfinite(value):
@@ -112,7 +118,7 @@ def parse_fault(spec: str) -> Fault:
         )
     except UsageError:
         raise
-    except ValueError:
+    except (ValueError, TypeError):
         raise UsageError(
             f"fault {spec!r} cannot be read",
             expected="DEVICE:KIND[@START_S[+DURATION_S]][,key=number...], for example imu:stuck@2+3",

@@ -12,7 +12,6 @@ A timeline is a list of tables, seconds counted from the world's start::
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -20,11 +19,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from hil.errors import ConfigError, UsageError
 from hil.fakes.faults import Fault, make_fault, parse_fault
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from hil.reading import read_toml
 
 
 class _Entry(BaseModel):
@@ -63,14 +58,14 @@ def read_faults(given: Iterable[str | Fault]) -> tuple[Fault, ...]:
 
 def _from_file(path: Path) -> list[Fault]:
     try:
-        timeline = _Timeline.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
+        timeline = _Timeline.model_validate(read_toml(path))
         return [
             make_fault(e.device, e.kind, at=e.at_s, duration=e.duration_s, **e.options)
             for e in timeline.fault
         ]
     except ValidationError as error:
         problems = [f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors()]
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, UsageError) as error:
+    except (UsageError, TypeError) as error:
         problems = [str(error)]
     raise ConfigError(
         f"{path}: not a fault timeline",

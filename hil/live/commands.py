@@ -5,23 +5,36 @@
 
 The loop asks for what has arrived; nothing here blocks and no thread is needed. Whoever wants the
 robot to move repeats the command before the dead-man time-out (`hil.live.velocity`).
+
+Any user of this host can send to a port of it, so a datagram has to begin with a token that only the
+operator knows.
 """
 
 from __future__ import annotations
 
+import hmac
+import logging
 import math
 import os
+import secrets
 import select
 import socket
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Protocol
 
 from hil.errors import UsageError
 
-LONGEST_LINE = 200
+LOG = logging.getLogger(__name__)
 
-_DATAGRAMS_PER_CYCLE = 32
+LONGEST_LINE = 200
+TOKEN_VARIABLE = "HIL_COMMAND_TOKEN"
+
+_LEAST_TOKEN = 16
+_DATAGRAMS_PER_CYCLE = 256
+_LINES_PER_CYCLE = 64
 _CHUNK = 4096
+_TOLD = 5
 
 
 def parse_command(line: str) -> tuple[float, float, float]:
@@ -55,24 +68,51 @@ class CommandLines(Protocol):
         """Whole lines that have arrived since the last call, oldest first; never blocks."""
 
     @abstractmethod
+    def counts(self) -> Mapping[str, int]:
+        """What was not passed on, by reason, for the summary."""
+
+    @abstractmethod
     def close(self) -> None:
         """Let go. Idempotent."""
 
 
+def command_token() -> str:
+    """The token of the environment variable `HIL_COMMAND_TOKEN`, else a new one.
+
+    Raises:
+        UsageError: the variable holds one that is short or not one printable word.
+    """
+    given = os.environ.get(TOKEN_VARIABLE)
+    if given is None:
+        return secrets.token_hex(_LEAST_TOKEN)
+    if len(given) < _LEAST_TOKEN or not given.isascii() or not given.isprintable() or " " in given:
+        raise UsageError(
+            f"the token in {TOKEN_VARIABLE} cannot be used",
+            expected=f"at least {_LEAST_TOKEN} ASCII characters without spaces",
+            remedy="leave the variable out, and a token is made and told",
+        )
+    return given
+
+
 class UdpLines(CommandLines):
-    """Datagrams to a port of this host only; each holds one or more lines.
+    """Datagrams to a port of this host only; each holds the token and then one or more lines.
 
     Args:
         port: UDP port on 127.0.0.1; 0 takes a free one.
+        token: what every datagram begins with.
 
     Attributes:
         port: the port in use.
+        strangers: datagrams without the token.
+        dropped: lines passed over because too many came at once; the newest are kept.
 
     Raises:
         UsageError: the port is taken.
     """
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, token: str) -> None:
+        self._token = token.encode("ascii")
+        self.strangers = self.dropped = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         try:
@@ -90,11 +130,27 @@ class UdpLines(CommandLines):
         lines: list[str] = []
         for _ in range(_DATAGRAMS_PER_CYCLE):
             try:
-                data = self._socket.recv(_CHUNK)
+                data, sender = self._socket.recvfrom(_CHUNK)
             except OSError:
                 break
-            lines += data.decode("ascii", "replace").splitlines()
+            found = self._opened(data, sender)
+            self.dropped += max(0, len(lines) + len(found) - _LINES_PER_CYCLE)
+            lines = (lines + found)[-_LINES_PER_CYCLE:]
         return lines
+
+    def _opened(self, data: bytes, sender: tuple[str, int]) -> list[str]:
+        """Lines of a datagram; none where it does not begin with the token."""
+        token, _, rest = data.partition(b" ")
+        if hmac.compare_digest(token, self._token):
+            return rest.decode("ascii", "replace").splitlines()
+        self.strangers += 1
+        if self.strangers <= _TOLD:
+            LOG.warning("a velocity command from %s:%d without the token was refused", *sender)
+        return []
+
+    def counts(self) -> Mapping[str, int]:
+        """Datagrams without the token, and lines that were too many."""
+        return {"without_token": self.strangers, "dropped": self.dropped}
 
     def close(self) -> None:
         """Close the socket."""
@@ -121,6 +177,10 @@ class StdinLines(CommandLines):
         self._rest = self._rest[-LONGEST_LINE:]
         return [line.decode("ascii", "replace") for line in whole]
 
+    def counts(self) -> Mapping[str, int]:
+        """Nothing: every line is passed on."""
+        return {}
+
     def close(self) -> None:
         """Standard input is not ours to close."""
 
@@ -137,5 +197,9 @@ def open_commands(spec: str) -> CommandLines | None:
         return StdinLines()
     kind, _, port = spec.partition(":")
     if kind == "udp" and port.isdigit():
-        return UdpLines(int(port))
+        token = command_token()
+        lines = UdpLines(int(port), token)
+        if TOKEN_VARIABLE not in os.environ:
+            lines.where += f", token {token}"
+        return lines
     raise UsageError(f"--command {spec}", expected="stdin, udp:PORT or none")

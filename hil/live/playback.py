@@ -19,7 +19,7 @@ from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.recorded import recorded_bench
 from hil.controller.joint_script import SCRIPT, JointScript
-from hil.errors import DataError, UsageError
+from hil.errors import DataError, HilError, UsageError
 from hil.kinematics import WheelGeometry
 from hil.loop import Brain, observed
 from hil.motion import Motion
@@ -68,7 +68,8 @@ class OpenedRecording:
     def must_hold(self, runs: int, number: int | None) -> None:
         """Refuse a recording without a run, and a number of which there is none."""
         if not runs:
-            raise DataError(str(self.path), "holds no cycles", expected="at least one control cycle")
+            why = f" that can be read ({'; '.join(self.problems)})" if self.problems else ""
+            raise DataError(str(self.path), "holds no cycles" + why, expected="at least one control cycle")
         if number is not None and number >= runs:
             raise UsageError(f"{self.path} has no run {number}", expected=f"0 to {runs - 1}")
 
@@ -99,20 +100,29 @@ def open_recording(
     header = read_header(path)
     if bench is not None:
         config = load_bench(bench)
-    elif "config" in header:
+    elif isinstance(header.get("config"), dict):
         config = recorded_bench(header["config"], f"configuration in {path}")
     else:
         raise DataError(
             str(path), "does not carry the configuration of its bench", remedy="give it with --bench"
         )
+    try:
+        made = _bench(config, _geometry(header), calibration, header, recorded=bench is None)
+        dict(header.get("versions", {}))
+    except HilError:
+        raise
+    except (TypeError, ValueError, OverflowError) as error:
+        raise DataError(str(path), f"has a header that cannot be used ({error})") from None
+    return OpenedRecording(path, made, header, False, problems, lambda: read_runs(path, problems))
+
+
+def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
+    """The wheel geometry that was in use, None where the recording does not say."""
     given = header.get("geometry")
-    geometry = None if given is None else WheelGeometry.from_vector(np.array(given, dtype=np.float64))
-    if geometry is not None and "tyres" in header:
-        geometry = geometry.with_tyres(**header["tyres"])
-    return OpenedRecording(
-        path, _bench(config, geometry, calibration, header, recorded=bench is None), header, False, problems,
-        lambda: read_runs(path, problems),
-    )  # fmt: skip
+    if given is None:
+        return None
+    geometry = WheelGeometry.from_vector(np.array(given, dtype=np.float64))
+    return geometry.with_tyres(**header["tyres"]) if "tyres" in header else geometry
 
 
 def _read_foreign(path: Path, topics: Path | None, robot: Nominal) -> Any:

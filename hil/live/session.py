@@ -127,6 +127,7 @@ class LiveSession:
             found["commands"] = {
                 "accepted": self._velocity.accepted,
                 "refused": self._velocity.refused,
+                **({} if self.plan.commands is None else self.plan.commands.counts()),
                 "dead_man_stops": self._velocity.dead_man_stops,
             }
         if self.recorder is not None:

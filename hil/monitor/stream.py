@@ -6,15 +6,17 @@ that neither the interpreter lock nor a stalled viewer can reach the loop.
 
 from __future__ import annotations
 
+import subprocess
 import sys
 from typing import Any
+from urllib.parse import quote
 
 import numpy as np
 
 from hil.clock import NS_PER_S
 from hil.geometry import Array
 from hil.kinematics import WheelGeometry
-from hil.monitor import shapes
+from hil.monitor import shapes, viewer
 from hil.monitor.blueprint import PATH_COLOURS, Colour, blueprint, line_colours
 from hil.monitor.series import (
     Series,
@@ -25,8 +27,6 @@ from hil.monitor.series import (
     observer_poses,
 )
 from hil.signals import WHEELS, CycleRecord
-
-DEFAULT_URL = "rerun+http://127.0.0.1:9876/proxy"
 
 _BATCH_NS = NS_PER_S // 10
 _PLOTS_NS = NS_PER_S // 2
@@ -53,6 +53,7 @@ class RerunStream:
 
         self._rr = rerun
         self._geometry, self._tab = geometry, tab
+        self._server: subprocess.Popen[bytes] | None = None
         self._stream = rerun.RecordingStream("hil", send_properties=False)
         layout = blueprint(tab=tab)
         self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=layout)
@@ -71,17 +72,17 @@ class RerunStream:
     def _sink(self, target: str) -> Any:
         rr = self._rr
         if target == "spawn":
-            rr.spawn(connect=False, hide_welcome_screen=True)
-            return rr.GrpcSink(DEFAULT_URL)
+            viewer.spawn()
+            return rr.GrpcSink(viewer.url())
         if target == "connect":
-            return rr.GrpcSink(DEFAULT_URL)
+            return rr.GrpcSink(viewer.url())
         if target.startswith(("rerun+http://", "rerun+https://", "rerun://")):
             return rr.GrpcSink(target)
         if target == "serve":
-            sink = rr.GrpcServerSink()
-            rr.serve_web_viewer(open_browser=False, connect_to=DEFAULT_URL)
-            print("rerun: open http://127.0.0.1:9090 in a browser", file=sys.stderr)
-            return sink
+            self._server = viewer.serve()
+            shown = f"http://{viewer.HOST}:{viewer.WEB_PORT}?url={quote(viewer.url(), safe='')}"
+            print(f"rerun: open {shown} in a browser", file=sys.stderr)
+            return rr.GrpcSink(viewer.url())
         return rr.FileSink(target)
 
     def add(self, record: CycleRecord) -> None:
@@ -150,6 +151,8 @@ class RerunStream:
             self._stream.disconnect()
         except (RuntimeError, ValueError, OSError) as error:
             print(f"hil monitor: a viewer did not take everything ({error})", file=sys.stderr)
+        if self._server is not None:
+            viewer.stop(self._server)
 
     def _tell(self, record: CycleRecord, text: str, level: str) -> None:
         self._at(record)

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.errors import ConfigError, RecordingError
+from hil.reading import json_object, read_bytes
 from hil.recording.mcap_writer import OnFailure
 
 LOG = logging.getLogger(__name__)
@@ -25,6 +26,18 @@ NAME = "journal.jsonl"
 _KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
                     "figure", "note", "recording", "answer", "end"})  # fmt: skip
 
+_HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
+    "checkpoint": {"title": str},
+    "value": {"title": str, "value": object},
+    "measure": {"name": str, "value": (int, float)},
+    "attach": {"name": str, "path": str},
+    "figure": {"title": str, "caption": str, "path": str},
+    "table": {"title": str, "head": list, "rows": list, "note": str},
+    "note": {"text": str},
+    "recording": {"path": str},
+    "end": {"verdict": str},
+}
+_MOST_BYTES = 256 << 20
 _UNFINISHED = ("ABORTED", "ERROR")
 
 Entry = dict[str, Any]
@@ -145,7 +158,9 @@ def read_journal(path: Path) -> PastRun:
 
 def _entries(path: Path) -> list[Entry]:
     try:
-        data = path.read_bytes()
+        data = read_bytes(path, _MOST_BYTES)
+    except ValueError as error:
+        raise ConfigError(f"{path}: cannot be read ({error})") from None
     except OSError as error:
         raise ConfigError(
             f"{path}: no journal to resume from ({error.strerror})", remedy="run without --resume"
@@ -154,15 +169,26 @@ def _entries(path: Path) -> list[Entry]:
     entries: list[Entry] = []
     for number, line in enumerate(whole.split(b"\n") if whole else [], start=1):
         try:
-            entry = json.loads(line)
-            if not isinstance(entry, dict) or entry.get("kind") not in _KINDS:
-                raise ValueError("no entry of a journal")
+            entries.append(_entry(line))
+        except KeyError as error:
+            raise ConfigError(f"{path}: line {number} lacks {error}", remedy="start the run anew") from None
         except ValueError as error:
             raise ConfigError(
                 f"{path}: line {number} is damaged ({error})", remedy="start the run anew; nothing was moved"
             ) from None
-        entries.append(entry)
     return entries
+
+
+def _entry(line: bytes) -> Entry:
+    """One line; raises `ValueError` for one that is no entry, `KeyError` for one that lacks something."""
+    entry = json_object(line)
+    kind = entry.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise ValueError("no entry of a journal")
+    for key, expected in _HOLDS.get(kind, {}).items():
+        if not isinstance(entry[key], expected):
+            raise ValueError(f"{key} is {entry[key]!r:.40}")
+    return entry
 
 
 def drop_torn_line(path: Path) -> None:

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Protocol
 
 from hil.errors import Aborted, ConfigError
+from hil.reading import read_text
+
+_MOST_BYTES = 1 << 20
 
 
 class Operator(Protocol):
@@ -49,8 +52,8 @@ class Answers(Operator):
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
+            lines = read_text(path, _MOST_BYTES).splitlines()
+        except (OSError, ValueError) as error:
             raise ConfigError(f"{path}: cannot be read ({error})") from None
         self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any, get_type_hints
@@ -11,6 +10,7 @@ from typing import Any, get_type_hints
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from hil.errors import ConfigError, UsageError, did_you_mean
+from hil.reading import json_value
 
 BENCH_PREFIX = "bench."
 
@@ -109,6 +109,6 @@ def _convert(kind: Any, value: Any) -> Any:
 
 def _plain(text: str) -> Any:
     try:
-        return json.loads(text)
+        return json_value(text)
     except ValueError:
         return text

@@ -16,11 +16,13 @@ from typing import Any
 
 from hil.errors import DataError
 from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_layout import CODES, COUNT, FORMAT, MAGIC, Layout, describe, record_types
+from hil.recording.cycle_layout import CODES, FORMAT, MAGIC, SHAPES, Layout, describe, record_types
 from hil.recording.value_decoders import (
     PRIMITIVES,
     Decode,
+    array_of,
     coded_tuple,
+    count_at,
     decode_int,
     decode_text,
     packed,
@@ -87,6 +89,8 @@ class CycleDecoder:
             found, root = description["format"], description["root"]
             if found != FORMAT:
                 raise ValueError(f"cycle format {found} is not format {FORMAT}")
+            if root != CycleRecord.__name__:
+                raise ValueError(f"{root} is no cycle record")
             self._layouts, self._enums = description["classes"], description["enums"]
             self._classes: dict[str, Decode] = {}
             for name in self._layouts:
@@ -128,12 +132,12 @@ class CycleDecoder:
             raise ValueError("not a cycle record (wrong first bytes)")
         try:
             return decode(data, len(MAGIC))
-        except (struct.error, IndexError, KeyError, TypeError, OverflowError) as error:
+        except (struct.error, IndexError, KeyError, TypeError, OverflowError, RecursionError) as error:
             raise ValueError(f"malformed cycle record ({error})") from None
 
     def _fields_until(self, name: str, last: str) -> Decode:
         """Reads the first fields of a class, by name, until one of them."""
-        fields = [(field, self._decoder(layout)) for field, layout in self._layouts[name]]
+        fields = [(field, self._field(name, field, layout)) for field, layout in self._layouts[name]]
         wanted = fields[: [field for field, _ in fields].index(last) + 1]
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
@@ -155,10 +159,16 @@ class CycleDecoder:
             return self._enum(inner)
         return {"tuple": self._tuple, "optional": self._optional, "mapping": self._mapping}[kind](inner)
 
+    def _field(self, name: str, field: str, layout: Layout) -> Decode:
+        shape = SHAPES.get(name, {}).get(field)
+        return self._decoder(layout) if shape is None else array_of(shape, f"{name}.{field}")
+
     def _class_decoder(self, name: str) -> Decode:
         kind = record_types().get(name, dict)
-        layouts = [layout for _, layout in self._layouts[name]]
         names = [field for field, _ in self._layouts[name]]
+        if not names:
+            raise ValueError(f"{name} has no fields")
+        _check_kinds(name, self._layouts[name])
         known = [f.name for f in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else names
         unknown = [field for field in names if field not in known]
         self._notes += [f"field {name}.{field} is of another version and was skipped" for field in unknown]
@@ -169,8 +179,8 @@ class CycleDecoder:
                     raise ValueError(f"the recording lacks {name}.{field.name}")
 
         if names == known and kind is not dict:
-            return self._same_fields(kind, layouts)
-        decoders = [self._decoder(layout) for layout in layouts]
+            return self._same_fields(kind, name)
+        decoders = [self._field(name, field, layout) for field, layout in self._layouts[name]]
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
             values = {}
@@ -180,15 +190,15 @@ class CycleDecoder:
 
         return decode
 
-    def _same_fields(self, kind: Any, layouts: Sequence[Layout]) -> Decode:
+    def _same_fields(self, kind: Any, name: str) -> Decode:
         """For a class that is today what it was; plain numbers that follow each other are taken together."""
         steps: list[tuple[struct.Struct | None, Decode]] = []
-        for plain, group in groupby(layouts, key=lambda layout: packed([layout]) is not None):
+        for plain, group in groupby(self._layouts[name], key=lambda field: packed([field[1]]) is not None):
             fields = list(group)
             if plain:
-                steps.append((packed(fields), decode_int))
+                steps.append((packed([layout for _, layout in fields]), decode_int))
             else:
-                steps += [(None, self._decoder(layout)) for layout in fields]
+                steps += [(None, self._field(name, field, layout)) for field, layout in fields]
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
             values: list[Any] = []
@@ -228,7 +238,7 @@ class CycleDecoder:
         decode_item = self._decoder(layout)
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
-            (count,), at = COUNT.unpack_from(data, at), at + 4
+            count, at = count_at(data, at)
             items = []
             for _ in range(count):
                 item, at = decode_item(data, at)
@@ -251,7 +261,7 @@ class CycleDecoder:
         decode_value = self._decoder(layout)
 
         def decode(data: bytes, at: int) -> tuple[Any, int]:
-            (count,), at = COUNT.unpack_from(data, at), at + 4
+            count, at = count_at(data, at)
             mapping = {}
             for _ in range(count):
                 key, at = decode_text(data, at)
@@ -259,3 +269,15 @@ class CycleDecoder:
             return mapping, at
 
         return decode
+
+
+def _check_kinds(name: str, fields: Sequence[tuple[str, Layout]]) -> None:
+    """Hold the fields of a class that there is today against it: numbers are not read as something else.
+
+    Raises:
+        ValueError: a field of another kind. One that may be missing today may not have been then.
+    """
+    today = dict(describe()["classes"].get(name, []))
+    for field, layout in fields:
+        if field in today and today[field] not in (layout, ["optional", layout]):
+            raise ValueError(f"{name}.{field} is kept as {layout!r}, which is not {today[field]!r}")

@@ -35,6 +35,25 @@ DTYPES: dict[bytes, np.dtype[Any]] = {
     b"q": np.dtype("<i8"),
     b"?": np.dtype("?"),
 }
+_SERVOS, _WHEELS, _VECTOR, _QUATERNION = (8,), (4,), (3,), (4,)
+SHAPES: Mapping[str, Mapping[str, tuple[int, ...]]] = {
+    "ServoSample": dict.fromkeys(("position_rad", "velocity_rad_s", "current_a"), _SERVOS),
+    "ServoHealth": dict.fromkeys(("voltage_v", "temperature_c"), _SERVOS),
+    "EncoderSample": {"angle_rad": _WHEELS},
+    "ImuSample": {"quaternion_wxyz": _QUATERNION}
+    | dict.fromkeys(("gyro_rad_s", "linear_acceleration_m_s2", "gravity_m_s2"), _VECTOR),
+    "TrackerSample": {"quaternion_wxyz": _QUATERNION}
+    | dict.fromkeys(("position_m", "velocity_m_s", "angular_velocity_rad_s"), _VECTOR),
+    "MocapSample": {"position_m": _VECTOR, "quaternion_wxyz": _QUATERNION},
+    "WheelMeasurement": dict.fromkeys(("wheel_angle_rad", "wheel_rate_rad_s", "steering_rad"), _WHEELS),
+    "GyroMeasurement": {"acceleration_m_s2": (2,)},
+    "PoseMeasurement": {"pose": _VECTOR},
+    "RobotState": {"pose_body_in_wall": _VECTOR, "twist_body": _VECTOR, "covariance": (6, 6)},
+    "Reference": dict.fromkeys(("pose_in_wall", "twist_body", "acceleration_wall"), _VECTOR),
+    "WheelSetpoint": dict.fromkeys(("wheel_rate_rad_s", "steering_rad"), _WHEELS),
+    "ServoSetpoint": dict.fromkeys(("drive_velocity_rad_s", "steer_position_rad"), _WHEELS),
+}
+"""Shapes of the arrays that `hil.signals` promises, by class and field."""
 
 
 def layout_of(hint: Any) -> Layout:

@@ -7,7 +7,6 @@ with `DataError`: recordings of other robots are read with a topic mapping (`hil
 from __future__ import annotations
 
 import io
-import json
 import struct
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -15,9 +14,11 @@ from typing import Any, BinaryIO, TypeVar
 
 from hil.clock import WallOffset
 from hil.errors import DataError
+from hil.reading import json_object
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
 from hil.recording.ros_messages import octets_of, text_of
+from hil.recording.unpacking import Allowance, chunk_data
 from hil.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
@@ -68,8 +69,8 @@ class RecordingReader:
         for record in _records(self.path, []):
             if isinstance(record, Metadata) and record.name == METADATA:
                 try:
-                    header = json.loads(record.metadata["header"])
-                    return header, CycleDecoder(json.loads(record.metadata["layout"]))
+                    header = json_object(record.metadata["header"])
+                    return header, CycleDecoder(json_object(record.metadata["layout"]))
                 except (KeyError, ValueError) as error:
                     raise DataError(
                         str(self.path),
@@ -92,14 +93,19 @@ class RecordingReader:
         from mcap.exceptions import McapError
         from mcap.records import Chunk
 
+        allowance = Allowance(self.path, self.path.stat().st_size)
         topics: dict[int, str] = {}
         cycles = 0
         for record in _records(self.path, self.problems):
             if not isinstance(record, Chunk):
                 continue
             try:
-                parts = _ours(record, topics)
-            except (McapError, ValueError, struct.error, RuntimeError, *_compression_errors()) as error:
+                parts = _ours(chunk_data(record, allowance), topics)
+            except DataError as error:
+                why = error.message.removeprefix(f"{self.path}: ")
+                self.problems.append(f"{why}: what follows cycle {cycles} was not read")
+                return
+            except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
                 self.problems.append(f"a chunk after cycle {cycles} is damaged ({error})")
                 continue
             for topic, data in parts:
@@ -117,11 +123,13 @@ class RecordingReader:
 
 
 def _note(data: bytes) -> Note:
-    note = json.loads(text_of(data))
+    note = json_object(text_of(data))
+    if not isinstance(note["kind"], str) or not isinstance(note["data"], dict):
+        raise ValueError("a note without kind and data")
     return Note(note["kind"], note["data"])
 
 
-def _ours(chunk: Any, topics: dict[int, str]) -> list[tuple[str, bytes]]:
+def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
     """Topic and payload of a chunk's messages on our own topics; new channels go into `topics`.
 
     The records of a chunk are told apart by hand: nine of ten are for other tools, and parsing all of them
@@ -133,10 +141,8 @@ def _ours(chunk: Any, topics: dict[int, str]) -> list[tuple[str, bytes]]:
     from mcap.data_stream import ReadDataStream
     from mcap.opcode import Opcode
     from mcap.records import Channel
-    from mcap.stream_reader import get_chunk_data_stream
 
-    stream, length = get_chunk_data_stream(chunk, validate_crc=True)
-    data, at = stream.read(length), 0
+    length, at = len(data), 0
     found = []
     while at < length:
         opcode, size = _RECORD.unpack_from(data, at)
@@ -154,16 +160,15 @@ def _ours(chunk: Any, topics: dict[int, str]) -> list[tuple[str, bytes]]:
     return found
 
 
-def _compression_errors() -> tuple[type[Exception], ...]:
-    import zstandard
+def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
+    """Top-level records, in their order, with the byte at which each begins.
 
-    return zstandard.ZstdError, EOFError, MemoryError
+    Chunks and their indices, metadata and footer are parsed, None stands for every other: nine of ten are
+    message indices, which a pass from the beginning does not need.
 
-
-def _top_level(stream: BinaryIO, limit: int) -> Iterator[Any]:
-    """Top-level records, in their order: chunks, metadata and footer parsed, None for every other.
-
-    Nine of ten are message indices, which a pass from the beginning does not need.
+    Args:
+        stream: the file.
+        limit: most bytes of a record.
 
     Raises:
         McapError, ValueError, struct.error: damaged.
@@ -171,28 +176,30 @@ def _top_level(stream: BinaryIO, limit: int) -> Iterator[Any]:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
     from mcap.opcode import Opcode
-    from mcap.records import Chunk, Footer, Metadata
+    from mcap.records import Chunk, ChunkIndex, Footer, Metadata
     from mcap.stream_reader import read_magic
 
     wanted: dict[int, Any] = {
-        Opcode.CHUNK: Chunk, Opcode.METADATA: Metadata, Opcode.FOOTER: Footer
+        Opcode.CHUNK: Chunk, Opcode.CHUNK_INDEX: ChunkIndex, Opcode.METADATA: Metadata,
+        Opcode.FOOTER: Footer,
     }  # fmt: skip
     source = ReadDataStream(stream)
     read_magic(source)
     opcode = None
     while opcode != Opcode.FOOTER:
+        at = source.count
         opcode, length = _RECORD.unpack(source.read(_RECORD.size))
         if length > limit:
             raise RecordLengthLimitExceeded(opcode, length, limit)
         data, kind = source.read(length), wanted.get(opcode)
         if len(data) < length:
             raise EndOfFile
-        yield None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+        yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
     read_magic(source)
 
 
 def _records(path: Path, problems: list[str]) -> Iterator[Any]:
-    """What `_top_level` gives; a file that ends early ends the iteration and is named in `problems`.
+    """Records that `top_level` gives; a file that ends early ends the iteration and is named in `problems`.
 
     Raises:
         DataError: not there or not MCAP.
@@ -201,10 +208,10 @@ def _records(path: Path, problems: list[str]) -> Iterator[Any]:
 
     try:
         with path.open("rb") as stream:
-            records, count = _top_level(stream, max(1, path.stat().st_size)), 0
+            records, count = top_level(stream, max(1, path.stat().st_size)), 0
             while True:
                 try:
-                    record = next(records)
+                    _, record = next(records)
                 except StopIteration:
                     return
                 except (InvalidMagic, struct.error) as error:

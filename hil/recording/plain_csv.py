@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -58,9 +59,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
 
 def _table(path: Path, data: bytes, width: int) -> Array:
     rows = []
-    reader = csv.reader(io.StringIO(data.decode("utf-8", "replace")))
-    next(reader)
-    for number, fields in enumerate(reader, start=2):
+    for number, fields in enumerate(_lines(path, data), start=2):
         if not fields:
             continue
         if len(fields) != width:
@@ -70,6 +69,18 @@ def _table(path: Path, data: bytes, width: int) -> Array:
         except ValueError:
             raise DataError(str(path), f"line {number} holds text", expected="numbers, or nothing") from None
     return np.array(rows, dtype=np.float64).reshape(-1, width)
+
+
+def _lines(path: Path, data: bytes) -> Iterator[list[str]]:
+    """Fields of every line after the header."""
+    reader = csv.reader(io.StringIO(data.decode("utf-8", "replace"), newline=""))
+    try:
+        next(reader)
+        yield from reader
+    except csv.Error as error:
+        raise DataError(
+            str(path), f"line {reader.line_num + 1} is not CSV ({error})", expected="lines that end with \\n"
+        ) from None
 
 
 def write_plain(path: Path, recording: Recording) -> None:

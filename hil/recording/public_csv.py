@@ -8,19 +8,19 @@ that drops and counts broken rows.
 
 from __future__ import annotations
 
-import ast
-import gzip
 import hashlib
 import re
-import zlib
+import warnings
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.datasets import Log, Recording, build_recording, credible
 from hil.calibration.nominal import Nominal
 from hil.errors import DataError
 from hil.geometry import Array
+from hil.recording.unpacking import read_packed
 
 _WHEELS = ("FL", "BL", "BR", "FR")
 _NAMES = tuple(f"{w}_Wheel" for w in _WHEELS) + tuple(f"{w}_Position" for w in _WHEELS)
@@ -35,16 +35,8 @@ _FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
 
 
 def read_bytes(path: Path) -> bytes:
-    """Content of a plain or gzip file; raises `DataError` when it is missing, empty or truncated."""
-    try:
-        raw = path.read_bytes()
-        data = gzip.decompress(raw) if path.suffix == ".gz" else raw
-    except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-        raise DataError(
-            str(path), f"damaged gzip ({error})", expected="a whole file", remedy="copy it again"
-        ) from None
-    except OSError as error:
-        raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
+    """Content of a plain or gzip file; raises `DataError` when that cannot be used."""
+    data = read_packed(path)
     if not data.strip():
         raise DataError(str(path), "is empty", expected="a header line and rows")
     return data
@@ -109,7 +101,8 @@ def _log(rows: Array, values: Array) -> Log:
     days = rows[:, 0] * 372 + rows[:, 1] * 31 + rows[:, 2]
     receive = (days - days[0]) * 86400 + rows[:, 3] * 3600 + rows[:, 4] * 60 + rows[:, 5]
     header = (rows[:, 7] - rows[0, 7]) + rows[:, 8] * 1e-9
-    return Log(header + float(np.nanmedian(receive - header)), values, receive)
+    delay = (receive - header)[np.isfinite(receive - header)]
+    return Log(header + (float(np.median(delay)) if len(delay) else 0.0), values, receive)
 
 
 def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[list[str], bytes]:
@@ -126,11 +119,9 @@ def _split_header(path: Path, data: bytes, needed: tuple[str, ...]) -> tuple[lis
 def _odom_numbers(path: Path, data: bytes) -> tuple[Array, list[str]]:
     _, body = _split_header(path, data, _ODOM_COLUMNS)
     fields = body.split(b"\n", 1)[0].decode("utf-8", "replace").split(";")
-    try:
-        names = list(ast.literal_eval(fields[5]))
-    except (ValueError, SyntaxError, IndexError):
-        names = []
-    if sorted(map(str, names)) != sorted(_NAMES):
+    names = re.findall(r"'([^']*)'|\"([^\"]*)\"", fields[5]) if len(fields) > 5 else []
+    names = [one or other for one, other in names]
+    if sorted(names) != sorted(_NAMES):
         raise DataError(str(path), "does not name its eight servos", expected=", ".join(_NAMES))
     constant = f";{fields[4]};{fields[5]};".encode()
     quick = body.replace(constant, b";").translate(_TO_COMMAS, b"() ")
@@ -146,6 +137,11 @@ def _abs_numbers(path: Path, data: bytes) -> Array:
 
 
 def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
+    """Rows (n, width)."""
+    return credible(_rows(path, quick, body, width))
+
+
+def _rows(path: Path, quick: bytes, body: bytes, width: int) -> Array:
     """Rows (n, width); the slow path when the quick one does not come out even."""
     lines = body.count(b"\n")
     if (
@@ -153,7 +149,10 @@ def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
         and re.search(rb"[^0-9.,eE+-]", quick) is None
         and b",," not in quick
     ):
-        return np.fromstring(quick.decode("ascii"), sep=",", count=lines * width).reshape(-1, width)
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", DeprecationWarning)  # how numpy tells of text like 1e or 1-2
+            with suppress(ValueError, DeprecationWarning):
+                return np.fromstring(quick.decode("ascii"), sep=",", count=lines * width).reshape(-1, width)
     rows = [_row(line, width) for line in body.decode("utf-8", "replace").splitlines()]
     good = [r for r in rows if r is not None]
     if len(rows) - len(good) > _MAX_BROKEN_SHARE * len(rows):
@@ -162,13 +161,13 @@ def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
             f"{len(rows) - len(good)} of {len(rows)} rows cannot be read",
             expected=f"{width} numbers in a row",
         )
-    out = np.array(good, dtype=np.float64)
+    out = np.array(good, dtype=np.float64).reshape(-1, width)
     return np.vstack([out, np.full((len(rows) - len(good), width), np.nan)])
 
 
 def _row(line: str, width: int) -> list[float] | None:
     """Numbers of one row, None when they are not `width`; words (frame and servo names) are skipped."""
-    bare = re.sub(r"\[.*?\]", "", line)
+    bare = re.sub(r"\[[^\[\]]*\]", "", line)
     fields = re.split(r"[;/:,()\s]+", bare)
     try:
         numbers = [float(f) for f in fields if (f and not f.isidentifier()) or f.lower() == "nan"]

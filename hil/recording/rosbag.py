@@ -19,8 +19,6 @@ Stamps are those of the message headers; a header without a stamp falls back to 
 from __future__ import annotations
 
 import hashlib
-import sqlite3
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -31,13 +29,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.clock import NS_PER_S
-from hil.errors import ConfigError, DataError
+from hil.errors import ConfigError, DataError, HilError
 from hil.geometry import yaw_of_quat
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from hil.reading import read_toml
+from hil.recording.bag_check import check_bag
 
 _JOINTS = "sensor_msgs/msg/JointState"
 _POSES = (
@@ -88,15 +83,10 @@ def read_topic_map(path: str | Path) -> TopicMap:
         ConfigError: unreadable or wrong, with every problem.
     """
     try:
-        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        return TopicMap.model_validate(tree)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror})") from None
+        return TopicMap.model_validate(read_toml(Path(path)))
     except ValidationError as error:
         problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise ConfigError(f"{path}: {len(problems)} problem(s)", problems=problems) from None
-    except ValueError as error:
-        raise ConfigError(f"{path}: not valid TOML ({error})") from None
 
 
 def is_bag(path: Path) -> bool:
@@ -158,13 +148,19 @@ def _log(rows: list[tuple[float, list[float]]], width: int) -> Log:
 
 def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float, Any]]:
     """Topic, time since the first message (s) and message, of the wanted topics."""
-    from rosbags.highlevel import AnyReader, AnyReaderError
-    from rosbags.rosbag2 import ReaderError
+    from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
     origin_ns: int | None = None
+    check_bag(path)
     try:
         with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as bag:
+            if any(getattr(reader, "compression_mode", None) == "message" for reader in bag.readers):
+                raise DataError(
+                    str(path),
+                    "is packed message by message, which cannot be unpacked within bounds",
+                    remedy="convert it with `ros2 bag convert`, to MCAP with compressed chunks",
+                )
             there = {c.topic for c in bag.connections}
             missing = [t for t in wanted if t not in there]
             if missing:
@@ -182,21 +178,14 @@ def _messages(path: Path, wanted: tuple[str, ...]) -> Iterator[tuple[str, float,
                 t_ns = stamp.sec * NS_PER_S + stamp.nanosec or log_ns
                 origin_ns = t_ns if origin_ns is None else origin_ns
                 yield connection.topic, (t_ns - origin_ns) / NS_PER_S, message
-    except (AnyReaderError, ReaderError, OSError, *_database_errors()) as error:
+    except HilError:
+        raise
+    except Exception as error:  # a library that reads foreign files may raise anything
         raise DataError(
             str(path),
-            f"is not a readable rosbag2 recording ({error})",
+            f"is not a readable rosbag2 recording ({error or type(error).__name__})",
             remedy=_REPAIR.get(path.suffix, _REINDEX),
         ) from None
-
-
-def _database_errors() -> tuple[type[Exception], ...]:
-    """What the database below `rosbags` raises; which one that is depends on its version."""
-    try:
-        import apsw
-    except ImportError:
-        return (sqlite3.Error,)
-    return sqlite3.Error, apsw.Error
 
 
 def _check_type(path: Path, topic: str, kind: str, *, joints: bool) -> None:

@@ -66,7 +66,11 @@ class RunStart:
         Raises:
             KeyError, TypeError, ValueError: not such a note.
         """
-        state = data["state"]
+        state, controller, trajectory = data["state"], data["controller"], data["trajectory"]
+        if not (controller is None or isinstance(controller, str)):
+            raise ValueError("a controller that is no name")
+        if not (trajectory is None or isinstance(trajectory, Mapping)):
+            raise ValueError("a trajectory that is no mapping")
         pose, twist, covariance = (
             np.array(state[k], dtype=np.float64) for k in ("pose_body_in_wall", "twist_body", "covariance")
         )
@@ -75,9 +79,9 @@ class RunStart:
         return cls(
             RobotState(int(state["t_ns"]), pose, twist, covariance),
             str(data["feedback"]),
-            data["controller"],
-            tuple(data["observers"]),
-            data["trajectory"],
+            controller,
+            tuple(map(str, data["observers"])),
+            trajectory,
         )
 
 
@@ -135,7 +139,7 @@ def _of_runs(
         elif item.kind == RUN:
             try:
                 start = RunStart.from_note(item.data)
-            except (KeyError, TypeError, ValueError) as error:
+            except (KeyError, TypeError, ValueError, OverflowError) as error:
                 reader.problems.append(f"a note on how a run began cannot be read ({error!r})")
     if problems is not None:
         problems += reader.problems

@@ -42,6 +42,18 @@ def decode_text(data: bytes, at: int) -> tuple[str, int]:
     return data[at + 4 : end].decode("utf-8", "surrogatepass"), end
 
 
+def count_at(data: bytes, at: int) -> tuple[int, int]:
+    """Number of items that follow; each takes a byte or more.
+
+    Raises:
+        ValueError: more than there can be.
+    """
+    count: int = COUNT.unpack_from(data, at)[0]
+    if count > len(data) - at:
+        raise ValueError(f"{count} items where {len(data) - at} bytes are left")
+    return count, at + 4
+
+
 def _vector_heads() -> dict[bytes, tuple[np.dtype[Any], int, int]]:
     """By the head of a short vector: type, length and bytes."""
     return {
@@ -71,6 +83,18 @@ def decode_array(data: bytes, at: int) -> tuple[Any, int]:
     return array, at + array.nbytes
 
 
+def array_of(shape: tuple[int, ...], name: str) -> Decode:
+    """Arrays that must have one shape; `name` is for the error."""
+
+    def decode(data: bytes, at: int) -> tuple[Any, int]:
+        array, at = decode_array(data, at)
+        if array.shape != shape:
+            raise ValueError(f"{name} has the shape {array.shape} instead of {shape}")
+        return array, at
+
+    return decode
+
+
 def decode_any(data: bytes, at: int) -> tuple[Any, int]:
     """One value of a free mapping, by its tag."""
     tag, at = data[at : at + 1], at + 1
@@ -87,7 +111,7 @@ def decode_any(data: bytes, at: int) -> tuple[Any, int]:
         return plain[tag](data, at)
     if tag not in (b"t", b"m"):
         raise ValueError(f"unknown tag {tag!r}")
-    (count,), at = COUNT.unpack_from(data, at), at + 4
+    count, at = count_at(data, at)
     if tag == b"t":
         items = []
         for _ in range(count):

@@ -8,7 +8,8 @@ from typing import Any
 
 from hil.errors import UsageError
 from hil.files import write_text
-from hil.report.run_page import environment, number, outcome_words, read_result
+from hil.report.result_file import read_result
+from hil.report.run_page import environment, number, outcome_words
 
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 

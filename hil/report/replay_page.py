@@ -20,6 +20,10 @@ from hil.report.replay import consistency, errors
 _TRUTH = "#3f3f46"
 _COLOURS = ("#2563eb", "#d97706", "#059669", "#9333ea", "#dc2626")
 _DPI = 110
+_POLICY = (
+    "<meta http-equiv='Content-Security-Policy' content=\"default-src 'none'; img-src data:; "
+    "style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'\">"
+)
 _IDEAL_NEES = 3.0
 
 
@@ -43,7 +47,9 @@ def write_replay_page(path: Path, title: str, motions: Mapping[str, Motion], fac
     )
     head = "".join(f"<th>{html.escape(k)}</th>" for k in ("estimator", *_figures(Motion(()))))
     page = (
-        "<!doctype html><meta charset='utf-8'><style>body{font:15px sans-serif;max-width:60em;margin:2em}"
+        "<!doctype html><meta charset='utf-8'>"
+        + _POLICY
+        + "<style>body{font:15px sans-serif;max-width:60em;margin:2em}"
         "td,th{padding:.2em .8em;text-align:right}img{max-width:100%}</style>"
         f"<title>{html.escape(title)}</title><h1>{html.escape(title)}</h1>"
         + "".join(f"<p>{html.escape(line)}</p>" for line in facts)

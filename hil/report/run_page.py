@@ -7,7 +7,6 @@ tables, notes; last what is needed to repeat it. No network, no script, dark and
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,43 +16,21 @@ from markupsafe import Markup
 
 from hil.errors import DataError
 from hil.files import write_text
-from hil.report.run_plots import PALETTE
+from hil.report.figures import figure_image
+from hil.report.result_file import RESULT, address, inside, own_file, read_result
 
-SCHEMA = 1
 PAGE = "report.html"
 _BAR = 100.0
-_NEEDED = ("schema", "procedure", "verdict", "measurements")
-
-
-def read_result(folder: Path) -> dict[str, Any]:
-    """`result.json` of a run.
-
-    Raises:
-        DataError: missing, damaged, or of another schema.
-    """
-    path = folder / "result.json"
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(
-            str(path), f"cannot be read ({error})", remedy="name a results folder of hil run"
-        ) from None
-    except ValueError as error:
-        raise DataError(str(path), f"is not JSON ({error})") from None
-    missing = [k for k in _NEEDED if not isinstance(tree, dict) or k not in tree]
-    if missing or tree["schema"] != SCHEMA:
-        raise DataError(str(path), "is not the result of a run", expected=f"schema {SCHEMA}")
-    return dict(tree)
 
 
 def write_run_page(folder: Path, out: Path | None = None) -> Path:
     """Write the page of a run as `out`, by default as `report.html` beside `result.json`; returns its path.
 
     Raises:
-        DataError: the result cannot be read, or the page not written.
+        DataError: the result cannot be read, a figure of it is missing or lies elsewhere, or the page
+            cannot be written.
     """
     tree = read_result(folder)
-    figures = [f | {"svg": inline_svg(folder / f["path"])} for f in tree.get("figures", [])]
     page = (
         environment()
         .get_template("run.html")
@@ -62,14 +39,25 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             title=tree["procedure"].replace("_", " "),
             rows=[row | {"bar": bar(row)} | outcome_words(row) for row in tree["measurements"]],
             counts=counts(tree),
-            figures=figures,
-            parameters=_flat(tree.get("parameters", {})),
-            config=_flat(tree.get("config", {})),
-            duration=duration(tree.get("duration_s")),
-            driven=duration(tree.get("bench_duration_s")),
+            figures=[f | {"image": _image(folder, f)} for f in tree["figures"]],
+            address=lambda path: address(folder, path),
+            parameters=_flat(tree["parameters"]),
+            config=_flat(tree["config"]),
+            duration=duration(tree["duration_s"]),
+            driven=duration(tree["bench_duration_s"]),
         )
     )
-    return write_text(folder / PAGE if out is None else out, page)
+    return write_text(own_file(folder, PAGE) if out is None else out, page)
+
+
+def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:
+    path = inside(folder, figure["path"])
+    if path is None:
+        raise DataError(
+            str(folder / RESULT), f"names a figure outside its folder ({figure['path']})",
+            remedy="ask whoever made the folder for one that holds its own figures",
+        )  # fmt: skip
+    return figure_image(path, figure["title"])
 
 
 def environment() -> Environment:
@@ -139,33 +127,6 @@ def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
     start = 0.0 if low is None else at(low)
     end = _BAR if high is None else at(high)
     return {"start": start, "width": round(end - start, 2), "value": at(value)}
-
-
-def inline_svg(path: Path) -> Markup:
-    """An SVG file as part of a page: no prolog, no fixed size, colours that follow the page's theme.
-
-    Raises:
-        DataError: the file is missing or no SVG.
-    """
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(str(path), f"cannot be read ({error})") from None
-    start = text.find("<svg")
-    if start < 0:
-        raise DataError(str(path), "is not an SVG file")
-    text = re.sub(r"<metadata>.*?</metadata>", "", text[start:], flags=re.S)
-    head, rest = text.split(">", 1)
-    width = re.search(r'\bwidth="([\d.]+)pt"', head)
-    head = re.sub(r'\s(width|height)="[^"]*"', "", head, count=2)
-    limit = f' style="max-width:{float(width[1]) * 1.35:.0f}px"' if width else ""
-    for name, colour in PALETTE.items():
-        rest = re.sub(re.escape(colour), f"var(--{name})", rest, flags=re.I)
-    rest = re.sub(r"#000000|(?<=fill: )black", "currentColor", rest)
-    rest = re.sub(r"<text(?=[ >])", '<text fill="currentColor"', rest)
-    own = path.stem.split("_")[0]
-    rest = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>{own}-", rest)
-    return Markup(f'{head}{limit} role="img">{rest}')
 
 
 def _flat(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:

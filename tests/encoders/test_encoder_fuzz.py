@@ -107,3 +107,42 @@ def test_frames_of_others_alone_are_no_encoders():
     finally:
         driver.close()
         channel.close()
+
+
+class Flood:
+    """A bus on which there is always one more frame."""
+
+    def __init__(self, *messages):
+        self.messages, self.taken = messages, 0
+
+    def recv(self, timeout):
+        self.taken += 1
+        message = self.messages[self.taken % len(self.messages)]
+        if isinstance(message, Exception):
+            raise message
+        return message
+
+    def shutdown(self):
+        pass
+
+
+@pytest.mark.parametrize(
+    ("messages", "most"),
+    [
+        ([frame(7, b"1234", False, False, False)], 256),
+        ([frame(416, b"1", False, False, False)], 256),
+        ([frame(416, b"12345678", False, False, False)], 1024),
+        ([frame(416, bytes((k,)) * 8, False, False, False) for k in range(256)], 1024),
+        ([can.CanOperationError("could not unpack received message")], 16),
+    ],
+    ids=["others", "malformed", "half a set", "made up", "junk"],
+)
+def test_a_flood_of_frames_costs_a_bounded_piece_of_every_read(encoder_bench, messages, most):
+    bench = encoder_bench()
+    bench.driver.open()
+    bench.driver._bus.shutdown()
+    for _ in range(3):
+        bench.driver._bus = flood = Flood(*messages)
+        bench.driver.read()
+        assert 0 < flood.taken <= most
+    assert bench.driver.floods + bool(bench.driver.bus_error) >= 1

@@ -101,22 +101,26 @@ def test_velocity_commands_move_and_silence_stops(tmp_path):
         "--record", str(tmp_path / "run.mcap"), "--duration", "4",
     )  # fmt: skip
     said = process.stderr.readline()
-    port = int(said.rsplit(":", 1)[1])
+    port, token = re.search(r"udp:(\d+), token ([0-9a-f]{32})", said).groups()
+    address = ("127.0.0.1", int(port))
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while process.poll() is None and not _moved(tmp_path / "run.mcap"):
-            sender.sendto(b"v 0.05 0 0\nnonsense\n", ("127.0.0.1", port))
+            sender.sendto(b"v 0 0.05 0\n", address)  # anybody
+            sender.sendto(f"{token} v 0.05 0 0\nnonsense\n".encode(), address)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(0.05)
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
     summary = json.loads(out)
     assert summary["commands"]["accepted"] > 0
+    assert summary["commands"]["without_token"] > 0
     assert summary["commands"]["refused"] > 0
     assert "`v VX VY W`" in err
     assert summary["commands"]["dead_man_stops"] == 1
     references = [r.reference for r in read_cycles(tmp_path / "run.mcap") if r.reference is not None]
     assert np.allclose(references[-1].twist_body, 0.0)
     assert references[-1].pose_in_wall[0] > references[0].pose_in_wall[0] + 0.01
+    assert abs(references[-1].pose_in_wall[1] - references[0].pose_in_wall[1]) < 0.002
     assert verified(tmp_path / "run.mcap")[1]["identical"]
 
 

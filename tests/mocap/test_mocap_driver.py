@@ -198,7 +198,7 @@ def test_strangers_and_damaged_packets_are_counted_and_passed_over(mocap_bench):
     post.put(frame, ("127.0.0.1", 1600))
     post.put(build.frame((4, 1), 5, [build.body(1)]))
     assert driver.read() == ()
-    assert driver.counts == {"malformed": 2, "strangers": 3, "repeated": 1}
+    assert driver.counts == {"malformed": 2, "strangers": 3, "repeated": 1, "overflowed": 0, "floods": 0}
     bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_100_000_000)
     post.put(frame, ("127.0.0.1", 1600))
     assert driver.read()[0].position_m.tolist() == [9, -9, 9]
@@ -286,7 +286,13 @@ def test_reading_while_closed_and_ports_that_cannot_be_used(mocap_bench):
     bench = mocap_bench()
     with pytest.raises(DeviceError, match="used while closed"):
         bench.driver.read()
-    assert bench.driver.counts == {"malformed": 0, "strangers": 0, "repeated": 0}
+    assert bench.driver.counts == {
+        "malformed": 0,
+        "strangers": 0,
+        "repeated": 0,
+        "overflowed": 0,
+        "floods": 0,
+    }
 
     def taken(group, port):
         raise OSError(98, "Address already in use")

@@ -21,7 +21,9 @@ from hil.signals import EncoderSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 
-_MOST_FRAMES = 4096
+_MOST_FRAMES = 1024
+_MOST_PASSED_OVER = 256
+_ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _OPEN_SETS = 3
 _MOST_LISTED = 8
@@ -41,6 +43,8 @@ class As5045Encoders(Sensor[EncoderSample]):
         malformed: frames of the right identifier and the wrong length since `open`.
         incomplete: sample sets that lacked a frame since `open`.
         error_frames: error frames seen on the bus since `open`.
+        passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
+        floods: reads that met more frames, or more of no use, than they look at; the rest waits.
     """
 
     def __init__(self, config: EncodersConfig, clock: Clock, name: str = "encoders") -> None:
@@ -49,7 +53,10 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._bus: can.BusABC | None = None
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
-        self.malformed = self.incomplete = self.error_frames = 0
+        self._forget()
+
+    def _forget(self) -> None:
+        self.malformed = self.incomplete = self.error_frames = self.passed_over = self.floods = 0
 
     def open(self) -> None:
         """Load the DBC, open the bus and wait for complete sample sets.
@@ -64,7 +71,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         first = next(iter(self._layout.values()))
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
         self._arrivals = ArrivalClock()
-        self.malformed = self.incomplete = self.error_frames = 0
+        self._forget()
         self._sequence: int | None = None
         self._finished = -1
         self._words = [-1] * 4
@@ -114,24 +121,36 @@ class As5045Encoders(Sensor[EncoderSample]):
         if self._bus is None:
             raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
         now_ns = self._clock.now_ns()
-        samples: list[EncoderSample] = []
-        for _ in range(_MOST_FRAMES):
-            try:
-                message = self._bus.recv(0)
-            except _BUS_ERRORS as error:
-                self._bus_error = str(error)
-                break
-            if message is None:
-                break
-            sample = self._take(message, now_ns)
-            if sample is not None:
-                samples.append(sample)
+        samples = self._received(self._bus, now_ns)
         if samples:
             self._good_ns = now_ns
             self._bus_error = ""
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent((now_ns - self._good_ns) / NS_PER_S)
         return tuple(samples)
+
+    def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
+        """Sample sets of the frames that wait; anybody on the bus may send, so their number is bounded."""
+        samples: list[EncoderSample] = []
+        most = self.passed_over + _MOST_PASSED_OVER
+        for _ in range(_MOST_FRAMES):
+            if self.passed_over >= most:
+                break
+            try:
+                message = bus.recv(0)
+            except _BUS_ERRORS as error:
+                self._bus_error = str(error)
+                self.passed_over += _ERROR_COUNTS
+                continue
+            if message is None:
+                return samples
+            sample = self._take(message, now_ns)
+            if sample is not None:
+                samples.append(sample)
+        self.floods += not self._bus_error
+        if self.floods == 1:
+            _LOG.warning("%s: frames flood %s; a read looks at some only", self.name, self._port)
+        return samples
 
     @property
     def _port(self) -> str:
@@ -211,18 +230,11 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Use one frame; returns a sample set when that completes or cuts short one."""
-        if message.is_error_frame:
-            self.error_frames += 1
-            return None
-        layout = self._layout.get(message.arbitration_id)
-        if layout is None or message.is_extended_id or message.is_remote_frame:
-            return None
+        layout = self._layout_of(message)
         data = message.data
-        if len(data) != layout.length:
-            self.malformed += 1
-            return None
-        sequence = layout.sequence.take(data)
-        if sequence == self._finished:
+        sequence = -1 if layout is None else layout.sequence.take(data)
+        if layout is None or sequence == self._finished:
+            self.passed_over += 1
             return None
         sample = None
         arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
@@ -235,6 +247,19 @@ class As5045Encoders(Sensor[EncoderSample]):
         if not self._missing:
             sample = self._finish(host_ns)
         return sample
+
+    def _layout_of(self, message: can.Message) -> FrameLayout | None:
+        """Layout of a frame of ours, None for any other."""
+        if message.is_error_frame:
+            self.error_frames += 1
+            return None
+        layout = self._layout.get(message.arbitration_id)
+        if layout is None or message.is_extended_id or message.is_remote_frame:
+            return None
+        if len(message.data) != layout.length:
+            self.malformed += 1
+            return None
+        return layout
 
     def _begin(self, sequence: int, arrival_ns: int) -> None:
         self._sequence, self._arrival_ns = sequence, arrival_ns

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -11,13 +10,10 @@ import tomli_w
 
 from hil.errors import DataError
 from hil.files import write_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from hil.reading import read_text, toml_tables
 
 SIZE = 22
+_MOST_BYTES = 1 << 16
 _LAYOUT = struct.Struct("<11h")
 _FORM = "22 bytes as 44 hex digits, or a TOML table with the eleven counts"
 
@@ -56,10 +52,10 @@ class ImuCalibration:
     def load(path: str | Path) -> ImuCalibration:
         """Read a hex or TOML file; raises `DataError` naming it."""
         try:
-            text = Path(path).read_text(encoding="utf-8")
+            text = read_text(Path(path), _MOST_BYTES)
             if "=" not in text:
                 return ImuCalibration.from_bytes(bytes.fromhex(text))
-            calibration = ImuCalibration(**tomllib.loads(text))
+            calibration = ImuCalibration(**toml_tables(text, "as TOML"))
             return ImuCalibration.from_bytes(calibration.to_bytes())
         except DataError as error:
             raise DataError(str(path), error.message, expected=_FORM) from None

@@ -1,7 +1,8 @@
 """Datagram ports: what the driver needs of a network, and the real one.
 
 A port takes the time of every arrival, because datagrams wait between two reads. The real port does
-that in a thread of its own; nothing else happens there.
+that in a thread of its own; nothing else happens there. A flood costs that thread a bounded share of
+the time: what comes faster than any capture system sends waits in the kernel, which drops the rest.
 """
 
 from __future__ import annotations
@@ -14,13 +15,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
-from hil.clock import Clock
+from hil.clock import NS_PER_S, Clock
 
 Address: TypeAlias = tuple[str, int]
 
 _LARGEST = 65535
 _POLL_S = 0.1
 _QUEUE = 1024
+_WINDOW_NS = 5_000_000
+_MOST_PER_WINDOW = 128
 _TIME_TO_LIVE = 1
 
 
@@ -62,14 +65,15 @@ class UdpPort(DatagramPort):
         interface: local IPv4 address; any when empty.
 
     Attributes:
-        overflowed: datagrams lost because nobody read.
+        received: datagrams taken from the kernel.
+        overflowed: those of them lost because nobody read.
     """
 
     def __init__(self, clock: Clock, group: str | None, port: int, interface: str = "") -> None:
         self._clock = clock
         self._queue: deque[Datagram] = deque(maxlen=_QUEUE)
         self._stopping = threading.Event()
-        self.overflowed = 0
+        self.received = self.overflowed = 0
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._bind(group, port, interface)
@@ -104,12 +108,19 @@ class UdpPort(DatagramPort):
         self._socket.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, membership)
 
     def _listen(self) -> None:
+        window_ns, taken = self._clock.now_ns(), 0
         while not self._stopping.is_set():
             with contextlib.suppress(OSError):
                 data, sender = self._socket.recvfrom(_LARGEST)
-                if len(self._queue) == _QUEUE:
-                    self.overflowed += 1
-                self._queue.append(Datagram(data, sender, self._clock.now_ns()))
+                now_ns = self._clock.now_ns()
+                self.received += 1
+                self.overflowed += len(self._queue) == _QUEUE
+                self._queue.append(Datagram(data, sender, now_ns))
+                if now_ns - window_ns >= _WINDOW_NS:
+                    window_ns, taken = now_ns, 0
+                taken += 1
+                if taken >= _MOST_PER_WINDOW:
+                    self._stopping.wait((window_ns + _WINDOW_NS - now_ns) / NS_PER_S)
 
 
 def udp_ports(clock: Clock, interface: str = "") -> DatagramFactory:

@@ -65,9 +65,9 @@ class NatNetMocap(Sensor[MocapSample]):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Packets passed over since `open`: malformed, from strangers, repeated."""
+        """Packets passed over since `open`: malformed, from strangers, repeated, lost unread; and floods."""
         session = self._session
-        names = ("malformed", "strangers", "repeated")
+        names = ("malformed", "strangers", "repeated", "overflowed", "floods")
         return {name: 0 if session is None else getattr(session, name) for name in names}
 
     def open(self) -> None:

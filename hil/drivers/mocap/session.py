@@ -23,6 +23,7 @@ from hil.drivers.mocap.packets import (
 _LOG = logging.getLogger(__name__)
 
 _MOST_DATAGRAMS = 4096
+_MOST_WASTED = 256
 _OTHER_SOURCE_AFTER_NS = 1_000_000_000
 _OLD_FRAMES = 1000
 _RESTART_NS = 250_000_000
@@ -47,6 +48,7 @@ class Session:
         malformed: packets that were not what they said.
         strangers: packets from other hosts, or frames from another source than the usual one.
         repeated: frames that came again or too late.
+        floods: calls of `frames` that met more datagrams of no use than they look at; the rest waits.
     """
 
     def __init__(self, config: MocapConfig, clock: Clock, datagrams: DatagramFactory) -> None:
@@ -55,7 +57,7 @@ class Session:
         self.server: ServerInfo | None = None
         self.bodies: dict[int, str] | None = None
         self.body_id: int | None = config.body if isinstance(config.body, int) else None
-        self.malformed = self.strangers = self.repeated = 0
+        self.malformed = self.strangers = self.repeated = self.floods = 0
         self.version = (0, 0)
         self._asked: tuple[int, int] | None = None
         self._agreed = False
@@ -115,18 +117,35 @@ class Session:
 
     def frames(self) -> Iterator[NewFrame]:
         """New frames that have arrived, with their arrival and whether the server has begun anew."""
+        wasted = 0
         for port in self._ports:
             for _ in range(_MOST_DATAGRAMS):
-                datagram = port.receive()
+                datagram = port.receive() if wasted < _MOST_WASTED else None
                 if datagram is None:
                     break
                 try:
                     frame = self._take(datagram)
                 except MalformedPacket:
                     self.malformed += 1
-                    continue
+                    frame = None
+                wasted += frame is None
                 if frame is not None:
                     yield frame[0], datagram.arrived_ns, frame[1]
+        if wasted >= _MOST_WASTED:
+            self._flooded()
+
+    def _flooded(self) -> None:
+        self.floods += 1
+        if self.floods == 1:
+            _LOG.warning(
+                "%d datagrams of no use at once: somebody floods the ports of %s:%d (%d from strangers)",
+                _MOST_WASTED, *self._address, self.strangers,
+            )  # fmt: skip
+
+    @property
+    def overflowed(self) -> int:
+        """Datagrams that the ports lost because nobody read."""
+        return sum(getattr(port, "overflowed", 0) for port in self._ports)
 
     def _send(self, data: bytes) -> None:
         try:

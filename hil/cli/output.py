@@ -1,0 +1,87 @@
+"""Standard output and standard error that may lose their reader: the command then ends, in order.
+
+Whoever reads may go (`| head`, a closed terminal, a full disk). What is written from then on goes nowhere;
+the command is asked to end as by SIGTERM where it takes that, so that a robot is held and results are
+complete, and with `Aborted` where it does not. The exit code is 4 either way.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import sys
+import threading
+from typing import Any
+
+from hil.errors import Aborted
+
+
+class _Raw(io.FileIO):
+    """A standard stream; the first write that fails is the last that goes anywhere."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor, "w", closefd=False)
+        self.lost = ""
+
+    def write(self, data: Any, /) -> int:
+        """Write to whoever reads; see the module for what happens when that fails."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            first, self.lost = not self.lost, error.strerror or str(error)
+            _to_nowhere(self.fileno())
+            if first:
+                _end_command(self.lost)
+            return len(data)
+
+
+def _to_nowhere(descriptor: int) -> None:
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nowhere, descriptor)
+    if nowhere != descriptor:
+        os.close(nowhere)
+
+
+def _end_command(why: str) -> None:
+    if callable(signal.getsignal(signal.SIGTERM)):
+        os.kill(os.getpid(), signal.SIGTERM)
+    elif threading.current_thread() is threading.main_thread():
+        raise Aborted(f"the output cannot be written any more ({why})")
+
+
+class Output:
+    """Both standard streams of this process, watched.
+
+    Raises:
+        Aborted: one of them is closed from the beginning.
+    """
+
+    def __init__(self) -> None:
+        closed = [n for n, s in (("output", sys.stdout), ("error", sys.stderr)) if s is None]
+        while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
+            pass  # so that no file of ours takes the place of a standard stream
+        os.close(descriptor)
+        if closed:
+            raise Aborted(f"standard {' and '.join(closed)} closed: nothing was started")
+        self._streams = [_watched(sys.stdout), _watched(sys.stderr)]
+        sys.stdout, sys.stderr = (stream for stream, _ in self._streams)
+
+    def finish(self) -> bool:
+        """Write what is still buffered; returns whether everything found its reader."""
+        for stream, _ in self._streams:
+            try:
+                stream.flush()
+            except (Aborted, OSError):
+                continue
+        return not any(raw.lost for _, raw in self._streams)
+
+
+def _watched(stream: Any) -> tuple[io.TextIOWrapper, _Raw]:
+    stream.flush()
+    raw = _Raw(stream.fileno())
+    text = io.TextIOWrapper(
+        io.BufferedWriter(raw), encoding=stream.encoding, errors=stream.errors,
+        line_buffering=stream.line_buffering, write_through=stream.write_through,
+    )  # fmt: skip
+    return text, raw

@@ -1,0 +1,158 @@
+"""`result.json` of a run, checked: whatever else a file holds, the pages find what they use in its shape.
+
+A results folder may come from anywhere, so what is named in it is only used where it lies inside.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Literal
+from urllib.parse import quote
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from hil.errors import DataError
+from hil.reading import read_json
+
+SCHEMA = 1
+RESULT = "result.json"
+_SHOWN = 5
+
+_Number = Annotated[float, Field(strict=True)] | None
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class _Problem(_Part):
+    type: str
+    message: str
+    step: str = ""
+
+
+class _Held(_Part):
+    state: str
+    moved_m: _Number = None
+    why: str = ""
+
+
+class _Row(_Part):
+    name: str
+    unit: str
+    value: _Number
+    low: _Number = None
+    high: _Number = None
+    margin: _Number = None
+    outcome: str
+    limited: bool = True
+    rationale: str = ""
+
+
+class _Step(_Part):
+    title: str
+    depth: int = Field(default=0, ge=0, le=64)
+    outcome: str = ""
+    bench_s: _Number = None
+    wall_s: _Number = None
+
+
+class _Table(_Part):
+    title: str
+    head: list[str]
+    rows: list[list[str]]
+    note: str = ""
+
+
+class _Figure(_Part):
+    title: str
+    path: str
+    caption: str = ""
+
+
+class _Attachment(_Part):
+    name: str
+    path: str
+
+
+class _Calibration(_Part):
+    path: str = ""
+    version: int | str | None = None
+    sha256: str = ""
+
+
+class _Result(_Part):
+    schema_version: Literal[1] = Field(alias="schema")
+    procedure: str
+    verdict: str
+    exit_code: int = 0
+    error: _Problem | None = None
+    held: _Held | None = None
+    teardown_errors: list[_Problem] = []
+    measurements: list[_Row]
+    summary: str = ""
+    bench: str | None = None
+    emulated: list[str] = []
+    virtual_time: bool = False
+    seed: int | None = None
+    faults: list[str] = []
+    parameters: dict[str, Any] = {}
+    config: dict[str, Any] = {}
+    calibration: _Calibration | None = None
+    versions: dict[str, Any] = {}
+    loop: dict[str, Any] | None = None
+    git_revision: str | None = None
+    started: str | None = None
+    duration_s: _Number = None
+    bench_duration_s: _Number = None
+    resumed: int = 0
+    steps: list[_Step] = []
+    tables: list[_Table] = []
+    figures: list[_Figure] = []
+    attachments: list[_Attachment] = []
+    recordings: list[str] = []
+    notes: list[str] = []
+
+
+def read_result(folder: Path) -> dict[str, Any]:
+    """`result.json` of a run.
+
+    Raises:
+        DataError: missing, damaged, of another schema, or with values of the wrong kind.
+    """
+    path = folder / RESULT
+    tree = read_json(path, remedy="name a results folder of hil run")
+    try:
+        found: dict[str, Any] = _Result.model_validate(tree).model_dump(by_alias=True)
+    except ValidationError as error:
+        wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
+        raise DataError(
+            str(path), f"is not the result of a run ({'; '.join(wrong)})", expected=f"schema {SCHEMA}"
+        ) from None
+    return found
+
+
+def inside(folder: Path, path: str) -> Path | None:
+    """A file of a results folder, links followed; None for a path that leads out of it."""
+    try:
+        whole = (folder / path).resolve()
+        return whole if whole.is_relative_to(folder.resolve()) else None
+    except (OSError, ValueError, RuntimeError):
+        return None
+
+
+def address(folder: Path, path: str) -> str:
+    """The same as a relative URL for a page in that folder; empty for a path that leads out of it."""
+    return "" if inside(folder, path) is None or Path(path).is_absolute() else quote(path)
+
+
+def own_file(folder: Path, name: str) -> Path:
+    """Where to write a page of a results folder.
+
+    Raises:
+        DataError: a symbolic link has that name: what it leads to may be anything.
+    """
+    path = folder / name
+    if path.is_symlink():
+        raise DataError(str(path), "cannot be written (it is a symbolic link)", remedy="remove the link")
+    return path

@@ -1,0 +1,191 @@
+"""A results folder from elsewhere: its page runs nothing, loads nothing and leads nowhere else."""
+
+import http.server
+import json
+import re
+import shutil
+import subprocess
+import threading
+from html.parser import HTMLParser
+from urllib.parse import unquote
+
+import pytest
+from click.testing import CliRunner
+
+from hil.cli import cli, main
+from hil.errors import DataError
+from hil.report.result_file import read_result
+from hil.report.run_page import write_run_page
+
+EVIL = '"><script>document.title = "ran"</script><img src="http://127.0.0.1:{port}/text" onerror="alert(1)">'
+SVG = """<?xml version="1.0"?>
+<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"
+ width="200pt" height="100pt"
+ viewBox="0 0 200 100" onload="document.title = 'ran'">
+<script>document.title = "ran"; fetch("http://127.0.0.1:{port}/fetch")</script>
+<style>@import url("http://127.0.0.1:{port}/style");</style>
+<image xlink:href="http://127.0.0.1:{port}/image" width="20" height="20"/>
+<foreignObject width="20" height="20"><iframe xmlns="http://www.w3.org/1999/xhtml" src="http://127.0.0.1:{port}/f"/>
+</foreignObject>
+<a xlink:href="javascript:document.title='ran'"><rect width="200" height="100" style="fill: #2563ea"/></a>
+</svg>"""
+
+
+def tree(evil):
+    return {
+        "schema": 1, "procedure": f"p{evil}", "verdict": f"PASS{evil}", "summary": evil, "bench": evil,
+        "started": evil, "seed": 1, "faults": [evil], "emulated": [evil], "git_revision": evil,
+        "held": {"state": evil, "moved_m": 0.001, "why": evil},
+        "error": {"type": evil, "message": evil, "step": evil},
+        "teardown_errors": [{"type": evil, "message": evil, "step": evil}],
+        "measurements": [{"name": evil, "unit": evil, "value": 1.0, "low": 0.0, "high": 2.0, "margin": 1.0,
+                          "outcome": evil, "limited": True, "rationale": evil}],
+        "steps": [{"title": evil, "outcome": evil, "depth": 1, "bench_s": 1.0, "wall_s": 1.0}],
+        "tables": [{"title": evil, "head": [evil], "rows": [[evil]], "note": evil}],
+        "figures": [{"title": evil, "caption": evil, "path": "figures/evil.svg"}],
+        "attachments": [{"name": evil, "path": evil}], "recordings": [evil], "notes": [evil],
+        "parameters": {evil: evil}, "config": {evil: [evil]}, "versions": {evil: evil}, "loop": {evil: evil},
+        "calibration": {"path": evil, "version": evil, "sha256": evil},
+    }  # fmt: skip
+
+
+class Page(HTMLParser):
+    def __init__(self, text):
+        super().__init__()
+        self.tags, self.links, self.images, self.handlers = set(), [], [], []
+        self.feed(text)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        found = dict(attrs)
+        self.links += [found["href"]] if "href" in found else []
+        self.images += [found["src"]] if "src" in found else []
+        self.handlers += [name for name in found if name.startswith("on")]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A results folder in which everything is hostile, and the names of what it asks a server for."""
+    asked = []
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        def do_GET(self):
+            asked.append(self.path)
+            self.send_error(404)
+
+        def log_message(self, *args):
+            pass
+
+    server = http.server.HTTPServer(("127.0.0.1", 0), Handler)
+    thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.05})
+    thread.start()
+    port = server.server_address[1]
+    out = tmp_path / "elsewhere"
+    (out / "figures").mkdir(parents=True)
+    (out / "result.json").write_text(json.dumps(tree(EVIL.format(port=port))))
+    (out / "figures" / "evil.svg").write_text(SVG.format(port=port))
+    yield out, asked
+    server.shutdown()
+    server.server_close()
+    thread.join()
+
+
+def change(folder, **values):
+    path = folder / "result.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | values))
+
+
+def test_text_and_figures_of_a_foreign_folder_stay_text_and_pictures(folder):
+    text = write_run_page(folder[0]).read_text()
+    page = Page(text)
+    assert not page.tags & {"script", "svg", "iframe", "object", "embed", "foreignobject", "base", "form"}
+    assert not page.handlers
+    assert len(page.images) == 1
+    assert page.images[0].startswith("data:image/svg+xml;base64,")
+    policy = re.search(r'<meta http-equiv="Content-Security-Policy" content="([^"]*)"', text)[1]
+    assert "default-src 'none'" in policy
+    assert "script-src" not in policy
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["javascript:alert(1)", "http://example.org/x", "//example.org/x", "data:text/html,x", "a b&c.mcap"],
+)
+def test_links_of_a_foreign_folder_are_files_in_it(folder, path):
+    change(folder[0], attachments=[{"name": "x", "path": path}], recordings=[path])
+    links = Page(write_run_page(folder[0]).read_text()).links
+    assert all(not re.match(r"[a-zA-Z][a-zA-Z0-9+.-]*:|/", link) for link in links)
+    assert {unquote(link) for link in links} <= {path}
+
+
+@pytest.mark.parametrize("path", ["../../secret.txt", "/etc/passwd", "link.txt", "inner/../../x", "\0"])
+def test_what_lies_outside_a_foreign_folder_is_no_link_and_no_figure(folder, path, tmp_path):
+    (tmp_path / "secret.txt").write_text("<svg></svg>")
+    (folder[0] / "link.txt").symlink_to(tmp_path / "secret.txt")
+    change(folder[0], attachments=[{"name": "x", "path": path}], recordings=[path])
+    text = write_run_page(folder[0]).read_text()
+    assert Page(text).links == []
+    assert text.count("outside this folder") == 2
+    change(folder[0], figures=[{"title": "t", "path": path}])
+    with pytest.raises(DataError, match="outside its folder"):
+        write_run_page(folder[0])
+
+
+def test_the_page_is_not_written_through_a_link(folder, tmp_path, capsys):
+    mine = tmp_path / "mine.txt"
+    mine.write_text("keep")
+    (folder[0] / "report.html").symlink_to(mine)
+    (folder[0] / "compare.html").symlink_to(mine)
+    for folders in ([str(folder[0])], [str(folder[0])] * 2):
+        assert main(["report", *folders]) == 2
+        assert "is a symbolic link" in capsys.readouterr().err
+    assert mine.read_text() == "keep"
+
+
+def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder):
+    change(folder[0], verdict="PASS\x1b]0;title\x07\ud800")
+    done = CliRunner().invoke(cli, ["report", str(folder[0])])
+    assert done.output.startswith(r"PASS\x1b]0;title\x07\ud800: ")
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("measurements", [{"name": 1}]), ("measurements", {}), ("steps", [{"title": "a", "depth": "0;x"}]),
+        ("figures", [1]), ("notes", "x"), ("duration_s", "long"), ("calibration", 3), ("procedure", ["x"]),
+        ("attachments", [{"name": "x", "path": None}]), ("tables", [{"title": "", "head": [], "rows": [1]}]),
+        ("duration_s", float("inf")), ("held", {"state": "HELD", "moved_m": "far"}), ("config", []),
+    ],
+)  # fmt: skip
+def test_a_value_of_the_wrong_kind_is_named(folder, key, value):
+    change(folder[0], **{key: value})
+    with pytest.raises(DataError, match=key) as caught:
+        read_result(folder[0])
+    assert "result.json" in str(caught.value)
+
+
+@pytest.mark.parametrize("svg", ["<svg><g></svg>", "<svg>&evil;</svg>", "no", "<svg", "</svg><svg"])
+def test_a_figure_that_is_no_svg_is_named(folder, svg):
+    (folder[0] / "figures" / "evil.svg").write_text(svg)
+    with pytest.raises(DataError, match=r"evil\.svg: is not an SVG file"):
+        write_run_page(folder[0])
+
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium on this machine to render the page in")
+@pytest.mark.parametrize("policy", [True, False])
+def test_a_browser_runs_and_fetches_nothing_of_a_foreign_folder(folder, tmp_path, policy):
+    out, asked = folder
+    page = write_run_page(out)
+    if not policy:
+        page.write_text(re.sub("<meta http-equiv=[^>]*>", "", page.read_text()))
+    found = subprocess.run(
+        [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", f"--user-data-dir={tmp_path / 'profile'}",
+         "--virtual-time-budget=2000", "--dump-dom", f"file://{page}"],
+        capture_output=True, text=True, timeout=60, check=True,
+    ).stdout  # fmt: skip
+    assert "<title>ran</title>" not in found
+    assert "data:image/svg+xml" in found
+    assert asked == []
