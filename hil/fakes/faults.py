@@ -9,7 +9,6 @@ refused.
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -95,9 +94,6 @@ def make_fault(
         raise UsageError(
             f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]}", expected=f"at most {_LARGEST:g}"
         )
-    for key, value in options.items():
-        if not math.isfinite(value):
-            raise UsageError(f"fault {device}:{kind} has {key} = {value}", expected="a finite number")
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
 
