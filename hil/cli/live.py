@@ -12,6 +12,7 @@ import click
 from hil.cli import start
 from hil.cli.options import SEED, FiniteRange, rerun_option
 from hil.errors import EXIT_PASS, DataError, UsageError
+from hil.files import check_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -112,6 +113,8 @@ def command(
         raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):
         raise UsageError("--replay: a robot that repeats a recording obeys nobody", remedy="only watch it")
+    if record is not None:
+        check_file(record)
     overrides = start.start_override(start_pose)
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())

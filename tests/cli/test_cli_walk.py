@@ -26,14 +26,6 @@ def run(ctx):
 '''
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
-
-KNOWN = {
-    "calibrate.plots": "NotADirectoryError below a file",
-    "evaluate.plots": "NotADirectoryError below a file",
-    "demo-data.folder": "NotADirectoryError below a file",
-    "live.record": "opened only after the bench",
-}
-"""Answers that are still wrong; an entry goes when its command is mended."""
 EMPTY_IS_FINE = {("empty", "answers")}
 
 
@@ -49,14 +41,7 @@ def leaves(group=cli, words=()):
 
 COMMANDS = dict(leaves())
 CASES = [
-    pytest.param(
-        words,
-        parameter,
-        id=f"{'-'.join(words)}.{parameter.name}",
-        marks=[pytest.mark.xfail(strict=True, reason=KNOWN[name])]
-        if (name := f"{' '.join(words)}.{parameter.name}") in KNOWN
-        else [],
-    )
+    pytest.param(words, parameter, id=f"{'-'.join(words)}.{parameter.name}")
     for words, command in COMMANDS.items()
     for parameter in command.params
     if not getattr(parameter, "is_flag", False)
@@ -100,7 +85,7 @@ def base(world, tmp_path, monkeypatch):
         raise DeviceError("the world", "is not opened in this test")
 
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", nothing)
-    monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self: self.close())
+    monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
     monkeypatch.setattr("hil.bench.discover.find_ports", list, raising=False)
     return {
         "run": {"script": world / "idle.py"},

@@ -162,7 +162,8 @@ def test_the_commands_list_apply_and_roll_back(shelf, capsys, tmp_path):
 def test_the_commands_refuse_with_exit_code_2(shelf, capsys, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(
-        'schema = 1\nname = "other"\nsurface = "floor"\n[robot]\nwheel_radius_m = [0.03, 0.03, 0.03, 0.03]\n'
+        'schema = 1\nname = "other"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
+        "[robot]\nwheel_radius_m = [0.03, 0.03, 0.03, 0.03]\n"
     )
     save_calibration(tmp_path / "new.toml", made())
     for arguments, words in (
