@@ -16,12 +16,12 @@ from hil.geometry import wrap
 from hil.interfaces import Blame
 from hil.signals import WHEELS, Event, Inputs, Measurements
 
-_SETTLED_RAD = 0.008
+_SETTLED_RAD = 0.016
 _MOVED_RAD = 0.01
-_LEARN = 10
-_MEMORY = 0.1
+_LEARN = 5
+_MEMORY, _PLAY_MEMORY = 0.2, 0.1
 _NAN = math.nan
-_EVERY_NS, _TOLD_NS, _FAR = 18_000_000, 50_000_000, 2.0
+_EVERY_NS, _TOLD_NS, _FAR = 48_000_000, 50_000_000, 2.0
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class CrossCheckResult:
 
 
 class _Axis:
-    """One steering axis; plain floats, because it is asked fifty times per second."""
+    """One steering axis; plain floats, because it is asked in every run."""
 
     def __init__(self) -> None:
         self.count, self.reference, self.lasting, self.latest = 0, 0.0, _NAN, _NAN
@@ -95,12 +95,12 @@ class _Axis:
             return
         relative = wrap(raw_rad - self.reference)
         known = self.by_direction[self.direction]
-        step = relative if math.isnan(known) else known + _MEMORY * (relative - known)
+        step = relative if math.isnan(known) else known + _PLAY_MEMORY * (relative - known)
         self.by_direction[self.direction] = step
 
 
 class CrossCheck:
-    """Follows the difference of two angles of the same axis; feed it once per 10 to 20 ms.
+    """Follows the difference of two angles of the same axis; feed it every 50 ms.
 
     What is learnt at the start is taken for right: a horn that had slipped before is not seen.
     """

@@ -16,7 +16,7 @@ from hil.signals import GyroMeasurement, WheelMeasurement
 
 _KEPT = 256
 _GYRO_GAP_NS = 100_000_000
-_WHEEL_NS = 18_000_000
+_WHEEL_NS = 28_000_000
 _WHEEL_STEP_RAD, _WHEEL_RATE_RAD_S = 0.2, 6.5
 
 Kept = tuple[complex, ...]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 from hil.clock import NS_PER_S, nanoseconds
 from hil.signals import WHEELS, Event, Inputs, Status
@@ -42,25 +42,20 @@ class SampleWatch:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
         for name, samples in (("imu", inputs.imu), ("tracker", inputs.tracker), ("mocap", inputs.mocap)):
-            good = self._statuses(name, [sample.status for sample in samples], t_ns, events)
+            good = False
+            for sample in samples:
+                if sample.status is Status.OK:
+                    good = True
+                elif sample.status in _TOLD:
+                    self._tell(name, "", sample.status, t_ns, events)
             if name in self._stale_ns:
                 self._age(name, good, t_ns, events)
-        for sample in inputs.encoders:
-            if sample.status == _ALL_OK:
+        for angles in inputs.encoders:
+            if angles.status == _ALL_OK:
                 continue
-            for wheel, status in zip(WHEELS, sample.status, strict=True):
+            for wheel, status in zip(WHEELS, angles.status, strict=True):
                 if status in _TOLD:
                     self._tell("encoders", f"{wheel} ", status, t_ns, events)
-
-    def _statuses(self, name: str, found: Sequence[Status], t_ns: int, events: list[Event]) -> bool:
-        """Tell of what is worth it; whether there was a good sample."""
-        good = False
-        for status in found:
-            if status is Status.OK:
-                good = True
-            elif status in _TOLD:
-                self._tell(name, "", status, t_ns, events)
-        return good
 
     def _tell(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         key = (name + part, status)

@@ -17,6 +17,7 @@ _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
 _FASTEST_RAD_S, _STEP_RAD, _TOLD_NS = 6.5, 0.2, 50_000_000
 """Faster than an XH430 without load at 12 V; a stamp that is 30 ms off at that speed; from event to stop."""
+_ALL_OK = (Status.OK,) * 8
 _REMEDIES = {
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
     Status.RESET: "it has restarted: check its supply",
@@ -50,7 +51,7 @@ class ServoWatch:
         self._asked_at_rad = [0.0] * 4
         self._complete_ns: int | None = None
         self._missed: dict[int, tuple[int, Status]] = {}
-        self._last: list[tuple[int, float] | None] = [None] * 8
+        self._last_rad, self._last_ns = [math.nan] * 8, [0] * 8
         self._outside: tuple[float, ...] = (math.nan,) * 4
         self._slipped: tuple[int, str] | None = None
 
@@ -70,7 +71,7 @@ class ServoWatch:
         if self._complete_ns is None:
             self._complete_ns = inputs.t_ns
         for sample in inputs.servos:
-            if sample.ok:
+            if sample.status == _ALL_OK:
                 self._complete_ns, self._missed = inputs.t_ns, {}
                 continue
             for j, status in enumerate(sample.status):
@@ -129,21 +130,27 @@ class ServoWatch:
     def _check_steps(self, sample: ServoSample, outside: tuple[float, ...], events: list[Event]) -> None:
         """A servo that tells a step which no motor can make has an encoder that slips."""
         t_ns, angles = sample.stamp.t_ns, sample.position_rad.tolist()
-        for j, angle in enumerate(angles):
-            if sample.status[j] is not Status.OK:
-                continue
-            last, self._last[j] = self._last[j], (t_ns, angle)
-            if last is None:
-                continue
-            dt_s, step = (t_ns - last[0]) / NS_PER_S, angle - last[1]
-            if abs(step) <= _STEP_RAD + _FASTEST_RAD_S * dt_s:
-                continue
-            said = f"{self._names[j]} tells a step of {step:+.2f} rad in {1e3 * dt_s:.0f} ms"
-            if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
-                said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
-            events.append(Event(t_ns, "warning", "servos", said))
-            before = f"{self._slipped[1]}, " if self._slipped is not None else ""
-            self._slipped = (t_ns, before + said)
+        steps = [new - old for new, old in zip(angles, self._last_rad, strict=True)]
+        if sample.status == _ALL_OK and not (max(steps) > _STEP_RAD or min(steps) < -_STEP_RAD):
+            self._last_rad, self._last_ns = angles, [t_ns] * 8
+            return
+        for j, step_rad in enumerate(steps):
+            if sample.status[j] is Status.OK:
+                dt_s = max(t_ns - self._last_ns[j], 0) / NS_PER_S
+                self._last_rad[j], self._last_ns[j] = angles[j], t_ns
+                if abs(step_rad) > _STEP_RAD + _FASTEST_RAD_S * dt_s:
+                    self._leapt(j, step_rad, dt_s, t_ns, outside, events)
+
+    def _leapt(
+        self, j: int, step_rad: float, dt_s: float, t_ns: int, outside: tuple[float, ...], events: list[Event]
+    ) -> None:
+        """Tell of a leap, beside what the external encoder of a steering axis did since `outside`."""
+        said = f"{self._names[j]} tells a step of {step_rad:+.2f} rad in {1e3 * dt_s:.0f} ms"
+        if j >= 4 and math.isfinite(turned := self._outside[j - 4] - outside[j - 4]):
+            said += f"; the external encoder {WHEELS[j - 4]} turned by {abs(wrap(turned)):.2f} rad"
+        events.append(Event(t_ns, "warning", "servos", said))
+        before = f"{self._slipped[1]}, " if self._slipped is not None else ""
+        self._slipped = (t_ns, before + said)
 
 
 def _outside(samples: tuple[EncoderSample, ...], before: tuple[float, ...]) -> tuple[float, ...]:

@@ -211,12 +211,12 @@ def wheels(t_ns, angle, steering=0.0, valid=True):
 def test_the_wheels_way_is_known_between_samples_and_bridges_what_is_missing():
     track = WheelTrack(GEOMETRY)
     for k in range(11):
-        track.take(wheels(k * 20_000_000, 0.1 * k, valid=k not in (3, 4)))
-    place, heading, rolled, contradiction = track.at(150_000_000)
+        track.take(wheels(k * 30_000_000, 0.1 * k, valid=k not in (3, 4)))
+    place, heading, rolled, contradiction = track.at(225_000_000)
     assert place == pytest.approx(0.75 * GEOMETRY.radius_m[0])
     assert (heading, contradiction) == (pytest.approx(0.0, abs=1e-15), pytest.approx(0.0, abs=1e-12))
     assert rolled == pytest.approx(0.75 * GEOMETRY.radius_m[0])
-    assert track.at(200_000_001) is None
+    assert track.at(300_000_001) is None
     assert track.at(-1) is None
 
 
@@ -225,10 +225,10 @@ def test_wheels_that_contradict_each_other_say_by_how_much():
     track.take(wheels(0, 0.0))
     track.take(
         WheelMeasurement(
-            Stamp(20_000_000, 0, 1), np.array([0.1, 0, 0, 0]), np.zeros(4), np.zeros(4), (True,) * 4
+            Stamp(30_000_000, 0, 1), np.array([0.1, 0, 0, 0]), np.zeros(4), np.zeros(4), (True,) * 4
         )
     )
-    assert track.at(20_000_000)[3].real > 0.4 * 0.1 * GEOMETRY.radius_m[0]
+    assert track.at(30_000_000)[3].real > 0.4 * 0.1 * GEOMETRY.radius_m[0]
 
 
 def test_the_way_of_an_arc_is_that_of_an_arc_whatever_the_steering_zeros():
@@ -237,11 +237,11 @@ def test_the_way_of_an_arc_is_that_of_an_arc_whatever_the_steering_zeros():
     track, robot = WheelTrack(geometry), Robot((0.1, 0.02, 1.0))
     speed, steering = inverse(geometry, robot.twist)
     for k in range(51):
-        t_ns = k * 20_000_000
+        t_ns = k * 30_000_000
         angles = speed / geometry.radius_m * t_ns * 1e-9
         track.take(WheelMeasurement(Stamp(t_ns, t_ns, k), angles, speed, steering, (True,) * 4))
-    place, heading, _, contradiction = track.at(1_000_000_000)
-    x_m, y_m, turned = robot.pose(1.0)
+    place, heading, _, contradiction = track.at(1_500_000_000)
+    x_m, y_m, turned = robot.pose(1.5)
     assert abs(place - complex(x_m, y_m)) < 1e-5
     assert heading == pytest.approx(turned)
     assert contradiction == pytest.approx(0.0, abs=1e-12)
@@ -250,9 +250,9 @@ def test_the_way_of_an_arc_is_that_of_an_arc_whatever_the_steering_zeros():
 def test_a_leap_of_a_wheel_is_no_way():
     track = WheelTrack(GEOMETRY)
     for k in range(10):
-        track.take(wheels(k * 20_000_000, 0.02 * k + 0.5 * (k >= 5)))
-    assert track.at(90_000_000) is None
-    assert track.at(180_000_000)[0].real == pytest.approx(0.16 * GEOMETRY.radius_m[0])
+        track.take(wheels(k * 30_000_000, 0.02 * k + 0.5 * (k >= 5)))
+    assert track.at(135_000_000) is None
+    assert track.at(270_000_000)[0].real == pytest.approx(0.16 * GEOMETRY.radius_m[0])
 
 
 def test_the_gyros_angle_ends_at_a_gap():

@@ -129,3 +129,21 @@ def test_a_server_that_is_no_t265_is_a_device_error(stranger, answers):
     with pytest.raises(DeviceError):
         driver.open()
     driver.close()
+
+
+@pytest.mark.parametrize("place", range(13))
+@pytest.mark.parametrize("value", [1.1e3, 1e12, -1e160, 1.7e308])
+def test_a_finite_value_that_no_camera_can_mean_is_implausible(place, value):
+    """Position, velocity, quaternion and turn rate alike; the poses beside it are used."""
+    clock, pipeline = VirtualClock(World(Standing())), Scripted()
+    driver = T265Tracker(TrackerConfig(), clock, pipeline=pipeline)
+    driver.open()
+    record = list(POSE_RECORD.unpack(good_pose(2)))
+    record[4 + place] = value
+    for data in (POSE_RECORD.pack(*record), good_pose(3)):
+        clock.sleep_until_ns(clock.now_ns() + 5_000_000)
+        pipeline.put(FeedFrame(POSE_RECORD.unpack(data)))
+    first, bad, good = driver.read()
+    assert (first.status, bad.status, good.status) == (Status.OK, Status.IMPLAUSIBLE, Status.OK)
+    assert np.isnan(bad.position_m).all()
+    assert np.isnan(bad.velocity_m_s).all()

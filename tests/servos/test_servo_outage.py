@@ -1,0 +1,40 @@
+"""A servo may be of no use for as long as `fail_after_s` says, and not a nanosecond longer."""
+
+import pytest
+
+from hil.config.servos import ServosConfig
+from hil.drivers.servos.outage import OutageWatch
+from hil.errors import DeviceError, DeviceTimeoutError
+from hil.signals import Status
+
+LIMIT_NS = 500_000_000
+
+
+def noted(status, *times_ns, alert=0, excused_ns=0):
+    """Joint 2 has this status at these times, the others answer."""
+    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    statuses, alerts = [Status.OK] * 8, [0] * 8
+    statuses[2], alerts[2] = status, alert
+    for t_ns in times_ns:
+        watch.excuse(excused_ns)
+        watch.note(tuple(statuses), alerts, t_ns)
+
+
+def test_the_limit_is_where_it_is_said_to_be():
+    noted(Status.TIMEOUT, LIMIT_NS)
+    with pytest.raises(
+        DeviceTimeoutError, match=r"nothing usable for 0\.5 s from drive_BR \(ID 3\): timeout"
+    ):
+        noted(Status.TIMEOUT, LIMIT_NS, LIMIT_NS + 1)
+
+
+def test_time_in_which_nobody_asked_does_not_count():
+    noted(Status.TIMEOUT, 2 * LIMIT_NS, excused_ns=LIMIT_NS)
+    with pytest.raises(DeviceTimeoutError):
+        noted(Status.TIMEOUT, 2 * LIMIT_NS + 1, excused_ns=LIMIT_NS)
+
+
+def test_an_error_of_the_hardware_is_another_failure_with_another_remedy():
+    with pytest.raises(DeviceError, match=r"drive_BR \(ID 3\): hardware error .*overload.*reboot") as error:
+        noted(Status.HARDWARE_ERROR, LIMIT_NS + 1, alert=0x20)
+    assert not isinstance(error.value, DeviceTimeoutError)
