@@ -41,6 +41,12 @@ def live(folder, *options):
     )  # fmt: skip
 
 
+def commanded(process):
+    """Where a running `hil live` takes velocity commands, and the token that it asks for."""
+    port, token = re.search(r"udp:(\d+), token ([0-9a-f]{32})", process.stderr.readline()).groups()
+    return ("127.0.0.1", int(port)), token
+
+
 def verified(path):
     """What `hil replay --verify --json` says, with its exit code."""
     out = io.StringIO()
@@ -100,9 +106,7 @@ def test_velocity_commands_move_and_silence_stops(tmp_path):
         tmp_path, "--command", "udp:0", "--dead-man", "0.3",
         "--record", str(tmp_path / "run.mcap"), "--duration", "4",
     )  # fmt: skip
-    said = process.stderr.readline()
-    port, token = re.search(r"udp:(\d+), token ([0-9a-f]{32})", said).groups()
-    address = ("127.0.0.1", int(port))
+    address, token = commanded(process)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while process.poll() is None and not _moved(tmp_path / "run.mcap"):
             sender.sendto(b"v 0 0.05 0\n", address)  # anybody
@@ -194,11 +198,11 @@ def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
         tmp_path, "--command", "udp:0", "--record", str(path), "--duration", "8",
         "--on-recording-failure", policy,
     )  # fmt: skip
-    port = int(process.stderr.readline().rsplit(":", 1)[1])
+    address, token = commanded(process)
     limited = False
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         while process.poll() is None:
-            sender.sendto(b"v 0.02 0 0\n", ("127.0.0.1", port))
+            sender.sendto(f"{token} v 0.02 0 0\n".encode(), address)
             if not limited and _some(path):
                 resource.prlimit(process.pid, resource.RLIMIT_FSIZE, (250_000, 250_000))
                 limited = True
