@@ -117,6 +117,8 @@ def command(
         overrides["emulation.replay"] = str(repeated.resolve())
     overrides |= start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
     reference = None if source is None else load_trajectory(source)
+    if record is not None and (record.is_dir() or not record.parent.is_dir()):
+        raise DataError(str(record), "cannot be written", remedy="name a file in a folder that exists")
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
@@ -125,10 +127,7 @@ def command(
         overrides=overrides,
     )  # fmt: skip
     try:
-        plan = LivePlan(
-            reference, lines, duration_s, feedback, observers,
-            controller, dead_man_s,
-        )  # fmt: skip
+        plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
         recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
         monitor = _monitor(opened, view)
         session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)

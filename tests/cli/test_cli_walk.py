@@ -27,13 +27,6 @@ def run(ctx):
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
 
-KNOWN = {
-    "calibrate.plots": "NotADirectoryError below a file",
-    "evaluate.plots": "NotADirectoryError below a file",
-    "demo-data.folder": "NotADirectoryError below a file",
-    "live.record": "opened only after the bench",
-}
-"""Answers that are still wrong; an entry goes when its command is mended."""
 EMPTY_IS_FINE = {("empty", "answers")}
 
 
@@ -49,14 +42,7 @@ def leaves(group=cli, words=()):
 
 COMMANDS = dict(leaves())
 CASES = [
-    pytest.param(
-        words,
-        parameter,
-        id=f"{'-'.join(words)}.{parameter.name}",
-        marks=[pytest.mark.xfail(strict=True, reason=KNOWN[name])]
-        if (name := f"{' '.join(words)}.{parameter.name}") in KNOWN
-        else [],
-    )
+    pytest.param(words, parameter, id=f"{'-'.join(words)}.{parameter.name}")
     for words, command in COMMANDS.items()
     for parameter in command.params
     if not getattr(parameter, "is_flag", False)
