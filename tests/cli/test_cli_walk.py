@@ -86,7 +86,7 @@ def base(world, tmp_path, monkeypatch):
         raise DeviceError("the world", "is not opened in this test")
 
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", nothing)
-    monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self: self.close())
+    monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
     monkeypatch.setattr("hil.bench.discover.find_ports", list, raising=False)
     return {
         "run": {"script": world / "idle.py"},
