@@ -128,10 +128,7 @@ def command(
         overrides=overrides,
     )  # fmt: skip
     try:
-        plan = LivePlan(
-            reference, lines, duration_s, feedback, observers,
-            controller, dead_man_s,
-        )  # fmt: skip
+        plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
         recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
         monitor = _monitor(opened, view)
         session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)

@@ -56,7 +56,7 @@ def unopened(monkeypatch):
         ("servo.drive_fl:off", "did you mean servo.drive_FL?"),
         ("imu:wrong,rate_rads=1", "did you mean rate_rad_s?"),
         ("imu:stuck,scale=2", "expected no option"),
-        ("tracker:wrong,scale=nan", "a finite number"),
+        ("tracker:wrong,scale=nan", "scale is nan"),
         ("imu:stuck@1e999", "a start >= 0"),
     ],
 )

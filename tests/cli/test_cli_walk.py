@@ -26,6 +26,7 @@ def run(ctx):
 '''
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
+
 EMPTY_IS_FINE = {("empty", "answers")}
 
 
