@@ -8,8 +8,9 @@ servos go on being looked after.
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
@@ -61,7 +62,12 @@ class Held:
         return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
 
     def __str__(self) -> str:
-        return f"{self.state}: moved {1e3 * self.moved_m:.1f} mm since the stop; {self.why}"
+        return held_in_words(self.to_json())
+
+
+def held_in_words(held: Mapping[str, Any]) -> str:
+    """One line of what `Held.to_json` says."""
+    return f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
 
 
 class _Trail:

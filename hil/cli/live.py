@@ -189,6 +189,8 @@ def _report(session: LiveSession, monitor: RerunMonitor | None, *, as_json: bool
 
 
 def _text(summary: dict[str, Any]) -> str:
+    from hil.bench.holding import held_in_words
+
     timing = summary["timing"]
     lines = [
         f"{summary['bench']} at {summary['rate_hz']:g} Hz, ended by: {summary['ended']}",
@@ -210,6 +212,5 @@ def _text(summary: dict[str, Any]) -> str:
     for name in ("recording", "monitor", "commands"):
         if name in summary:
             lines.append(f"{name:10} " + ", ".join(f"{k} {v}" for k, v in summary[name].items() if v != ""))
-    held = summary["held"]
-    lines.append(f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}")
+    lines.append(held_in_words(summary["held"]))
     return "\n".join(lines)

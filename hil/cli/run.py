@@ -140,6 +140,8 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 
 def _text(result: Result) -> str:
+    from hil.bench.holding import held_in_words
+
     lines = []
     for row in result.measurements:
         value = "-" if row["value"] is None else f"{row['value']:.4g}"
@@ -148,7 +150,6 @@ def _text(result: Result) -> str:
     for problem in (result.error, *result.teardown_errors):
         if problem is not None:
             lines.append(f"{problem.kind} in {problem.step!r}: {problem.message}")
-    held = result.facts["held"]
-    lines.append(f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}")
+    lines.append(held_in_words(result.facts["held"]))
     lines.append(f"{result.verdict.value}: {result.procedure}, results in {result.folder}")
     return "\n".join(lines)

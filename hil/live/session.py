@@ -137,7 +137,7 @@ class LiveSession:
     def _run(self) -> None:
         bench, plan = self.bench, self.plan
         bench.config.must_know_start()
-        if self._moving or (bench.on_wall and bench.rig.servos is not None):
+        if self._moving:
             bench.rig.actuators().enable()
         rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
         pose = self.bench.measured_pose(rest.mocap)
