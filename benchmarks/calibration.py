@@ -22,9 +22,9 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import truth_window, wheel_steps
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem
 from hil.calibration.synthetic import hidden_robot, make_set
-from hil.clock import NS_PER_S, MonotonicClock
-from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 
 CLOCK = MonotonicClock()
 

@@ -20,15 +20,15 @@ from typing import Any
 import numpy as np
 
 from hil.bench import open_bench
-from hil.clock import MonotonicClock
 from hil.config.bench import load_bench
 from hil.fakes.world import random_stream
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
-from hil.trajectories import line
-from procedures.parts.fragment import NAME
-from procedures.parts.tracking import stand, tracking_errors
+from hil.procedures.parts.fragment import NAME
+from hil.procedures.parts.tracking import stand, tracking_errors
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import MonotonicClock
 
 if sys.version_info >= (3, 11):
     import tomllib

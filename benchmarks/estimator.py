@@ -17,7 +17,6 @@ from dataclasses import replace
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.simulated_sensors import (
@@ -30,8 +29,9 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.signals import Measurements
 
 ROUNDS = 15
 

@@ -35,15 +35,15 @@ from typing import Any
 import numpy as np
 
 from hil.bench import open_bench
-from hil.clock import NS_PER_S, MonotonicClock, nanoseconds
-from hil.geometry import Array
-from hil.interfaces import Sink
 from hil.live import LivePlan, LiveSession
 from hil.monitor import RerunMonitor
-from hil.realtime import RealTime, idle_loop
 from hil.recording.mcap_writer import McapRecorder
-from hil.signals import CycleRecord
-from hil.trajectories import Trajectory, through
+from hil.ring.realtime import RealTime, idle_loop
+from hil.robot.trajectories import Trajectory, through
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock, nanoseconds
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
 
 VIEWERS = ("none", "running", "stopped", "killed", "absent")
 PERFECT = {

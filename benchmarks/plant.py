@@ -16,11 +16,11 @@ import time
 
 import numpy as np
 
-from hil.clock import nanoseconds
 from hil.config.robot import RobotConfig
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant.compiled import numba_available
 from hil.fakes.plant_api import JointCommand
+from hil.vocabulary.clock import nanoseconds
 
 _NEEDED = 150.0
 _PERIOD_NS = nanoseconds(0.01)

@@ -15,11 +15,11 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.clock import NS_PER_S, MonotonicClock
-from hil.interfaces import Sink
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
-from hil.signals import (
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import (
     CycleRecord,
     EncoderSample,
     GyroMeasurement,

@@ -24,8 +24,8 @@ from pathlib import Path
 import hil
 from hil.live.playback import open_recording, verify_recording, without_collector
 from hil.recording.mcap_writer import McapRecorder
-from hil.report.replay import compare_run, table
-from hil.trajectories import scan
+from hil.replay.replay import compare_run, table
+from hil.robot.trajectories import scan
 
 TARGET = 20.0
 LANE_M = 0.6

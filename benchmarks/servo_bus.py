@@ -24,7 +24,6 @@ from multiprocessing.connection import Connection
 import numpy as np
 from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
-from hil.clock import MonotonicClock
 from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import XH430Servos
@@ -35,7 +34,8 @@ from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World, random_stream
-from hil.signals import ServoSetpoint
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.signals import ServoSetpoint
 
 BAUD, LATENCY_S = 1_000_000, 0.001
 IDS = tuple(range(1, 9))

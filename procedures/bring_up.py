@@ -16,12 +16,8 @@ from scipy.integrate import trapezoid
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.geometry import Array
-from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.signals import WHEELS
-from hil.trajectories import Trajectory, line
-from procedures.parts.bring_up_jogs import (
+from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
     SteerJogs,
     find_signs,
@@ -29,12 +25,16 @@ from procedures.parts.bring_up_jogs import (
     jog_steering,
     reversed_names,
 )
-from procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
-from procedures.parts.bring_up_streams import Stream, judge_stream
-from procedures.parts.devices import DEVICES, Device, only
-from procedures.parts.fragment import write_fragment
-from procedures.parts.samples import inertial, poses
-from procedures.parts.tracking import stand
+from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from hil.procedures.parts.bring_up_streams import Stream, judge_stream
+from hil.procedures.parts.devices import DEVICES, Device, only
+from hil.procedures.parts.fragment import write_fragment
+from hil.procedures.parts.samples import inertial, poses
+from hil.procedures.parts.tracking import stand
+from hil.ring.motion import Motion
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
 _DEG = float(np.degrees(1.0))
 _GAP_MS = {"servos": 50.0, "encoders": 50.0, "imu": 100.0, "tracker": 100.0, "mocap": 500.0}

@@ -13,10 +13,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.bench import BenchConfig
-from hil.geometry import Array, ArrayLike
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.trajectories import Trajectory, scan
-from procedures.parts.tracking import (
+from hil.procedures.parts.tracking import (
     coverage_figure,
     error_figure,
     refuse_what_cannot_be_followed,
@@ -25,6 +23,8 @@ from procedures.parts.tracking import (
     time_figure,
     tracking_errors,
 )
+from hil.robot.trajectories import Trajectory, scan
+from hil.vocabulary.geometry import Array, ArrayLike
 
 _CELL_M = 0.005
 _ODOMETRY_RMSE_MM = 50.0

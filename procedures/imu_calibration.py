@@ -20,15 +20,15 @@ from scipy.stats import t as student
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, DeviceError
-from hil.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.trajectories import Trajectory, line
-from procedures.parts.fragment import write_fragment
-from procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
-from procedures.parts.imu_report import draw_allan, draw_headings
-from procedures.parts.samples import inertial, poses
-from procedures.parts.tracking import stand
+from hil.procedures.parts.fragment import write_fragment
+from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
+from hil.procedures.parts.imu_report import draw_allan, draw_headings
+from hil.procedures.parts.samples import inertial, poses
+from hil.procedures.parts.tracking import stand
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.errors import ConfigError, DeviceError
+from hil.vocabulary.geometry import Array, quat_from_yaw, quat_multiply, wrap_array
 
 _DEG = float(np.degrees(1.0))
 _GRAVITY_LSB_M_S2, _STANDARD_GRAVITY = 0.01, 9.80665

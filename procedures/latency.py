@@ -22,12 +22,9 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.controller.allocation import ModuleLimits, optimize
-from hil.geometry import Array
-from hil.kinematics import forward, inverse
-from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from procedures.parts.devices import only
-from procedures.parts.latency_fit import (
+from hil.procedures.parts.devices import only
+from hil.procedures.parts.latency_fit import (
     Command,
     Delay,
     fit_delay,
@@ -36,10 +33,13 @@ from procedures.parts.latency_fit import (
     integrated,
     sent_s,
 )
-from procedures.parts.latency_report import draw_chain, draw_signals, table
-from procedures.parts.samples import Series, encoders, inertial, poses, wheels
-from procedures.parts.scripted import Stretch, play
-from procedures.parts.tracking import stand
+from hil.procedures.parts.latency_report import draw_chain, draw_signals, table
+from hil.procedures.parts.samples import Series, encoders, inertial, poses, wheels
+from hil.procedures.parts.scripted import Stretch, play
+from hil.procedures.parts.tracking import stand
+from hil.ring.motion import Motion
+from hil.robot.kinematics import forward, inverse
+from hil.vocabulary.geometry import Array
 
 Compared = Literal["encoders", "imu", "tracker"]
 _GOLDEN = 0.6180339887498949

@@ -21,12 +21,11 @@ from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
 from hil.calibration.problem import make_setting
-from hil.calibration.shelf import made_for, shelve
 from hil.calibration.validation import score
+from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.versions import versions
-from procedures.parts.odometry_collecting import (
+from hil.procedures.parts.odometry_collecting import (
     MOTIONS,
     Collected,
     MotionName,
@@ -36,8 +35,15 @@ from procedures.parts.odometry_collecting import (
     read_round,
     reference,
 )
-from procedures.parts.odometry_report import show
-from procedures.parts.odometry_rounds import Driven, improve, odometry_in, rise_beyond_chance, worth_going_on
+from hil.procedures.parts.odometry_report import show
+from hil.procedures.parts.odometry_rounds import (
+    Driven,
+    improve,
+    odometry_in,
+    rise_beyond_chance,
+    worth_going_on,
+)
+from hil.vocabulary.versions import versions
 
 _SIMILAR_MM = 0.5
 

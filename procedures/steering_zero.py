@@ -16,17 +16,17 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
-from hil.errors import DeviceError
-from hil.geometry import Array, rotation2
 from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedures.parts.fragment import write_fragment
+from hil.procedures.parts.samples import encoders, wheels
+from hil.procedures.parts.scripted import Stretch, play
+from hil.procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
+from hil.procedures.parts.tracking import stand
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
-from hil.signals import WHEELS
-from hil.trajectories import Trajectory, line
-from procedures.parts.fragment import write_fragment
-from procedures.parts.samples import encoders, wheels
-from procedures.parts.scripted import Stretch, play
-from procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
-from procedures.parts.tracking import stand
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.geometry import Array, rotation2
+from hil.vocabulary.signals import WHEELS
 
 _DEG = float(np.degrees(1.0))
 _WAYS = (("forwards", 0.0), ("back", np.pi), ("left", np.pi / 2.0), ("right", -np.pi / 2.0))

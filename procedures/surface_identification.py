@@ -16,11 +16,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, SafetyStop
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.trajectories import Trajectory, line
-from procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
-from procedures.parts.tracking import stand
+from hil.procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
+from hil.procedures.parts.tracking import stand
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.errors import ConfigError, SafetyStop
 
 DIRECTIONS = ("up", "down", "left", "right")
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}

@@ -14,17 +14,11 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
-from hil.clock import NS_PER_S
 from hil.config.bench import BenchConfig
-from hil.errors import DeviceError
-from hil.geometry import Array
-from hil.motion import Motion
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
-from hil.trajectories import Trajectory, line
-from procedures.parts.fragment import write_fragment
-from procedures.parts.samples import Series, camera, poses
-from procedures.parts.tracker_hand_eye import (
+from hil.procedures.parts.fragment import write_fragment
+from hil.procedures.parts.samples import Series, camera, poses
+from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
     Truth,
@@ -36,7 +30,13 @@ from procedures.parts.tracker_hand_eye import (
     shifted,
     solve,
 )
-from procedures.parts.tracking import stand
+from hil.procedures.parts.tracking import stand
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.ring.motion import Motion
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.geometry import Array
 
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8

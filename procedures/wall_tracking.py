@@ -17,10 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.geometry import ArrayLike
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
-from hil.trajectories import Trajectory, line, scan
-from procedures.parts.tracking import (
+from hil.procedures.parts.tracking import (
     error_figure,
     path_figure,
     refuse_what_cannot_be_followed,
@@ -29,7 +27,9 @@ from procedures.parts.tracking import (
     time_figure,
     tracking_errors,
 )
-from procedures.parts.workers import worker_pool
+from hil.procedures.parts.workers import worker_pool
+from hil.robot.trajectories import Trajectory, line, scan
+from hil.vocabulary.geometry import ArrayLike
 
 Case = Literal["x_line", "y_line", "scan"]
 Feedback = Literal["odometry", "ekf", "ukf"]

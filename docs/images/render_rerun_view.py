@@ -24,13 +24,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.clock import MonotonicClock, nanoseconds
-from hil.kinematics import WheelGeometry
 from hil.monitor.blueprint import TABS
 from hil.monitor.stream import RerunStream
 from hil.recording.mcap_reader import read_header
 from hil.recording.runs import RecordedRun, read_runs
-from hil.trajectories import Trajectory
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.clock import MonotonicClock, nanoseconds
 
 _START_S = 30.0
 _DRAWN_BYTES = 50_000

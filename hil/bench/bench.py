@@ -12,23 +12,23 @@ import numpy as np
 from hil.bench.blueprint import Blueprint
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
-from hil.clock import Clock, nanoseconds
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
-from hil.geometry import Array, ArrayLike
-from hil.interfaces import Sink
-from hil.kinematics import WheelGeometry
-from hil.loop import Brain, ControlLoop, LoopStatistics
-from hil.motion import Motion
-from hil.realtime import warm_up
 from hil.recording.frames import describe_clock
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import HELD, RUN, RunStart
-from hil.rig import Rig
-from hil.signals import CycleRecord, RobotState
-from hil.trajectories import Trajectory
+from hil.ring.loop import Brain, ControlLoop, LoopStatistics
+from hil.ring.motion import Motion
+from hil.ring.realtime import warm_up
+from hil.ring.rig import Rig
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord, RobotState
 
 _SETTLE_S = 0.5
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])

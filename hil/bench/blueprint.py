@@ -6,7 +6,6 @@ the loop had.
 
 from __future__ import annotations
 
-from hil.alignment import Alignment
 from hil.bench.settings import (
     alignment_parameters,
     checks,
@@ -17,15 +16,16 @@ from hil.bench.settings import (
 from hil.config.bench import BenchConfig
 from hil.controller import make_controller
 from hil.controller.joint_script import JointScript, ScriptedController
-from hil.errors import UsageError
 from hil.estimator import make_estimator
-from hil.interfaces import Controller, Estimator
-from hil.kinematics import WheelGeometry
-from hil.loop import Brain
-from hil.motion_limits import check
-from hil.supervisor import Supervisor
-from hil.trajectories import Trajectory
-from hil.versions import versions
+from hil.ring.alignment import Alignment
+from hil.ring.loop import Brain
+from hil.ring.supervisor import Supervisor
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.motion_limits import check
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.interfaces import Controller, Estimator
+from hil.vocabulary.versions import versions
 
 FEEDBACK = ("odometry", "ekf", "ukf")
 

@@ -16,7 +16,6 @@ import can
 import tomli_w
 from serial.tools import list_ports
 
-from hil.clock import Clock
 from hil.config.encoders import EncodersConfig
 from hil.config.imu import ImuConfig
 from hil.config.mocap import MocapConfig
@@ -26,7 +25,8 @@ from hil.drivers.imu import Bno055Imu
 from hil.drivers.mocap import NatNetMocap
 from hil.drivers.servos import FoundServo, scan
 from hil.drivers.tracker.library import find_camera, realsense
-from hil.errors import HilError
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import HilError
 
 _WALL = {"surface": "melamine", "tilt_rad": 1.5708}
 _IMU_TIMEOUT_S = 0.9

@@ -18,13 +18,13 @@ import numpy as np
 
 from hil.bench.bench import Bench
 from hil.bench.settings import wheel_model
-from hil.clock import nanoseconds
 from hil.config.xh430 import hardware_error_text
 from hil.drivers.serial_url import latency_timer
-from hil.errors import HilError
-from hil.finding import Finding, Level
-from hil.interfaces import Device
-from hil.signals import SERVOS, WHEELS, Status
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.finding import Finding, Level
+from hil.vocabulary.interfaces import Device
+from hil.vocabulary.signals import SERVOS, WHEELS, Status
 
 _WATCH_S = 2.0
 _SETTLE_S = 0.6

@@ -6,14 +6,14 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hil.clock import Clock
 from hil.config.bench import BenchConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.drivers.imu import Bno055Imu
 from hil.drivers.mocap import NatNetMocap
 from hil.drivers.servos import XH430Servos
 from hil.drivers.tracker import T265Tracker
-from hil.rig import Rig
+from hil.ring.rig import Rig
+from hil.vocabulary.clock import Clock
 
 
 @dataclass

@@ -12,9 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hil.bench.drivers import Connections
 from hil.bench.repeating import repeating_robot
-from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
 from hil.fakes.faults import Fault, FaultPlan, describe
@@ -28,6 +26,8 @@ from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.timeline import read_faults
 from hil.fakes.tracker import T265, TrackerFace, TrackerTruthOptions
 from hil.fakes.world import World, random_stream
+from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 
 _IMU_LATENCY_S = 0.001
 _MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}

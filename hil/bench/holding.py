@@ -14,12 +14,12 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from hil.clock import Clock, nanoseconds
-from hil.errors import HilError
-from hil.geometry import Array
-from hil.interfaces import Sensor, Sink
-from hil.rig import Rig
-from hil.signals import SERVOS, CycleRecord, MocapSample, ServoHold, Status, TrackerSample
+from hil.ring.rig import Rig
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Sensor, Sink
+from hil.vocabulary.signals import SERVOS, CycleRecord, MocapSample, ServoHold, Status, TrackerSample
 
 _LOOK_NS = nanoseconds(0.02)
 _WINDOW_NS = nanoseconds(0.2)

@@ -16,13 +16,13 @@ from hil.bench.emulation import build_world, check_faults, connect_in_process
 from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
-from hil.calibration.shelf import check_made_for
-from hil.clock import MonotonicClock
+from hil.calibration.versions import check_made_for
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.tracker import FeedEndpoint
 from hil.fakes.faults import Fault, describe
 from hil.fakes.world import VirtualClock
-from hil.interfaces import Sink
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.interfaces import Sink
 
 
 def open_bench(

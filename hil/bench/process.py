@@ -17,7 +17,7 @@ from typing import Any
 import tomli_w
 
 from hil.config.bench import BenchConfig
-from hil.errors import DeviceError
+from hil.vocabulary.errors import DeviceError
 
 _START_S = 60.0
 _END_S = 5.0

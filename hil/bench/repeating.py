@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError
 from hil.fakes.plant import RecordedMotion, RecordedRobot
 from hil.recording.sources import read_recordings
+from hil.vocabulary.errors import ConfigError
 
 
 def repeating_robot(config: BenchConfig) -> RecordedRobot:

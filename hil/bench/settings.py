@@ -7,18 +7,18 @@ from typing import Any
 
 import numpy as np
 
-from hil.alignment import AlignmentParameters, Mount
 from hil.calibration.nominal import Nominal
-from hil.clock import Clock, MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.config.robot import GRAVITY_M_S2
-from hil.crosscheck import SteeringWatch
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
-from hil.motion_check import MotionCheck
-from hil.motion_limits import MotionLimits
-from hil.realtime import RealTime
-from hil.supervisor import Checks, SafetyLimits
+from hil.ring.alignment import AlignmentParameters, Mount
+from hil.ring.crosscheck import SteeringWatch
+from hil.ring.motion_check import MotionCheck
+from hil.ring.realtime import RealTime
+from hil.ring.supervisor import Checks, SafetyLimits
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.motion_limits import MotionLimits
+from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.vocabulary.geometry import Array
 
 LOG = logging.getLogger(__name__)
 
@@ -131,7 +131,7 @@ def with_wheel_model(config: BenchConfig, fitted_with: str, *, given: bool | Non
 
     Args:
         config: of the bench.
-        fitted_with: forward model of the calibration (`hil.kinematics.MODELS`).
+        fitted_with: forward model of the calibration (`hil.robot.kinematics.MODELS`).
         given: whether the file names a model; None to see whether it was set.
     """
     estimator = config.estimator

@@ -1,7 +1,7 @@
 """`calibration.toml`: a calibration as a versioned file that is never overwritten.
 
 Writing over an existing file first keeps the old one as `NAME.vN.toml` and names it, with its
-SHA-256, as the previous version, so that every state can be restored (`hil.calibration.shelf`).
+SHA-256, as the previous version, so that every state can be restored (`hil.calibration.versions`).
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hil.calibration.calibrate import Calibration
-from hil.errors import ConfigError
-from hil.geometry import Array
-from hil.kinematics import ForwardModel, WheelGeometry
-from hil.reading import read_toml
+from hil.robot.kinematics import ForwardModel, WheelGeometry
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.reading import read_toml
 
 Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
@@ -39,7 +39,7 @@ class Parameters(BaseModel):
 
 
 class Tyres(BaseModel):
-    """What the forward model `creep` was told of the wheels; see `hil.kinematics.WheelGeometry`."""
+    """What the forward model `creep` was told of the wheels; see `hil.robot.kinematics.WheelGeometry`."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     load: Four

@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import block_vectors, interpolate, rest_pose, truth_window
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 
 @dataclass(frozen=True)

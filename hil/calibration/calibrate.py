@@ -26,11 +26,11 @@ from hil.calibration.validation import (
     repetition_numbers,
     score,
 )
-from hil.clock import NS_PER_S, Clock
-from hil.errors import DataError
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
-from hil.progress import WHOLE, Report, silent
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.progress import WHOLE, Report, silent
 
 _VALIDATION_BLOCK_S = 0.5
 

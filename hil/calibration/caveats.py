@@ -13,8 +13,8 @@ from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.validation import Deployed, Table
-from hil.kinematics import WheelGeometry
-from hil.odometry import integrate
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.odometry import integrate
 
 RECORD = {
     "forward": "line_x (straight ahead, 2 m or more)",

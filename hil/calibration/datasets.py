@@ -13,8 +13,8 @@ from typing import SupportsInt
 import numpy as np
 
 from hil.calibration.nominal import Nominal
-from hil.errors import DataError
-from hil.geometry import Array
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
 
 _GAP_S = 0.1
 _MIN_STEP_S = 1e-6

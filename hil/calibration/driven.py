@@ -14,9 +14,9 @@ import numpy as np
 from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import Nominal
-from hil.errors import DataError
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
 
 DIRECTIONS = ("forward", "sideways", "turning")
 _SHARE, _OWN_SHARE = 0.05, 0.2

@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.calibration.datasets import Recording
-from hil.errors import DataError, UsageError
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
-from hil.odometry import integrate
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.robot.odometry import integrate
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.geometry import Array
 
 SIGNALS = ("position", "velocity")
 FRICTION_BLOCK_S = 0.3

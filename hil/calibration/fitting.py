@@ -18,8 +18,8 @@ from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import linear_matrix, make_model
 from hil.calibration.problem import Problem, Setting
 from hil.calibration.solvers import Progress, Solution, interior_point, levenberg_marquardt, solve
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
 
 _CHAIN = (2.0, 1.5, 1.2, 1.0)
 _REWEIGHTINGS = 4

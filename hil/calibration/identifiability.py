@@ -9,8 +9,8 @@ from scipy import stats
 
 from hil.calibration.fitting import Fit, twist_correction
 from hil.calibration.problem import PARAMETER_NAMES, Problem
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
 
 _PRIOR_ONLY = 0.9
 _BOUND_SLACK = 1e-4

@@ -3,7 +3,7 @@
 A parameter vector z holds x_1..4, y_1..4, r_1..4 and, with offsets, the steering zeros
 d_1..4 (`WheelGeometry.vector`). With wheel vectors q that do not depend on z,
 u_i = r_i R(-d_i) q_i, and the motion is F(x, y) u for the linear models, for the others what the
-contacts let happen (`hil.contact_laws`).
+contacts let happen (`hil.robot.contact_laws`).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 
 from hil.calibration.evaluation import rolled
-from hil.contact_laws import (
+from hil.robot.contact_laws import (
     contact_curvature,
     contact_weight,
     creep_balance,
@@ -26,8 +26,8 @@ from hil.contact_laws import (
     least_dissipation,
     polish_dissipation,
 )
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry, forward_matrix, forward_matrix_derivative, projection
+from hil.robot.kinematics import WheelGeometry, forward_matrix, forward_matrix_derivative, projection
+from hil.vocabulary.geometry import Array
 
 _NEAR = 2e-3
 """Parameters closer than this (m or rad) start from the last solution."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
 
 
 @dataclass(frozen=True)

@@ -16,9 +16,9 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import MotionModel, make_model
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
-from hil.odometry import integrate_with_jacobian
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.odometry import integrate_with_jacobian
+from hil.vocabulary.geometry import Array
 
 PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
 

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.optimize import lsq_linear
 
 from hil.calibration.problem import Problem
-from hil.errors import UsageError
-from hil.geometry import Array
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array
 
 METHODS = ("lm", "interior-point", "ga", "pso")
 Progress = Callable[[int, int], None]

@@ -18,10 +18,10 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
-from hil.contact_laws import least_dissipation
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry, inverse, projection, wheel_vectors
-from hil.odometry import integrate
+from hil.robot.contact_laws import least_dissipation
+from hil.robot.kinematics import WheelGeometry, inverse, projection, wheel_vectors
+from hil.robot.odometry import integrate
+from hil.vocabulary.geometry import Array
 
 MOTIONS = ("line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw")
 OTHER_MOTIONS = ("diagonal", "arc", "curl", "scan")

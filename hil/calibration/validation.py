@@ -13,8 +13,8 @@ from hil.calibration.evaluation import Track, metrics, track
 from hil.calibration.fitting import fit
 from hil.calibration.problem import Setting
 from hil.calibration.solvers import Progress
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
 
 Table = dict[str, dict[str, float]]
 _KEYS = ("rmse_position_m", "rmse_theta_rad", "final_position_m")

@@ -17,8 +17,8 @@ import click
 from hil import __version__
 from hil.cli.options import SuggestingGroup
 from hil.cli.output import Output
-from hil.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, HilError
-from hil.reading import printable
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, HilError
+from hil.vocabulary.reading import printable
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.

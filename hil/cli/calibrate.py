@@ -12,7 +12,7 @@ import click
 from hil.cli.options import SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
-from hil.kinematics import MODELS
+from hil.robot.kinematics import MODELS
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
@@ -51,8 +51,8 @@ def command(
     """Calibrate the odometry on recordings with ground truth."""
     from hil.calibration.calibrate import calibrate
     from hil.calibration.problem import make_setting
-    from hil.clock import MonotonicClock
     from hil.recording.sources import read_recordings
+    from hil.vocabulary.clock import MonotonicClock
 
     chosen = make_setting(setting, model=model, signal=signal, bounds=bounds)
     config = configured(bench)
@@ -81,7 +81,7 @@ def command(
 def _check_outputs(out: Path | None, plots: Path | None) -> None:
     """Refuse what cannot be written before the work, not after it."""
     from hil.calibration.artefact import next_version
-    from hil.files import check_file, check_folder
+    from hil.vocabulary.files import check_file, check_folder
 
     if out is not None:
         check_file(out)
@@ -95,7 +95,7 @@ def _write(out: Path, result: Calibration, config: BenchConfig | None) -> None:
 
     from hil import __version__
     from hil.calibration.artefact import write_calibration
-    from hil.calibration.shelf import made_for
+    from hil.calibration.versions import made_for
 
     created = datetime.now(timezone.utc).isoformat(timespec="seconds")
     file = write_calibration(

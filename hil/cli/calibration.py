@@ -11,7 +11,7 @@ import click
 from hil.cli.options import SuggestingGroup
 
 if TYPE_CHECKING:
-    from hil.calibration.shelf import KeptVersion
+    from hil.calibration.versions import KeptVersion
     from hil.config.bench import BenchConfig
 
 _FILE = click.argument("file", type=click.Path(path_type=Path))
@@ -29,8 +29,8 @@ def command() -> None:
 @_JSON
 def list_versions(file: Path, as_json: bool) -> int:
     """Every version kept beside FILE, and which one is in place."""
-    from hil.calibration.shelf import Shelf
-    from hil.errors import ConfigError
+    from hil.calibration.versions import Shelf
+    from hil.vocabulary.errors import ConfigError
 
     versions = [_described(v) for v in Shelf(file).versions()]
     if not versions:
@@ -59,8 +59,8 @@ def apply_version(
 ) -> int:
     """Put a version in place as FILE; refused unless its validation passed."""
     from hil.calibration.artefact import read_calibration
-    from hil.calibration.shelf import Shelf, check_made_for
-    from hil.errors import UsageError
+    from hil.calibration.versions import Shelf, check_made_for
+    from hil.vocabulary.errors import UsageError
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")
@@ -81,7 +81,7 @@ def apply_version(
 @_JSON
 def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) -> int:
     """Put an earlier version back in place as FILE."""
-    from hil.calibration.shelf import Shelf
+    from hil.calibration.versions import Shelf
 
     return _done(Shelf(file).rollback(version, _config(bench)), file, as_json)
 

@@ -15,12 +15,12 @@ import click
 
 from hil.cli.campaign_runs import Job, Setup, finished, lost, run_case
 from hil.cli.progress import reporting
-from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
-from hil.files import write_text
-from hil.reading import read_json
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
+from hil.vocabulary.files import write_text
+from hil.vocabulary.reading import read_json
 
 if TYPE_CHECKING:
-    from hil.campaign import Case, Row
+    from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
@@ -50,7 +50,7 @@ def command(
     workers: int, scheduler: str, out: Path | None, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table."""
-    from hil.campaign import expand, parse_axis, parse_seeds
+    from hil.procedure.campaign import expand, parse_axis, parse_seeds
     from hil.procedure.scripts import load_procedure
 
     proc = load_procedure(script)
@@ -144,7 +144,7 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
 
 def _run(setup: Setup, cases: Sequence[Case], out: Path, workers: int, scheduler: str) -> list[Row]:
     """Run what is not finished; rows in the order of the cases."""
-    from hil.campaign import spread
+    from hil.procedure.campaign import spread
 
     jobs = [Job(setup, case, str(out / "runs" / case.name)) for case in cases]
     rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
@@ -182,8 +182,8 @@ def exit_code(rows: Sequence[Row]) -> int:
 def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
-    from hil.campaign import summarise, write_campaign_page, write_csv
-    from hil.campaign.table import count
+    from hil.procedure.campaign import summarise, write_campaign_page, write_csv
+    from hil.procedure.campaign.table import count
 
     code = exit_code(rows)
     tree: dict[str, Any] = {

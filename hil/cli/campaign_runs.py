@@ -7,11 +7,11 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.errors import EXIT_USAGE, HilError
+from hil.vocabulary.errors import EXIT_USAGE, HilError
 
 if TYPE_CHECKING:
-    from hil.campaign import Case, Row
     from hil.procedure.bench_source import BenchSource
+    from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
@@ -55,12 +55,12 @@ class Job:
 
 def run_case(job: Job) -> Row:
     """One case to its results folder (in a worker)."""
-    from hil.clock import MonotonicClock
     from hil.procedure.journal import NAME
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
     from hil.procedure.scripts import load_procedure
     from hil.report.run_page import write_run_page
+    from hil.vocabulary.clock import MonotonicClock
 
     folder = Path(job.folder)
     try:
@@ -91,7 +91,7 @@ def finished(job: Job) -> Row | None:
 
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:
-    from hil.campaign import Row
+    from hil.procedure.campaign import Row
 
     kept = ("unit", "value", "outcome", "low", "high")
     error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
@@ -103,7 +103,7 @@ def _row(job: Job, tree: dict[str, Any]) -> Row:
 
 
 def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
-    from hil.campaign import Row
+    from hil.procedure.campaign import Row
 
     return Row(job.case, job.folder, verdict, code, 0.0, {}, reason)
 

@@ -25,9 +25,9 @@ def command(
 ) -> int:  # fmt: skip
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json)."""
     from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
-    from hil.errors import UsageError
-    from hil.files import check_folder, staged, write_text
     from hil.recording.plain_csv import write_plain
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.files import check_folder, staged, write_text
 
     names = [f"{m}_{k}" for m in MOTIONS for k in range(1, repetitions + 1)]
     if corrupt is not None and corrupt not in names:

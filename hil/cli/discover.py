@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.errors import EXIT_DEVICE, EXIT_PASS
+from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
     from hil.config.encoders import EncodersConfig
@@ -29,9 +29,9 @@ def command(
 ) -> int:
     """Ask everything that could be a device; ends with 3 when nothing answers."""
     from hil.bench.discover import discover
-    from hil.clock import MonotonicClock
-    from hil.errors import UsageError
-    from hil.files import write_text
+    from hil.vocabulary.clock import MonotonicClock
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.files import write_text
 
     if "" in ports:
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
@@ -61,7 +61,7 @@ def command(
 
 def _bus(text: str) -> EncodersConfig:
     from hil.config.encoders import EncodersConfig
-    from hil.errors import UsageError
+    from hil.vocabulary.errors import UsageError
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
@@ -75,7 +75,7 @@ def _server(text: str) -> MocapConfig:
     from pydantic import ValidationError
 
     from hil.config.mocap import MocapConfig
-    from hil.errors import UsageError
+    from hil.vocabulary.errors import UsageError
 
     address, _, port = text.partition(":")
     try:

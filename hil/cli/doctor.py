@@ -7,7 +7,7 @@ import json
 import click
 
 from hil.cli.options import SEED, FiniteRange
-from hil.errors import EXIT_DEVICE, EXIT_PASS
+from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
 

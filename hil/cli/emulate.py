@@ -15,8 +15,8 @@ from types import FrameType
 import click
 
 from hil.cli.options import SEED
-from hil.clock import sleep_punctually
-from hil.errors import EXIT_PASS
+from hil.vocabulary.clock import sleep_punctually
+from hil.vocabulary.errors import EXIT_PASS
 
 _NICE = -5
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)

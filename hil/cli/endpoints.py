@@ -6,8 +6,8 @@ import contextlib
 import os
 from pathlib import Path
 
-from hil.errors import DataError, UsageError
-from hil.reading import json_value, read_text
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.reading import json_value, read_text
 
 _MOST_BYTES = 1 << 20
 _ADDRESSES = {"port", "interface", "server", "host"}

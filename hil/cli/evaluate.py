@@ -11,7 +11,7 @@ import click
 
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
-from hil.kinematics import MODELS
+from hil.robot.kinematics import MODELS
 
 if TYPE_CHECKING:
     from hil.calibration.artefact import CalibrationFile
@@ -44,9 +44,9 @@ def command(
 ) -> int:  # fmt: skip
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files."""
     from hil.calibration.evaluation import evaluate
-    from hil.errors import UsageError
-    from hil.files import check_folder
     from hil.recording.sources import read_recordings
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.files import check_folder
 
     if deploy == "twist" and calibration is None:
         raise UsageError("--deploy twist needs --calibration FILE")
@@ -84,7 +84,7 @@ def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile
         ConfigError: the calibration was made for another robot than the bench's.
     """
     from hil.calibration.artefact import read_calibration
-    from hil.calibration.shelf import check_made_for
+    from hil.calibration.versions import check_made_for
 
     config = configured(bench)
     robot = on_paper(config)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from hil.errors import EXIT_PASS, EXIT_USAGE
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 
 @click.command()

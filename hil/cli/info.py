@@ -8,8 +8,8 @@ import platform
 import click
 
 from hil import __version__
-from hil.extras import MODULES, is_installed
-from hil.versions import version_of
+from hil.vocabulary.extras import MODULES, is_installed
+from hil.vocabulary.versions import version_of
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
@@ -20,7 +20,7 @@ _PACKAGES = (
 def _compile() -> None:
     """Run everything that numba compiles for a moment."""
     from hil.bench import open_bench
-    from hil.report.replay import smoothed
+    from hil.replay.replay import smoothed
 
     for profile in ("emulated", "emulated_floor"):
         with open_bench(profile) as bench:

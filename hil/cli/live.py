@@ -11,8 +11,8 @@ import click
 
 from hil.cli import start
 from hil.cli.options import SEED, FiniteRange, rerun_option
-from hil.errors import EXIT_PASS, DataError, UsageError
-from hil.files import check_file
+from hil.vocabulary.errors import EXIT_PASS, DataError, UsageError
+from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from hil.errors import did_you_mean
+from hil.vocabulary.errors import did_you_mean
 
 SEED = click.IntRange(min=0)
 

@@ -14,7 +14,7 @@ import sys
 import threading
 from typing import Any
 
-from hil.errors import Aborted
+from hil.vocabulary.errors import Aborted
 
 
 class _Raw(io.FileIO):

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.clock import Clock, MonotonicClock
-from hil.progress import WHOLE, Pace, Report, in_words, silent
+from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.vocabulary.progress import WHOLE, Pace, Report, in_words, silent
 
 if TYPE_CHECKING:
     from rich.progress import TaskID

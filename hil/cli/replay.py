@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.options import rerun_option
-from hil.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
     from hil.bench.blueprint import Blueprint
     from hil.live.playback import OpenedRecording
-    from hil.motion import Motion
     from hil.recording.runs import RecordedRun
+    from hil.ring.motion import Motion
 
 _KINDS = ("odometry", "ekf", "ukf", "smoother")
 _COLUMNS = (
@@ -80,7 +80,7 @@ def command(
         motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
         _show(opened.bench, motions, view)
         if page is not None:
-            from hil.report.replay_page import write_replay_page
+            from hil.replay.page import write_replay_page
 
             write_replay_page(page, f"Replay of {recording.name}", motions, tuple(opened.problems))
     result["problems"] = opened.problems
@@ -110,7 +110,7 @@ def _compared(
     opened: OpenedRecording, run: RecordedRun, kinds: tuple[str, ...]
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.live.playback import without_collector
-    from hil.report.replay import compare_run, table
+    from hil.replay.replay import compare_run, table
 
     with without_collector():
         motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)

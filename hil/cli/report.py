@@ -16,10 +16,10 @@ import click
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """Write the report of a results folder; with several folders, compare their runs."""
-    from hil.reading import printable
     from hil.report.compare_page import compare, comparison_text, write_compare_page
     from hil.report.result_file import own_file, read_result
     from hil.report.run_page import write_run_page
+    from hil.vocabulary.reading import printable
 
     if len(folders) == 1:
         page = write_run_page(folders[0], out)

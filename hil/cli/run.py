@@ -78,9 +78,9 @@ def _run(
     proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None,
     resume: bool, on_failure: OnFailure,
 ) -> Result:  # fmt: skip
-    from hil.clock import MonotonicClock
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
+    from hil.vocabulary.clock import MonotonicClock
 
     operator = Terminal() if answers is None else Answers(answers)
     with reporting() as report:
@@ -96,7 +96,7 @@ def _run(
 
 
 def _folder(proc: Procedure, out: Path | None, resume: bool) -> Path:
-    from hil.errors import UsageError
+    from hil.vocabulary.errors import UsageError
 
     if out is not None:
         return out
@@ -111,9 +111,9 @@ def _folder(proc: Procedure, out: Path | None, resume: bool) -> Path:
 
 def _report_of(result: Result) -> tuple[str | None, int]:
     """Path of the report, None where the disk does not take it, and the exit code of the run."""
-    from hil.errors import HilError
     from hil.procedure.results import KEEPING
     from hil.report.run_page import write_run_page
+    from hil.vocabulary.errors import HilError
 
     if any(e.step == KEEPING for e in result.teardown_errors):
         return None, result.exit_code

@@ -6,7 +6,7 @@ import json
 
 import click
 
-from hil.errors import EXIT_PASS, UsageError
+from hil.vocabulary.errors import EXIT_PASS, UsageError
 
 _ROLES = {"drive": {"operating_mode": 1}, "steer": {"operating_mode": 3}}
 
@@ -29,7 +29,7 @@ def command(
     Return Delay Time is set to 0 unless given, torque is off while writing, and everything is read back.
     """
     from hil.bench import set_up
-    from hil.clock import MonotonicClock
+    from hil.vocabulary.clock import MonotonicClock
 
     registers = {"return_delay_time": 0, **(_ROLES[role] if role else {}), **dict(map(_pair, pairs))}
     found = set_up(

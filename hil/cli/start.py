@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.errors import UsageError
+from hil.vocabulary.errors import UsageError
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig

@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.progress import reporting
-from hil.errors import ConfigError, DataError, UsageError
-from hil.files import check_file, write_text
+from hil.vocabulary.errors import ConfigError, DataError, UsageError
+from hil.vocabulary.files import check_file, write_text
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.estimator.tuning import Score, TruthRun, Tuned
-    from hil.kinematics import WheelGeometry
+    from hil.robot.kinematics import WheelGeometry
 
 _DEFAULT = ("wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m")
 
@@ -75,7 +75,7 @@ def _read(
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
     from hil.live.playback import open_recording
-    from hil.motion import Motion
+    from hil.ring.motion import Motion
 
     config, runs = None, []
     for path in paths:

@@ -32,8 +32,8 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.config.tracker import TrackerConfig
-from hil.errors import ConfigError, did_you_mean
-from hil.reading import read_toml, toml_tables
+from hil.vocabulary.errors import ConfigError, did_you_mean
+from hil.vocabulary.reading import read_toml, toml_tables
 
 _PATHS = ("calibration", "imu.calibration_file", "encoders.dbc", "emulation.replay")
 DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
@@ -113,7 +113,7 @@ class BenchConfig(Strict):
 
 def profile_names() -> tuple[str, ...]:
     """Names of the shipped profiles."""
-    folder = resources.files("hil.profiles")
+    folder = resources.files("hil.config.profiles")
     return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
 
 
@@ -124,7 +124,7 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
         return read_toml(path, remedy="give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
         origin = f"profile {source}"
-        text = resources.files("hil.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
+        text = resources.files("hil.config.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
         return toml_tables(text, origin), origin
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",

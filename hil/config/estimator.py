@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from hil.errors import ConfigError
+from hil.vocabulary.errors import ConfigError
 
 
 class _Strict(BaseModel):
@@ -36,7 +36,7 @@ class WheelNoise(_Strict):
     Attributes:
         model: `equations` takes each wheel's two components with a gate of its own (least squares when
             none is gated); the others take one body displacement of that forward model
-            (`hil.kinematics`).
+            (`hil.robot.kinematics`).
         source: servo `position`, or the truncated and lagging `velocity` register.
         step_m: noise of one displacement (quantisation, play).
         per_sqrt_m: random slip, m per square root of rolled metre.

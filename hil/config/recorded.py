@@ -10,7 +10,7 @@ from pydantic import ValidationError
 from hil.config.bench import BenchConfig, explained
 from hil.config.older import lifted
 from hil.config.values import RECORDED
-from hil.errors import ConfigError
+from hil.vocabulary.errors import ConfigError
 
 
 def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:

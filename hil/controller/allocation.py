@@ -15,9 +15,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.geometry import Array, wrap, wrap_array
-from hil.kinematics import WheelGeometry, inverse, wheel_vectors
-from hil.signals import WheelSetpoint
+from hil.robot.kinematics import WheelGeometry, inverse, wheel_vectors
+from hil.vocabulary.geometry import Array, wrap, wrap_array
+from hil.vocabulary.signals import WheelSetpoint
 
 _QUARTER_RAD = np.pi / 2.0
 _FOLLOWING = 0.9

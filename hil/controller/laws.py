@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.geometry import Array, rotation2, wrap
-from hil.signals import Reference, RobotState
+from hil.vocabulary.geometry import Array, rotation2, wrap
+from hil.vocabulary.signals import Reference, RobotState
 
 
 def pose_error(state: RobotState, reference: Reference) -> Array:

@@ -9,12 +9,12 @@ import numpy as np
 from hil.config.control import ControlConfig
 from hil.controller.allocation import ModuleLayer, ModuleLimits
 from hil.controller.laws import Law, NonlinearLaw, OptimalLaw, beyond, pose_error
-from hil.errors import SafetyStop
-from hil.geometry import ArrayLike
-from hil.interfaces import Controller
-from hil.kinematics import WheelGeometry
-from hil.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
-from hil.trajectories import Trajectory
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.geometry import ArrayLike
+from hil.vocabulary.interfaces import Controller
+from hil.vocabulary.signals import Reference, RobotState, WheelMeasurement, WheelSetpoint
 
 
 class TrackingController(Controller):

@@ -19,7 +19,7 @@ from typing import Any
 import serial
 from serial import rfc2217
 
-from hil.errors import DeviceError
+from hil.vocabulary.errors import DeviceError
 
 RFC2217 = "rfc2217://"
 

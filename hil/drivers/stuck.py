@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.clock import nanoseconds
+from hil.vocabulary.clock import nanoseconds
 
 
 class StuckTest:

@@ -1,11 +1,11 @@
-"""Pose estimation: wheel odometry, EKF and UKF behind one interface (`hil.interfaces.Estimator`)."""
+"""Pose estimation: wheel odometry, EKF and UKF behind one seam, `hil.vocabulary.interfaces.Estimator`."""
 
 from __future__ import annotations
 
 from hil.config.estimator import EstimatorConfig, check_scales
-from hil.errors import ConfigError
-from hil.interfaces import Estimator
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.interfaces import Estimator
 
 SURFACES = ("wall", "floor")
 

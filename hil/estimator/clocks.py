@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.clock import NS_PER_S
+from hil.vocabulary.clock import NS_PER_S
 
 _BLOCK_NS = 5 * NS_PER_S
 _BLOCKS = 60

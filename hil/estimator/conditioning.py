@@ -13,7 +13,7 @@ import math
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
 from hil.estimator.small_matrices import downdate
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 
 @compiled

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 _LEAST_VARIANCE = 1e-14
 

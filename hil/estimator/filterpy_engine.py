@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.clock import NS_PER_S
 from hil.estimator import layout as L
 from hil.estimator import replay as kernels
 from hil.estimator.conditioning import guard
@@ -25,7 +24,8 @@ from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
 from hil.estimator.sensors import jacobian, observe, predicted
 from hil.estimator.small_matrices import square_root
-from hil.geometry import Array
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array
 
 Bools = npt.NDArray[np.bool_]
 

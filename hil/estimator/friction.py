@@ -3,7 +3,7 @@
 The wheels' disagreement is smaller than the encoder's quantisation in one servo step, so the weights
 come from the steps of the last `friction_window_s` together and are applied to the newest step
 (blocks of 0.3 s, continuation q = 2, 1.5, 1.2, 1). Same laws as
-`hil.contact_laws`.
+`hil.robot.contact_laws`.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from hil.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.estimator.compiled import compiled
-from hil.geometry import Array
+from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
+from hil.vocabulary.geometry import Array
 
 STILL_M = 2.5e-5
 _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
@@ -68,7 +68,7 @@ def friction_twist(u: Array, window: Array, wheels: Array) -> Array:
 
 @compiled
 def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
-    """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.contact_laws`.
+    """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.robot.contact_laws`.
 
     Args:
         u: newest step.

@@ -12,17 +12,17 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.clock import NS_PER_S, nanoseconds
 from hil.config.estimator import EstimatorConfig
-from hil.errors import UsageError
 from hil.estimator import layout as L
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
 from hil.estimator.replay import run_to
-from hil.geometry import Array
-from hil.interfaces import Estimator
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements, RobotState
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Estimator
+from hil.vocabulary.signals import Measurements, RobotState
 
 _TWIST_SIGMA = 0.02
 _CHECKED = 6

@@ -12,7 +12,7 @@ from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
 from hil.estimator.intake import Staged
 from hil.estimator.replay import Ints
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 CAPACITY = 2048
 FIRST, COUNT, LATE, DUPLICATE = range(4)

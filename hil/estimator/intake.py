@@ -10,13 +10,13 @@ import math
 
 import numpy as np
 
-from hil.clock import nanoseconds
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import layout as L
 from hil.estimator.clocks import SensorClock
 from hil.estimator.replay import Ints
-from hil.geometry import Array
-from hil.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 REASONS = ("not_finite", "implausible", "shape", "late", "future", "duplicate")
 _FARTHEST_M, _FARTHEST_RAD, _FASTEST_RAD_S, _HARDEST_M_S2 = 1e3, 1e6, 1e2, 1e3

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry, projection
+from hil.robot.kinematics import WheelGeometry, projection
+from hil.vocabulary.geometry import Array
 
 X, Y, THETA, VX, VY, OMEGA = range(6)
 BIAS, YAW_SLIP = 6, 7
@@ -138,7 +138,7 @@ def wheel_tables(config: EstimatorConfig, geometry: WheelGeometry) -> tuple[Arra
     Columns 0-2 of the rows map a body displacement to what is compared; columns 3-10 map the eight
     wheel displacement components to it.
     """
-    from hil.kinematics import forward_matrix
+    from hil.robot.kinematics import forward_matrix
 
     wheels = contacts(geometry)
     rows = np.zeros((ROWS, 11))

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 
 @compiled

@@ -17,7 +17,7 @@ from hil.estimator.process import advance_linear, anchor_frame, copy_pose
 from hil.estimator.sensors import jacobian, observe, predicted
 from hil.estimator.small_matrices import seen
 from hil.estimator.unscented import advance_unscented, moments_unscented
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 Ints = npt.NDArray[np.int64]
 

@@ -23,7 +23,7 @@ from hil.estimator import layout as L
 from hil.estimator.compiled import compiled
 from hil.estimator.friction import windowed_twist
 from hil.estimator.process import sinc, sinc_slope
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 QUALITY_FACTOR = 4.0
 ROLLING_S = 0.5

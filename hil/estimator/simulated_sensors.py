@@ -13,9 +13,9 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from hil.clock import NS_PER_S
-from hil.geometry import Array, between
-from hil.signals import (
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, between
+from hil.vocabulary.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from hil.estimator.compiled import AVAILABLE, compiled
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 _ZERO_PIVOT = 1e-14
 

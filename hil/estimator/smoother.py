@@ -20,9 +20,9 @@ from hil.estimator.intake import Intake
 from hil.estimator.process import advance_linear, anchor_matrix, transition
 from hil.estimator.replay import Ints, admit, innovations, moments, run
 from hil.estimator.sensors import jacobian, observe
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements, RobotState
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import Measurements, RobotState
 
 _SEGMENT = 512
 

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.errors import UsageError
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
-from hil.geometry import Array, wrap_array
-from hil.kinematics import WheelGeometry
-from hil.progress import Report, silent
-from hil.signals import Measurements, RobotState
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array, wrap_array
+from hil.vocabulary.progress import Report, silent
+from hil.vocabulary.signals import Measurements, RobotState
 
 CHECK_EVERY_NS = 500_000_000
 _FACTORS = (3.0, 1.7, 1.3)

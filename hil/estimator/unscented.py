@@ -24,7 +24,7 @@ from hil.estimator.compiled import compiled
 from hil.estimator.process import add_noise, sinc
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 _MOVING = 6
 """Leading states that the new position depends on: later columns of the root leave them alone."""

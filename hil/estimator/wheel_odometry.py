@@ -10,15 +10,15 @@ import math
 
 import numpy as np
 
-from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.friction import windowed_twist
 from hil.estimator.fusion import check_state
 from hil.estimator.layout import contacts
-from hil.geometry import Array, compose, se2_exp
-from hil.interfaces import Estimator
-from hil.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
-from hil.signals import Measurements, RobotState, WheelMeasurement
+from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, compose, se2_exp
+from hil.vocabulary.interfaces import Estimator
+from hil.vocabulary.signals import Measurements, RobotState, WheelMeasurement
 
 _LEAST_WHEELS = 2
 

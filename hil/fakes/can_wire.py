@@ -16,12 +16,12 @@ from typing import Any
 
 import can
 
-from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import DeviceError, UsageError
 from hil.fakes.faults import STRIKES, Supported
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS, World
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import DeviceError, UsageError
 
 WIRE_FAULTS: Supported = {
     "drop": STRIKES,

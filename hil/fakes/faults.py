@@ -15,8 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import FaultNotSupportedError, UsageError, did_you_mean
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import FaultNotSupportedError, UsageError, did_you_mean
 
 SIGNAL_FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
 WIRE_FAULTS = (

@@ -1,6 +1,6 @@
 """The seam between emulated chips and the robot body: joint commands in, physical truth out.
 
-Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hil.signals.SERVOS`).
+Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hil.vocabulary.signals.SERVOS`).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 JointMode = Literal["off", "velocity", "position", "pwm", "current"]
 

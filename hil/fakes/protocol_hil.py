@@ -13,9 +13,9 @@ from urllib.parse import urlsplit
 
 from serial import SerialBase, SerialException
 
-from hil.clock import nanoseconds
 from hil.fakes.serial_line import SerialLine, Unplugged, find_line, line_names
 from hil.fakes.world import NEVER_NS
+from hil.vocabulary.clock import nanoseconds
 
 
 class Serial(SerialBase):

@@ -12,11 +12,11 @@ from collections import deque
 
 import serial
 
-from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import UsageError
 from hil.fakes.faults import STRIKES, Supported
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import UsageError
 
 LINE_FAULTS: Supported = {
     "drop": STRIKES,

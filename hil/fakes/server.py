@@ -12,8 +12,8 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from typing import Protocol
 
-from hil.clock import NS_PER_S, Clock
 from hil.fakes.world import Scheduled, World
+from hil.vocabulary.clock import NS_PER_S, Clock
 
 _LONGEST_WAIT_S = 0.05
 _TOO_SHORT_TO_SLEEP_S = 80e-6

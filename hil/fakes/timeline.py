@@ -17,9 +17,9 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from hil.errors import ConfigError, UsageError
 from hil.fakes.faults import Fault, make_fault, parse_fault
-from hil.reading import read_toml
+from hil.vocabulary.errors import ConfigError, UsageError
+from hil.vocabulary.reading import read_toml
 
 
 class _Entry(BaseModel):

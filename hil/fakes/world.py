@@ -16,10 +16,10 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.clock import Clock, Task
-from hil.errors import UsageError
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import Plant
+from hil.vocabulary.clock import Clock, Task
+from hil.vocabulary.errors import UsageError
 
 NEVER_NS = 1 << 62
 

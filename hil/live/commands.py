@@ -23,7 +23,7 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Protocol
 
-from hil.errors import UsageError
+from hil.vocabulary.errors import UsageError
 
 LOG = logging.getLogger(__name__)
 

@@ -19,19 +19,19 @@ from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig, load_bench
 from hil.config.recorded import recorded_bench
 from hil.controller.joint_script import SCRIPT, JointScript
-from hil.errors import DataError, HilError, UsageError
-from hil.kinematics import WheelGeometry
-from hil.loop import Brain, observed
-from hil.motion import Motion
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import read_header
 from hil.recording.rosbag import read_bag, read_topic_map
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
 from hil.recording.sources import read_recordings
-from hil.report.replay import FIELDS, RecordedReferences, verify_cycle
-from hil.signals import CycleRecord
-from hil.trajectories import Trajectory
+from hil.replay.replay import FIELDS, RecordedReferences, verify_cycle
+from hil.ring.loop import Brain, observed
+from hil.ring.motion import Motion
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.errors import DataError, HilError, UsageError
+from hil.vocabulary.signals import CycleRecord
 
 _FOREIGN_BENCH = "emulated_floor"
 

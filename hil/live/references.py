@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import UsageError
-from hil.geometry import Array
-from hil.trajectories import Trajectory, read_waypoints, through
+from hil.robot.trajectories import Trajectory, read_waypoints, through
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array
 
 MakeTrajectory = Callable[[Array], Trajectory]
 
@@ -61,7 +61,7 @@ def _script(path: Path) -> MakeTrajectory:
         if not isinstance(made, Trajectory):
             raise UsageError(
                 f"--trajectory {path}: trajectory() returned {type(made).__name__}",
-                expected="a hil.trajectories.Trajectory",
+                expected="a hil.robot.trajectories.Trajectory",
             )
         return made
 

@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from hil.interfaces import Sink
-from hil.signals import CycleRecord, Status
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord, Status
 
 SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
 

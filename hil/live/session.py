@@ -15,21 +15,21 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.bench.settings import motion_limits
-from hil.clock import nanoseconds
-from hil.errors import Aborted, HilError
-from hil.geometry import Array
 from hil.live.commands import CommandLines
 from hil.live.references import MakeTrajectory
 from hil.live.samples import SampleCounter
 from hil.live.velocity import VelocityReference
-from hil.loop import Brain
 from hil.monitor import RerunMonitor
-from hil.realtime import warm_up
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
-from hil.signals import CycleRecord
-from hil.stop_signals import handled_by
-from hil.trajectories import Segment, Straight, Trajectory
+from hil.ring.loop import Brain
+from hil.ring.realtime import warm_up
+from hil.robot.trajectories import Segment, Straight, Trajectory
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import Aborted, HilError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import CycleRecord
+from hil.vocabulary.stop_signals import handled_by
 
 LOG = logging.getLogger(__name__)
 

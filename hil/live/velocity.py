@@ -11,11 +11,11 @@ import logging
 
 import numpy as np
 
-from hil.errors import UsageError
-from hil.geometry import Array, ArrayLike, compose, rotation2, se2_exp, wrap
 from hil.live.commands import CommandLines, parse_command
-from hil.motion_limits import MotionLimits
-from hil.signals import Reference
+from hil.robot.motion_limits import MotionLimits
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array, ArrayLike, compose, rotation2, se2_exp, wrap
+from hil.vocabulary.signals import Reference
 
 LOG = logging.getLogger(__name__)
 

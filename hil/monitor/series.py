@@ -9,9 +9,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from hil.clock import NS_PER_S
-from hil.geometry import Array, wrap
-from hil.signals import SERVOS, CycleRecord, Status
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, wrap
+from hil.vocabulary.signals import SERVOS, CycleRecord, Status
 
 _SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
 _POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad", "_xx_m2", "_xy_m2", "_yy_m2")

@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from hil.geometry import Array, rotation2
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array, rotation2
 
 # sqrt of the chi-square quantile 0.95 with two degrees of freedom.
 ELLIPSE_SIGMAS = math.sqrt(5.991464547107979)

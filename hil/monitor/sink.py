@@ -16,12 +16,12 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from hil.errors import UsageError, did_you_mean
-from hil.extras import how_to_install, is_installed
-from hil.geometry import Array
-from hil.interfaces import Sink
-from hil.kinematics import WheelGeometry
-from hil.signals import CycleRecord
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import UsageError, did_you_mean
+from hil.vocabulary.extras import how_to_install, is_installed
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
 
 LOG = logging.getLogger(__name__)
 

@@ -13,9 +13,6 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hil.clock import NS_PER_S
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
 from hil.monitor import shapes, viewer
 from hil.monitor.blueprint import PATH_COLOURS, Colour, blueprint, line_colours
 from hil.monitor.series import (
@@ -26,7 +23,10 @@ from hil.monitor.series import (
     observer_covariances,
     observer_poses,
 )
-from hil.signals import WHEELS, CycleRecord
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS, CycleRecord
 
 _BATCH_NS = NS_PER_S // 10
 _PLOTS_NS = NS_PER_S // 2

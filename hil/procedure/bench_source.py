@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.calibration.artefact import read_calibration
-from hil.calibration.shelf import check_made_for
+from hil.calibration.versions import check_made_for
 from hil.config.bench import BenchConfig, load_bench
-from hil.interfaces import Sink
+from hil.vocabulary.interfaces import Sink
 
 if TYPE_CHECKING:
     from hil.bench import Bench

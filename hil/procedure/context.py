@@ -8,17 +8,17 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
-from hil.errors import DataError, HilError, RecordingError, UsageError
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
-from hil.procedure.notebook import Notebook, slug
 from hil.procedure.operator import Operator
-from hil.progress import WHOLE, Report
+from hil.procedure.outputs import Notebook, slug
 from hil.recording.mcap_writer import OnFailure
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DataError, HilError, RecordingError, UsageError
+from hil.vocabulary.progress import WHOLE, Report
 
 if TYPE_CHECKING:
     from hil.bench import Bench

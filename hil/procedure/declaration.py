@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
-from hil.errors import ConfigError, UsageError
 from hil.procedure.measurements import Measurement, check_unique
-from hil.trajectories import Trajectory
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.errors import ConfigError, UsageError
 
 if TYPE_CHECKING:
     from hil.procedure.context import Context

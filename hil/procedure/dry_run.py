@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.bench.settings import geometry_of, motion_limits
-from hil.motion_limits import check
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import as_dict, make_parameters
+from hil.robot.motion_limits import check
 
 
 def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from hil.clock import nanoseconds, seconds
-from hil.errors import StepTimeoutError
-from hil.interfaces import Sink
 from hil.procedure.interrupts import Interrupts
 from hil.recording.mcap_writer import McapRecorder, OnFailure
-from hil.signals import CycleRecord
+from hil.vocabulary.clock import nanoseconds, seconds
+from hil.vocabulary.errors import StepTimeoutError
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
 
 _GAP_NS = nanoseconds(10.0)
 

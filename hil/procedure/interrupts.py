@@ -13,8 +13,8 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
-from hil.errors import Aborted, StepTimeoutError
-from hil.stop_signals import handled_by
+from hil.vocabulary.errors import Aborted, StepTimeoutError
+from hil.vocabulary.stop_signals import handled_by
 
 
 class Interrupts:

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hil.errors import ConfigError, RecordingError
-from hil.reading import json_object, read_bytes
 from hil.recording.mcap_writer import OnFailure
+from hil.vocabulary.errors import ConfigError, RecordingError
+from hil.vocabulary.reading import json_object, read_bytes
 
 LOG = logging.getLogger(__name__)
 

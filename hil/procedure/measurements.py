@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hil.errors import UsageError
+from hil.vocabulary.errors import UsageError
 
 
 class Verdict(str, enum.Enum):

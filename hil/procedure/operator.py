@@ -11,8 +11,8 @@ from abc import abstractmethod
 from pathlib import Path
 from typing import Protocol
 
-from hil.errors import Aborted, ConfigError
-from hil.reading import read_text
+from hil.vocabulary.errors import Aborted, ConfigError
+from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 1 << 20
 

@@ -9,8 +9,8 @@ from typing import Any, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
-from hil.errors import ConfigError, UsageError, did_you_mean
-from hil.reading import json_value
+from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
+from hil.vocabulary.reading import json_value
 
 BENCH_PREFIX = "bench."
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from hil.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
 from hil.procedure.measurements import Measurement, Verdict
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
 
 SCHEMA = 1
 RESULT = "result.json"

@@ -14,19 +14,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hil.clock import NS_PER_S, Clock
 from hil.config.bench import BenchConfig
 from hil.config.recorded import changed_since
-from hil.errors import (
-    EXIT_ABORTED,
-    EXIT_DEVICE,
-    EXIT_USAGE,
-    Aborted,
-    ConfigError,
-    DataError,
-    HilError,
-    RecordingError,
-)
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
@@ -36,8 +25,19 @@ from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, RESULT, Failure, Result, git_revision, judge, write_result
-from hil.progress import Report, silent
 from hil.recording.mcap_writer import OnFailure
+from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.vocabulary.errors import (
+    EXIT_ABORTED,
+    EXIT_DEVICE,
+    EXIT_USAGE,
+    Aborted,
+    ConfigError,
+    DataError,
+    HilError,
+    RecordingError,
+)
+from hil.vocabulary.progress import Report, silent
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
@@ -238,7 +238,7 @@ def conclude(
 def _facts(
     proc: Procedure, context: Context, options: RunOptions, past: PastRun | None, wall_s: float
 ) -> dict[str, Any]:
-    from hil.versions import versions
+    from hil.vocabulary.versions import versions
 
     findings, source = context.findings, context.source
     return {

@@ -10,12 +10,12 @@ from pathlib import Path
 from types import ModuleType
 
 import hil
-from hil.errors import ConfigError, HilError, did_you_mean
 from hil.procedure.declaration import Procedure
+from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 
-SHIPPED = "procedures"
-SHIPPED_FOLDER = Path(hil.__file__).resolve().parent.parent / SHIPPED
-"""Where they lie. A user's own folder of that name may come first on the import path."""
+SHIPPED = "hil.procedures"
+SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
+"""Where they lie: in a checkout the top-level folder `procedures/`, to which `hil/procedures` is a link."""
 
 
 def shipped_names() -> tuple[str, ...]:
@@ -25,8 +25,6 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def _shipped(name: str) -> ModuleType:
-    if SHIPPED not in sys.modules:
-        _load(SHIPPED, SHIPPED_FOLDER / "__init__.py")
     return importlib.import_module(f"{SHIPPED}.{name}")
 
 

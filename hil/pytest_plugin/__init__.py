@@ -14,8 +14,8 @@ import pytest
 
 if TYPE_CHECKING:
     from hil.bench import Bench, World
-    from hil.clock import Clock
-    from hil.loop import ControlLoop
+    from hil.ring.loop import ControlLoop
+    from hil.vocabulary.clock import Clock
 
 MARKERS = (
     'needs(*devices): skip unless the bench has these devices ("servos", "encoders" or "can", "imu", '

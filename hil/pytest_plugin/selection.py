@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import pytest
 
 from hil.config.bench import DEVICES
-from hil.errors import HilError, UsageError
 from hil.procedure.bench_source import BenchSource
+from hil.vocabulary.errors import HilError, UsageError
 
 if TYPE_CHECKING:
     from hil.bench import Bench, Fault

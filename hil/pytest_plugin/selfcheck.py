@@ -22,14 +22,14 @@ import pytest
 
 from hil.bench import Bench
 from hil.bench.settings import real_time
-from hil.clock import MonotonicClock
 from hil.config.bench import DEVICES, BenchConfig
-from hil.motion import Motion
 from hil.procedure.bench_source import BenchSource
-from hil.punctuality import LoopStatistics
 from hil.pytest_plugin.selection import plainly, properties, source_of
-from hil.realtime import idle_loop
-from hil.signals import SERVOS, Status
+from hil.ring.loop_timing import LoopStatistics
+from hil.ring.motion import Motion
+from hil.ring.realtime import idle_loop
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.signals import SERVOS, Status
 
 __all__ = [
     "_told",

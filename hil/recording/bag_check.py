@@ -12,9 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hil.errors import DataError
 from hil.recording.mcap_reader import top_level
 from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
+from hil.vocabulary.errors import DataError
 
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _METADATA = "metadata.yaml"

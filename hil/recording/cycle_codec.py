@@ -1,4 +1,4 @@
-"""Compact, exact serialisation of `hil.signals.CycleRecord`.
+"""Compact, exact serialisation of `hil.vocabulary.signals.CycleRecord`.
 
 Values are written field by field in the order of the dataclasses, floats as their 64 bits, so a
 decoded record equals the encoded one bit for bit (NaN payloads included). Little endian; the layout
@@ -28,7 +28,7 @@ from hil.recording.cycle_layout import (
     describe,
     record_types,
 )
-from hil.signals import CycleRecord
+from hil.vocabulary.signals import CycleRecord
 
 Put = Callable[[bytes], None]
 Encode = Callable[[Put, Any], None]

@@ -1,4 +1,4 @@
-"""Back from bytes to `hil.signals.CycleRecord`, by the layout that the recording itself carries.
+"""Back from bytes to `hil.vocabulary.signals.CycleRecord`, by the layout that the recording itself carries.
 
 A field that the file lacks gets its default; a field or status that this version does not know is
 skipped and named in `notes`. Bytes that do not follow their layout raise `ValueError`.
@@ -14,7 +14,6 @@ from functools import cached_property
 from itertools import groupby
 from typing import Any
 
-from hil.errors import DataError
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import CODES, FORMAT, MAGIC, SHAPES, Layout, describe, record_types
 from hil.recording.value_decoders import (
@@ -29,7 +28,8 @@ from hil.recording.value_decoders import (
     plain_mapping,
     plain_tuple,
 )
-from hil.signals import CycleRecord, Inputs, Status
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.signals import CycleRecord, Inputs, Status
 
 
 class StoredCycle:

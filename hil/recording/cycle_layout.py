@@ -1,4 +1,4 @@
-"""The layout of a cycle record, derived from the type hints of `hil.signals`.
+"""The layout of a cycle record, derived from the type hints of `hil.vocabulary.signals`.
 
 It travels with every recording, so that a reader of another version can still take what it knows.
 A layout is JSON: a primitive name (`int float bool str array any`), or a pair such as
@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.geometry import Array
-from hil.signals import CycleRecord
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import CycleRecord
 
 FORMAT = 1
 MAGIC = b"HIL\x01"
@@ -53,11 +53,11 @@ SHAPES: Mapping[str, Mapping[str, tuple[int, ...]]] = {
     "WheelSetpoint": dict.fromkeys(("wheel_rate_rad_s", "steering_rad"), _WHEELS),
     "ServoSetpoint": dict.fromkeys(("drive_velocity_rad_s", "steer_position_rad"), _WHEELS),
 }
-"""Shapes of the arrays that `hil.signals` promises, by class and field."""
+"""Shapes of the arrays that `hil.vocabulary.signals` promises, by class and field."""
 
 
 def layout_of(hint: Any) -> Layout:
-    """Layout of one type hint used in `hil.signals`.
+    """Layout of one type hint used in `hil.vocabulary.signals`.
 
     Raises:
         TypeError: a hint that the codec has no rule for (found by the tests, not by a user).

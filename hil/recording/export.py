@@ -17,13 +17,13 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
-from hil.clock import NS_PER_S
-from hil.errors import DataError, UsageError
-from hil.extras import how_to_install
-from hil.geometry import Array
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
-from hil.signals import CycleRecord, WheelMeasurement
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.extras import how_to_install
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
 _GAP_S = 0.1
 _POSE = ("x_m", "y_m", "theta_rad")

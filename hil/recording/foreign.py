@@ -10,10 +10,10 @@ import numpy as np
 
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import rest_pose
-from hil.clock import nanoseconds
-from hil.geometry import Array
 from hil.recording.runs import RecordedRun, RunStart
-from hil.signals import (
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import (
     CycleRecord,
     Inputs,
     Measurements,

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.clock import WallOffset
-from hil.geometry import Array, conjugated, multiplied, quat_from_yaw, rotated
-from hil.signals import WHEELS, CycleRecord, RobotState, Status, TrackerSample
+from hil.vocabulary.clock import WallOffset
+from hil.vocabulary.geometry import Array, conjugated, multiplied, quat_from_yaw, rotated
+from hil.vocabulary.signals import WHEELS, CycleRecord, RobotState, Status, TrackerSample
 
 WALL, BODY, IMU, CAMERA, CAMERA_START, CAPTURE = "wall", "body", "imu", "tracker", "tracker_start", "mocap"
 VIRTUAL, MONOTONIC = "virtual", "monotonic"

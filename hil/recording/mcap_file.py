@@ -9,12 +9,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
-from hil.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import describe
 from hil.recording.frames import FrameTree, recorded_offset
 from hil.recording.ros_messages import TOPICS, messages, octet_array, string, transforms
-from hil.signals import CycleRecord
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
+from hil.vocabulary.signals import CycleRecord
 
 LOG = logging.getLogger(__name__)
 

@@ -12,14 +12,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
-from hil.clock import WallOffset
-from hil.errors import DataError
-from hil.reading import json_object
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
 from hil.recording.ros_messages import octets_of, text_of
 from hil.recording.unpacking import Allowance, chunk_data
-from hil.signals import CycleRecord
+from hil.vocabulary.clock import WallOffset
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import json_object
+from hil.vocabulary.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"

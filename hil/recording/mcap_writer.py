@@ -15,10 +15,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.errors import DataError, HilError, RecordingError
-from hil.interfaces import Sink
 from hil.recording.mcap_file import RecordingFile
-from hil.signals import CycleRecord
+from hil.vocabulary.errors import DataError, HilError, RecordingError
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
 
 LOG = logging.getLogger(__name__)
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
-from hil.errors import DataError
-from hil.geometry import Array
 from hil.recording.public_csv import read_bytes
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")

@@ -18,9 +18,9 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording, credible
 from hil.calibration.nominal import Nominal
-from hil.errors import DataError
-from hil.geometry import Array
 from hil.recording.unpacking import read_packed
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
 
 _WHEELS = ("FL", "BL", "BR", "FR")
 _NAMES = tuple(f"{w}_Wheel" for w in _WHEELS) + tuple(f"{w}_Position" for w in _WHEELS)

@@ -12,10 +12,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hil.clock import NS_PER_S
-from hil.geometry import Array, quat_from_yaw
 from hil.recording.frames import BODY, CAMERA_START, CAPTURE, IMU, WALL, Frame
-from hil.signals import (
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, quat_from_yaw
+from hil.vocabulary.signals import (
     SERVOS,
     CycleRecord,
     EncoderSample,

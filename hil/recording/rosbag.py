@@ -28,11 +28,11 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
-from hil.clock import NS_PER_S
-from hil.errors import ConfigError, DataError, HilError
-from hil.geometry import yaw_of_quat
-from hil.reading import read_toml
 from hil.recording.bag_check import check_bag
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import ConfigError, DataError, HilError
+from hil.vocabulary.geometry import yaw_of_quat
+from hil.vocabulary.reading import read_toml
 
 _JOINTS = "sensor_msgs/msg/JointState"
 _POSES = (

@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from hil.errors import DataError
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.mcap_reader import Cycle, Note, RecordingReader
-from hil.signals import CycleRecord, RobotState
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.signals import CycleRecord, RobotState
 
 RUN = "run"
 HELD = "held"

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
-from hil.errors import DataError
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.vocabulary.errors import DataError
 
 Job = Callable[[], Recording]
 

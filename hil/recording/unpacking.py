@@ -12,8 +12,8 @@ import zlib
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from hil.errors import DataError
-from hil.reading import read_bytes
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import read_bytes
 
 MOST_BYTES = 256 << 20
 FREE_BYTES = 64 << 20

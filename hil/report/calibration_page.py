@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate, track
 from hil.calibration.problem import PARAMETER_NAMES
-from hil.files import staged, write_text
+from hil.vocabulary.files import staged, write_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.errors import UsageError
-from hil.files import write_text
 from hil.report.result_file import read_result
 from hil.report.run_page import environment, number, outcome_words
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.files import write_text
 
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 

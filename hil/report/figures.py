@@ -13,9 +13,9 @@ from xml.parsers import expat
 
 from markupsafe import Markup
 
-from hil.errors import DataError
-from hil.reading import read_text
 from hil.report.run_plots import PALETTE
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 64 << 20
 _PX_PER_PT = 1.35

@@ -11,8 +11,8 @@ from urllib.parse import quote
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hil.errors import DataError
-from hil.reading import read_json
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import read_json
 
 SCHEMA = 1
 RESULT = "result.json"

@@ -14,10 +14,10 @@ from typing import Any
 from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
-from hil.errors import DataError
-from hil.files import write_text
 from hil.report.figures import figure_image
 from hil.report.result_file import RESULT, address, inside, own_file, read_result
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import write_text
 
 PAGE = "report.html"
 _BAR = 100.0

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from matplotlib.figure import Figure
 
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

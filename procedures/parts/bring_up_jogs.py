@@ -14,10 +14,10 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.geometry import Array
-from hil.signals import WHEELS
-from procedures.parts.samples import Series, encoders, poses, wheels
-from procedures.parts.scripted import Stretch, play
+from hil.procedures.parts.samples import Series, encoders, poses, wheels
+from hil.procedures.parts.scripted import Stretch, play
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
 _OUT_S, _REST_S, _LOOK_S = 0.4, 0.45, 0.3
 _SETTLE_S = 1.5

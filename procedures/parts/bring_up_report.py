@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.geometry import Array
 from hil.procedure import Context
+from hil.procedures.parts.bring_up_jogs import DriveJogs
+from hil.procedures.parts.bring_up_streams import Stream
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
-from hil.signals import WHEELS
-from procedures.parts.bring_up_jogs import DriveJogs
-from procedures.parts.bring_up_streams import Stream
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import WHEELS
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from hil.config.bench import BenchConfig
-from hil.geometry import Array
-from hil.motion import Motion
-from procedures.parts.samples import Series, camera, encoders, inertial, poses, wheels
+from hil.procedures.parts.samples import Series, camera, encoders, inertial, poses, wheels
+from hil.ring.motion import Motion
+from hil.vocabulary.geometry import Array
 
 TRACKER_HZ = 200.0
 _BLOCKS = 24

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal
 
-from hil.errors import ConfigError
 from hil.procedure import Context
+from hil.vocabulary.errors import ConfigError
 
 Device = Literal["servos", "encoders", "imu", "tracker", "mocap"]
 DEVICES: tuple[Device, ...] = ("servos", "encoders", "imu", "tracker", "mocap")

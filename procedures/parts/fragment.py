@@ -8,8 +8,8 @@ from typing import Any
 
 import tomli_w
 
-from hil.files import write_text
 from hil.procedure import Context
+from hil.vocabulary.files import write_text
 
 NAME = "bench_fragment.toml"
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 FEWEST = 9
 _WHITE_UP_TO_S = 0.5

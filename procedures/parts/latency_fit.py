@@ -20,9 +20,9 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 from scipy.optimize import least_squares
 
-from hil.clock import NS_PER_S
-from hil.geometry import Array
-from hil.motion import Motion
+from hil.ring.motion import Motion
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array
 
 _BLOCKS = 8
 _STUDENT_7 = 2.365

@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
-from hil.clock import NS_PER_S
-from hil.errors import DataError
-from hil.geometry import Array, ArrayLike, rotation2
-from hil.kinematics import inverse
-from hil.motion import Motion
 from hil.procedure import BenchSource, Context
+from hil.procedures.parts.scripted import Stretch, play
+from hil.procedures.parts.tracking import stand
+from hil.procedures.parts.workers import worker_pool
 from hil.recording.plain_csv import read_plain, write_plain
-from hil.trajectories import Trajectory, circle, line
-from procedures.parts.scripted import Stretch, play
-from procedures.parts.tracking import stand
-from procedures.parts.workers import worker_pool
+from hil.ring.motion import Motion
+from hil.robot.kinematics import inverse
+from hil.robot.trajectories import Trajectory, circle, line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 
 if TYPE_CHECKING:
     from hil.bench import Bench

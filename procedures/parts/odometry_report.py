@@ -11,8 +11,8 @@ from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate
 from hil.calibration.problem import Setting
 from hil.procedure import Context
+from hil.procedures.parts.odometry_rounds import Driven, Odometry, improve
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
-from procedures.parts.odometry_rounds import Driven, Odometry, improve
 
 
 def show(

@@ -19,9 +19,9 @@ from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track
 from hil.calibration.problem import Setting
 from hil.config.bench import BenchConfig
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
 from hil.procedure import Context
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
 
 WORTH = 0.05
 _BOOTSTRAP = 2000

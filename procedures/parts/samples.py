@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.clock import NS_PER_S
 from hil.config.bench import BenchConfig
-from hil.geometry import Array, wrap_array
-from hil.motion import Motion
-from hil.signals import Stamp, Status
+from hil.ring.motion import Motion
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, wrap_array
+from hil.vocabulary.signals import Stamp, Status
 
 
 @dataclass(frozen=True)

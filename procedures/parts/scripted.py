@@ -9,12 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hil.bench import Bench
-from hil.clock import nanoseconds
 from hil.controller.joint_script import SCRIPT, JointScript, Stretch
-from hil.geometry import Array, ArrayLike
-from hil.motion import Motion
 from hil.recording.runs import RunStart
-from hil.signals import CycleRecord
+from hil.ring.motion import Motion
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.signals import CycleRecord
 
 __all__ = ["Stretch", "play"]
 

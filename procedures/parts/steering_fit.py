@@ -19,9 +19,9 @@ import numpy as np
 
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
-from hil.geometry import Array, rotation2, wrap_array
-from hil.motion import Motion
-from procedures.parts.samples import poses, wheels
+from hil.procedures.parts.samples import poses, wheels
+from hil.ring.motion import Motion
+from hil.vocabulary.geometry import Array, rotation2, wrap_array
 
 _MAGNET_SIGMA_RAD = math.radians(0.5)
 _TURNING_RAD_S = 0.05

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from hil.errors import DataError
-from hil.geometry import Array, ArrayLike, rotation2
-from hil.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
-from hil.motion import Motion
+from hil.ring.motion import Motion
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 
 _HELD_M = 2e-3
 

@@ -16,9 +16,9 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hil.errors import DataError
-from hil.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
-from procedures.parts.samples import Series
+from hil.procedures.parts.samples import Series
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
 
 INTERVAL_S = 0.5
 _LOWEST_TURN_RAD, _LOWEST_WAY_M = 0.01, 0.005

@@ -9,11 +9,11 @@ import numpy as np
 
 from hil.bench.settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
-from hil.geometry import Array, wrap_array
-from hil.motion import Motion
-from hil.motion_limits import check
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
-from hil.trajectories import Trajectory
+from hil.ring.motion import Motion
+from hil.robot.motion_limits import check
+from hil.robot.trajectories import Trajectory
+from hil.vocabulary.geometry import Array, wrap_array
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,8 +8,8 @@ import pytest
 
 import hil
 from hil.config.bench import load_bench
-from hil.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 

@@ -7,8 +7,8 @@ import pytest
 
 from hil.bench import open_bench
 from hil.config.bench import load_bench, validate
-from hil.errors import ConfigError
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import ConfigError
 
 KNOWN = {"tracker.scale": 1.01, "tracker.scale_sigma": 0.0012}
 SIGMA = "estimator.tracker.scale_sigma"

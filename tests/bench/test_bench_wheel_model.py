@@ -10,10 +10,10 @@ import hil
 from hil.bench.doctor import examine
 from hil.calibration.artefact import CalibrationFile, save_calibration
 from hil.config.bench import load_bench
-from hil.errors import ConfigError
-from hil.kinematics import WheelGeometry
 from hil.live.playback import open_recording
 from hil.recording.mcap_writer import McapRecorder
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import ConfigError
 
 MODEL = "estimator.wheels.model"
 TYRES = {"load": [0.5, 1.4, 1.5, 0.6], "creep_ratio": 0.8}

@@ -11,11 +11,11 @@ import hil
 from hil.bench.doctor import examine
 from hil.bench.drivers import Connections, make_rig
 from hil.bench.emulation import build_world, connect_in_process
-from hil.clock import MonotonicClock
 from hil.config.bench import load_bench
 from hil.drivers.serial_url import latency_timer
 from hil.drivers.servos import scan, set_up
 from hil.fakes.world import VirtualClock
+from hil.vocabulary.clock import MonotonicClock
 
 END_S = 20.0
 SERVOS_ONLY = dict.fromkeys(("encoders", "imu", "tracker", "mocap"))

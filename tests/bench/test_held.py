@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import HilError, SafetyStop
 from hil.fakes.faults import parse_fault
-from hil.signals import SERVOS
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import HilError, SafetyStop
+from hil.vocabulary.signals import SERVOS
 
 SECOND = 1_000_000_000
 CLIMB = line((0, 0, 0), (0.15, 0, 0), duration_s=4.0)
@@ -166,7 +166,7 @@ def test_with_the_bus_away_the_wheels_rest_within_200_ms(kind):
 def test_wheels_that_a_program_forgot_come_to_rest_and_stay_looked_after():
     with hil.open_bench("emulated", seed=1) as bench:
         steering = np.zeros(4)
-        bench.rig.servos.command(hil.signals.ServoSetpoint(np.full(4, 1.0), steering))
+        bench.rig.servos.command(hil.vocabulary.signals.ServoSetpoint(np.full(4, 1.0), steering))
         wait(bench, 0.05)
         assert bench.truth().joint_velocity_rad_s[:4].min() > 0.3
         wait(bench, 0.25)

@@ -10,8 +10,8 @@ from click.testing import CliRunner
 import hil
 from hil.cli import main, start
 from hil.config.bench import load_bench
-from hil.errors import ConfigError, UsageError
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import ConfigError, UsageError
 
 REAL = 'schema = 1\nname = "blind"\n[servos]\nport = "/dev/no-such-port"\n[imu]\nbackend = "emulated"\n'
 STRAIGHT = line((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), duration_s=2.0)

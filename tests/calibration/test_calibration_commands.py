@@ -9,7 +9,7 @@ import pytest
 
 from hil.calibration.artefact import read_calibration
 from hil.cli import main
-from hil.errors import ConfigError
+from hil.vocabulary.errors import ConfigError
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ from hil.calibration.nominal import Nominal
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
 from hil.calibration.validation import Deployed
-from hil.clock import MonotonicClock
-from hil.errors import DataError
-from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()

@@ -14,10 +14,10 @@ from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
 from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
 from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
-from hil.clock import MonotonicClock
-from hil.errors import DataError, UsageError
-from hil.kinematics import WheelGeometry
-from hil.progress import WHOLE
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.progress import WHOLE
 
 CAD = WheelGeometry.nominal()
 CLOCK = MonotonicClock()

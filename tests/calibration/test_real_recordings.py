@@ -8,9 +8,9 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED, make_setting
-from hil.clock import MonotonicClock
-from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import MonotonicClock
 
 # Table II with its two misprints corrected from the raw data (arXiv 2509.04016).
 TABLE_2 = {

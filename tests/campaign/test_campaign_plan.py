@@ -7,9 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from hil.campaign import Axis, Case, Row, expand, parse_axis, parse_seeds, summarise, write_csv
-from hil.campaign.table import wilson
-from hil.errors import UsageError
+from hil.procedure.campaign import Axis, Case, Row, expand, parse_axis, parse_seeds, summarise, write_csv
+from hil.procedure.campaign.table import wilson
+from hil.vocabulary.errors import UsageError
 
 
 @pytest.mark.parametrize(

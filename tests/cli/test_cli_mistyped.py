@@ -13,7 +13,7 @@ from hil.bench import check_faults
 from hil.cli import COMMANDS, main
 from hil.cli.live import _text
 from hil.config.bench import load_bench
-from hil.errors import FaultNotSupportedError
+from hil.vocabulary.errors import FaultNotSupportedError
 
 ROOT = Path(__file__).resolve().parents[2]
 OPENING = ["run bring_up", "campaign bring_up", "live --duration 1", "doctor", "doctor --realtime", "emulate"]
@@ -41,7 +41,7 @@ def unopened(monkeypatch):
     def opened(*_, **__):
         raise AssertionError("the bench was opened")
 
-    monkeypatch.setattr("hil.rig.Rig.open", opened)
+    monkeypatch.setattr("hil.ring.rig.Rig.open", opened)
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", opened)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", opened)
 

@@ -12,8 +12,8 @@ import pytest
 
 from hil.bench import open_bench, open_emulation
 from hil.cli import cli, main
-from hil.errors import DeviceError
 from hil.recording.mcap_writer import McapRecorder
+from hil.vocabulary.errors import DeviceError
 
 SCRIPT = '''
 """Nothing to do."""

@@ -15,7 +15,7 @@ SCRIPT = """
 import sys
 
 from hil.procedure import Context, Measurement, procedure
-from hil.trajectories import line
+from hil.robot.trajectories import line
 
 @procedure(name="short", needs=("servos",), measurements=[Measurement("value", "m", high=1.0)])
 def run(ctx: Context) -> None:

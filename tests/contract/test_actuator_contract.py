@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.signals import ServoSetpoint
+from hil.vocabulary.signals import ServoSetpoint
 
 pytestmark = pytest.mark.moves
 

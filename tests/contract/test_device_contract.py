@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.config.bench import DEVICES
-from hil.errors import DeviceError
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.signals import Status
 
 ARRAYS = {
     "servos": {"position_rad": 8, "velocity_rad_s": 8, "current_a": 8},

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.bench import open_bench
-from hil.trajectories import line
+from hil.robot.trajectories import line
 
 
 def test_across_the_wall_it_keeps_to_its_line_and_rests_at_the_end():

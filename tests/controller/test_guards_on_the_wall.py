@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
-from hil.signals import Status
-from hil.trajectories import circle, line, through
+from hil.robot.trajectories import circle, line, through
+from hil.vocabulary.errors import ConfigError, DeviceTimeoutError, SafetyStop, TrajectoryError
+from hil.vocabulary.signals import Status
 
 ORIGIN = np.zeros(3)
 SECOND_NS = 1_000_000_000

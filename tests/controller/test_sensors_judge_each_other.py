@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.errors import DeviceTimeoutError, HilError, SafetyStop
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
-from hil.trajectories import circle, line, scan, through
+from hil.robot.trajectories import circle, line, scan, through
+from hil.vocabulary.errors import DeviceTimeoutError, HilError, SafetyStop
 
 ORIGIN = np.zeros(3)
 UP, ACROSS, BACK = [0.3, 0.0, 0.0], [0.0, 0.3, 0.0], [0.0, -0.3, 0.0]

@@ -11,11 +11,11 @@ from hil.config.control import ControlConfig
 from hil.controller import make_controller
 from hil.controller.allocation import ModuleLayer, ModuleLimits, desaturate, optimize
 from hil.controller.laws import NonlinearLaw, OptimalLaw, beyond, lag_model, pose_error, riccati_gains
-from hil.errors import SafetyStop
-from hil.geometry import compose, se2_exp
-from hil.kinematics import WheelGeometry, forward, wheel_vectors
-from hil.signals import Reference, RobotState, Stamp, WheelMeasurement
-from hil.trajectories import circle, line
+from hil.robot.kinematics import WheelGeometry, forward, wheel_vectors
+from hil.robot.trajectories import circle, line
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.geometry import compose, se2_exp
+from hil.vocabulary.signals import Reference, RobotState, Stamp, WheelMeasurement
 
 CAD = WheelGeometry.nominal()
 DT = 0.01

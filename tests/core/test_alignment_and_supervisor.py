@@ -6,10 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.alignment import Alignment, AlignmentParameters, Mount
-from hil.errors import ConfigError, SafetyStop
-from hil.geometry import quat_conjugate, quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
-from hil.signals import (
+from hil.ring.alignment import Alignment, AlignmentParameters, Mount
+from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.vocabulary.errors import ConfigError, SafetyStop
+from hil.vocabulary.geometry import (
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+)
+from hil.vocabulary.signals import (
     ImuSample,
     Inputs,
     MocapSample,
@@ -21,7 +28,6 @@ from hil.signals import (
     TrackerSample,
     WheelSetpoint,
 )
-from hil.supervisor import SafetyLimits, Supervisor
 
 STAMP = Stamp(0, 0, 0)
 

@@ -3,7 +3,7 @@
 import pytest
 
 from hil.config.bench import BenchConfig, load_bench
-from hil.errors import ConfigError
+from hil.vocabulary.errors import ConfigError
 
 GOOD = """
 schema = 1

@@ -7,8 +7,8 @@ import pytest
 import hil
 from hil.config.bench import load_bench
 from hil.config.recorded import recorded_bench
-from hil.errors import ConfigError
 from hil.procedure.bench_source import BenchSource
+from hil.vocabulary.errors import ConfigError
 
 NUMBERS = (
     "safety.servo_stale_s", "safety.imu_stale_s", "safety.tracker_stale_s", "safety.wheel_rate_limit_rad_s",

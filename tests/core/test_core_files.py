@@ -2,8 +2,8 @@
 
 import pytest
 
-from hil.errors import DataError
-from hil.files import write_text
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import write_text
 
 
 def test_a_text_is_written_over_what_was_there(tmp_path):

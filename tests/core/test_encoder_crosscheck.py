@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from hil.config.encoders import EncodersConfig
-from hil.crosscheck import CrossCheck, SteeringWatch
-from hil.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
+from hil.ring.crosscheck import CrossCheck, SteeringWatch
+from hil.vocabulary.signals import EncoderSample, Inputs, Measurements, Stamp, Status, WheelMeasurement
 
 
 def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):

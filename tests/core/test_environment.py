@@ -8,8 +8,8 @@ import hil
 from hil.bench.settings import motion_limits, safety_limits
 from hil.config.bench import load_bench
 from hil.config.environment import SURFACES
-from hil.errors import ConfigError
 from hil.fakes.plant import surfaces
+from hil.vocabulary.errors import ConfigError
 
 HEAD = 'schema = 1\nname = "old"\n'
 

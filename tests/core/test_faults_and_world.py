@@ -5,9 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.errors import FaultNotSupportedError, UsageError
 from hil.fakes.faults import VOCABULARY, FaultPlan, describe, make_fault, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
+from hil.vocabulary.errors import FaultNotSupportedError, UsageError
 
 
 class StillPlant:

@@ -16,18 +16,18 @@ from hil.calibration.artefact import read_calibration
 from hil.cli import main
 from hil.config.bench import load_bench
 from hil.drivers.imu.calibration import ImuCalibration
-from hil.errors import DataError, HilError
 from hil.fakes.timeline import read_faults
 from hil.procedure.journal import NAME, read_journal
 from hil.procedure.operator import Answers
 from hil.procedure.parameters import split_settings
-from hil.reading import json_value, read_json, toml_tables
 from hil.recording.plain_csv import read_plain
 from hil.recording.public_csv import read_pair
 from hil.recording.rosbag import read_topic_map
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.trajectories import read_waypoints
+from hil.robot.trajectories import read_waypoints
+from hil.vocabulary.errors import DataError, HilError
+from hil.vocabulary.reading import json_value, read_json, toml_tables
 
 BOUNDED = settings(
     max_examples=20,

@@ -17,9 +17,9 @@ def imported(path):
 
 
 def package(path):
-    """`hil.PACKAGE` or `procedures` of a source file."""
+    """`hil.PACKAGE` of a source file."""
     *parts, _ = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:2]) if parts[0] == "hil" else parts[0]
+    return ".".join(parts[:2])
 
 
 def test_only_the_bench_knows_drivers_and_fakes():

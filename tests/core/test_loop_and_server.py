@@ -6,16 +6,17 @@ import socket
 import numpy as np
 import pytest
 
-from hil.alignment import Alignment, AlignmentParameters
-from hil.clock import MonotonicClock, nanoseconds
-from hil.errors import DeviceError, SafetyStop
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, VirtualClock, World
-from hil.interfaces import Actuators, Controller, Estimator, Sensor, Sink
-from hil.loop import Brain, ControlLoop
-from hil.motion import Motion
-from hil.rig import Rig
-from hil.signals import (
+from hil.ring.alignment import Alignment, AlignmentParameters
+from hil.ring.loop import Brain, ControlLoop
+from hil.ring.motion import Motion
+from hil.ring.rig import Rig
+from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.vocabulary.clock import MonotonicClock, nanoseconds
+from hil.vocabulary.errors import DeviceError, SafetyStop
+from hil.vocabulary.interfaces import Actuators, Controller, Estimator, Sensor, Sink
+from hil.vocabulary.signals import (
     MocapSample,
     Reference,
     RobotState,
@@ -25,7 +26,6 @@ from hil.signals import (
     Status,
     WheelSetpoint,
 )
-from hil.supervisor import SafetyLimits, Supervisor
 
 
 class StillPlant:

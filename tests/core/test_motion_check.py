@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.kinematics import WheelGeometry, inverse
-from hil.motion_check import Honest, MotionCheck
-from hil.motion_tracks import GyroTrack, WheelTrack
-from hil.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.ring.dead_reckoning import GyroTrack, WheelTrack
+from hil.ring.motion_check import Honest, MotionCheck
+from hil.robot.kinematics import WheelGeometry, inverse
+from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS, LATE_NS = 10_000_000, 25_000_000

@@ -5,8 +5,8 @@ import io
 import pytest
 
 from hil.cli.progress import reporting
-from hil.clock import NS_PER_S
-from hil.progress import WHOLE, Pace, in_words
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.progress import WHOLE, Pace, in_words
 
 
 class Waiting:

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.sample_watch import SampleWatch
-from hil.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
+from hil.ring.sample_watch import SampleWatch
+from hil.vocabulary.signals import EncoderSample, ImuSample, Inputs, MocapSample, Stamp, Status, TrackerSample
 
 PERIOD_NS = 10_000_000
 NAN = np.full(4, np.nan)

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from hil.errors import SafetyStop
-from hil.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
-from hil.supervisor import SafetyLimits, Supervisor
+from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.signals import EncoderSample, Inputs, ServoSample, Stamp, Status, WheelSetpoint
 
 PERIOD_NS = 10_000_000
 IDS = (11, 12, 13, 14, 15, 16, 17, 18)

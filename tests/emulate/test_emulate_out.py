@@ -15,7 +15,7 @@ from emulators import END_S, emulator
 
 from hil.cli import main
 from hil.cli.endpoints import EndpointsFile
-from hil.errors import UsageError
+from hil.vocabulary.errors import UsageError
 
 ROOT = Path(__file__).parents[2]
 START_S = 60.0

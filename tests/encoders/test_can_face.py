@@ -6,14 +6,14 @@ import threading
 import can
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.drivers.encoders import As5045Encoders
-from hil.errors import DeviceError, UsageError
 from hil.fakes.can_wire import CanChannel, CanFace
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
-from hil.signals import Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, UsageError
+from hil.vocabulary.signals import Status
 
 GROUP, PORT = "239.74.163.77", 43177
 

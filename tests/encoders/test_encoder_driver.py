@@ -6,10 +6,10 @@ import pytest
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
-from hil.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.fakes.encoders import EncoderTruthOptions
 from hil.fakes.faults import parse_fault
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.signals import Status
 
 IDEAL = EncoderTruthOptions(noise_rad=0.0, once_rad=0.0, twice_rad=0.0)
 OK4 = (Status.OK,) * 4

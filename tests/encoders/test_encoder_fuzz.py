@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
-from hil.errors import DeviceError
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import VirtualClock, World
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.signals import Status
 
 OURS = st.sampled_from([416, 417])
 

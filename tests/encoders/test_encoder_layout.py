@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.drivers.encoders.layout import load_layout
-from hil.errors import DataError
+from hil.vocabulary.errors import DataError
 
 DATABASE = cantools.database.load_file(SHIPPED_DBC)
 LAYOUT = load_layout(EncodersConfig())

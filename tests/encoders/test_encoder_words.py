@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from hil.drivers.encoders import decode_word
 from hil.fakes.encoders.as5045 import COF, LIN, MAG_DEC, MAG_INC, OCF, As5045Chip, with_parity
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 GOLDEN_FILE = Path(__file__).parents[1] / "golden" / "as5045_words.json"
 GOLDEN = [(w["bits"], w["counts"], Status(w["status"])) for w in json.loads(GOLDEN_FILE.read_text())["words"]]

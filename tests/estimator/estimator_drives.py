@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hil.clock import NS_PER_S
 from hil.estimator.simulated_sensors import (
     CameraErrors,
     InertialErrors,
@@ -15,9 +14,10 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
-from hil.geometry import compose, se2_exp
-from hil.kinematics import WheelGeometry
-from hil.signals import PoseMeasurement, RobotState, Stamp
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import compose, se2_exp
+from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
 
 @dataclass(frozen=True)

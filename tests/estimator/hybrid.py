@@ -16,7 +16,6 @@ from hil.calibration.blocks import reduce_recordings
 from hil.calibration.evaluation import rest_pose
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED
-from hil.clock import NS_PER_S
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.consistency import nees
@@ -30,9 +29,10 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
-from hil.geometry import wrap_array
-from hil.kinematics import WheelGeometry
 from hil.recording.sources import read_recordings
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import wrap_array
 
 CAMERA, INERTIAL = CameraErrors(), InertialErrors()
 

@@ -23,8 +23,8 @@ from hil.estimator.simulated_sensors import (
     start_state,
     wheel_samples,
 )
-from hil.kinematics import WheelGeometry
-from hil.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
 
 ROOT = FilePath(__file__).parents[2]
 EKF = EstimatorConfig()
@@ -237,7 +237,7 @@ import numpy as np
 from estimator_drives import drive
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import compiled, make_estimator
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
 d = drive(seconds=0.4, seed=1, outliers=True)
 for kind in ("ekf", "ukf"):
     e = make_estimator(EstimatorConfig(kind=kind), WheelGeometry.nominal(), surface="wall")

@@ -14,9 +14,9 @@ from wpimath.kinematics import SwerveDrive4Kinematics, SwerveModulePosition
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
-from hil.geometry import compose, se2_exp
-from hil.kinematics import WheelGeometry
-from hil.signals import (
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import compose, se2_exp
+from hil.vocabulary.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,

@@ -14,8 +14,8 @@ from hil.estimator.replay import advance, moments
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import square_root
 from hil.estimator.smoother import smooth
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
 DT_S = 0.01
 VARIANCE = {

@@ -6,7 +6,7 @@ from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
 
 SEVERAL = {
     "recommended": {},

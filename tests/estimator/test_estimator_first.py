@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.errors import ConfigError, UsageError
 from hil.estimator import make_estimator
-from hil.kinematics import WheelGeometry
-from hil.signals import (
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import ConfigError, UsageError
+from hil.vocabulary.signals import (
     GyroMeasurement,
     Measurements,
     PoseMeasurement,

@@ -10,8 +10,8 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator import make_estimator
 from hil.estimator.history import CAPACITY
 from hil.estimator.smoother import smooth
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.signals import Measurements
 
 
 def bits(states):

@@ -18,8 +18,8 @@ from hil.estimator.process import (
 )
 from hil.estimator.replay import advance, compare
 from hil.estimator.sensors import jacobian, predicted
-from hil.kinematics import WheelGeometry
-from hil.signals import Measurements, PoseMeasurement, RobotState, Stamp
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
 SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 5e-3, 1, 1, 1, 1, 1, 1])
 

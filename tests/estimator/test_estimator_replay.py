@@ -8,7 +8,7 @@ import pytest
 import hil
 from hil.cli import main
 from hil.recording.mcap_writer import McapRecorder
-from hil.trajectories import line
+from hil.robot.trajectories import line
 
 
 @pytest.fixture(scope="module")

@@ -10,9 +10,9 @@ from estimator_drives import drive
 from hil.cli.tune import command
 from hil.config.bench import load_bench
 from hil.config.estimator import EstimatorConfig
-from hil.errors import ConfigError, UsageError
 from hil.estimator.tuning import TruthRun, score, tunable, tune, with_values
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import ConfigError, UsageError
 
 NAMES = ("wheels.step_m", "wheels.per_sqrt_m")
 

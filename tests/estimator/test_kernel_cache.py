@@ -86,8 +86,8 @@ def test_an_edited_inner_kernel_changes_what_the_outer_one_says(package, form, t
 def test_what_only_an_annotation_names_is_no_part_of_a_kernel():
     used = set(sources("hil.estimator.process"))
     assert {"hil.estimator.layout", "hil.estimator.compiled"} <= used
-    assert not used & {"hil.geometry", "hil.config.estimator", "hil.estimator.fusion"}
-    assert "hil.contact_laws" in sources("hil.estimator.friction")
+    assert not used & {"hil.vocabulary.geometry", "hil.config.estimator", "hil.estimator.fusion"}
+    assert "hil.robot.contact_laws" in sources("hil.estimator.friction")
     assert len({fingerprint(f"hil.estimator.{name}") for name in ("process", "friction", "replay")}) == 3
 
 

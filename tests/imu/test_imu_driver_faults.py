@@ -8,10 +8,10 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from hil.drivers.imu import ImuCalibration
-from hil.errors import DataError, DeviceError, DeviceTimeoutError, HilError
 from hil.fakes.faults import parse_fault
 from hil.fakes.wire import Reply
-from hil.signals import Status
+from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError, HilError
+from hil.vocabulary.signals import Status
 
 MODE_WRITE = bytes.fromhex("AA003D0108")
 

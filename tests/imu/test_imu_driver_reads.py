@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from hil.fakes.imu import ImuTruthOptions
-from hil.geometry import quat_conjugate, quat_rotate
-from hil.signals import Status
+from hil.vocabulary.geometry import quat_conjugate, quat_rotate
+from hil.vocabulary.signals import Status
 
 IDEAL = ImuTruthOptions(
     gyro_noise_rad_s=0, gyro_bias_rad_s=0, accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0,

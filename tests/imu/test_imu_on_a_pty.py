@@ -8,14 +8,14 @@ import tty
 import pytest
 import serial
 
-from hil.clock import MonotonicClock
 from hil.config.imu import ImuConfig
 from hil.drivers.imu import Bno055Imu
-from hil.errors import DeviceError
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS, World
-from hil.signals import Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.signals import Status
 
 
 class PtyFace:

@@ -8,7 +8,7 @@ from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 PERIOD_NS = 4_000_000
 

@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
-from hil.campaign.spread import spread
 from hil.drivers.tracker.library import realsense
-from hil.errors import HilError
-from hil.extras import DISTRIBUTION, how_to_install
 from hil.monitor import RerunMonitor
+from hil.procedure.campaign.spread import spread
 from hil.recording.export import write_table
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.extras import DISTRIBUTION, how_to_install
 
 ROOT = Path(__file__).resolve().parents[2]
 SHOWN = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "docs").rglob("*.yml")]

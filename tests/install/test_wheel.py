@@ -4,6 +4,7 @@ import email
 import importlib.metadata
 import json
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -29,11 +30,12 @@ def wheel(tmp_path_factory):
     for name in listed:
         if (ROOT / name).exists():
             (source / name).parent.mkdir(parents=True, exist_ok=True)
-            (source / name).write_bytes((ROOT / name).read_bytes())
+            shutil.copy(ROOT / name, source / name, follow_symlinks=False)
     build = ("-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", str(out))
     subprocess.run([sys.executable, *build, str(source)], check=True, capture_output=True)
     (found,) = out.glob("hil_4wis4wid-*.whl")
-    return found, [name for name in listed if name.startswith(("hil/", "procedures/"))]
+    inside = [f"hil/{name}" if name.startswith("procedures/") else name for name in listed]
+    return found, [name for name in inside if name.startswith("hil/") and name != "hil/procedures"]
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +75,7 @@ def call(unpacked, folder, *arguments):
 
 
 def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
-    where = "import hil, procedures; print(hil.__file__); print(procedures.__file__)"
+    where = "import hil, hil.procedures; print(hil.__file__); print(hil.procedures.__file__)"
     assert all(line.startswith(str(unpacked)) for line in call(unpacked, tmp_path, "-c", where).splitlines())
     assert json.loads(call(unpacked, tmp_path, "-m", "hil", "info", "--json"))["extras"]
     ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", "--out", "o", "--json"))

@@ -5,10 +5,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil import contact_laws as law
 from hil.estimator.friction import creep_twist, friction_twist
 from hil.estimator.layout import contacts
-from hil.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
+from hil.robot import contact_laws as law
+from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
 
 CAD = WheelGeometry.nominal()
 LOAD = np.array([0.5, 1.4, 1.5, 0.6])

@@ -6,10 +6,10 @@ import socket
 import numpy as np
 
 import hil
-from hil.clock import MonotonicClock
 from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, World
+from hil.vocabulary.clock import MonotonicClock
 
 SECOND = 1_000_000_000
 

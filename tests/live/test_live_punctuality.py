@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.clock import Clock, MonotonicClock
-from hil.punctuality import Distribution, Laps, LoopStatistics
-from hil.realtime import RealTime
+from hil.ring.loop_timing import Distribution, Laps, LoopStatistics
+from hil.ring.realtime import RealTime
+from hil.vocabulary.clock import Clock, MonotonicClock
 
 MS = 1_000_000
 

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 import hil
-from hil.errors import DataError, SafetyStop, UsageError
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import DataError, SafetyStop, UsageError
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.01, 0.0), duration_s=1.2)
 

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import NatNetMocap
 from hil.fakes.faults import FaultPlan, parse_fault
@@ -15,6 +14,7 @@ from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
 from hil.fakes.plant_api import PlantState
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
+from hil.vocabulary.clock import MonotonicClock
 
 
 class Climber:

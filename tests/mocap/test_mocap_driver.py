@@ -8,9 +8,9 @@ import pytest
 
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import Datagram, NatNetMocap
-from hil.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.fakes.mocap import MocapTruthOptions
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.signals import Status
 
 NOISY = MocapTruthOptions(stalls_per_s=0.0)
 

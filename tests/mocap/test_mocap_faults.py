@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hil.errors import DeviceTimeoutError, FaultNotSupportedError
 from hil.fakes.faults import parse_fault
 from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.signals import Status
 
 
 def kinds(samples):

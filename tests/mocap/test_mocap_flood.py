@@ -7,11 +7,11 @@ from types import SimpleNamespace
 import natnet_builder as build
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import Datagram
 from hil.drivers.mocap.datagrams import _MOST_PER_WINDOW, _WINDOW_NS, UdpPort
 from hil.drivers.mocap.session import Session
+from hil.vocabulary.clock import MonotonicClock
 
 SERVER = ("127.0.0.1", 1510)
 OTHER = ("127.0.0.1", 4242)

@@ -13,13 +13,13 @@ import pytest
 from natnet import NatNetClient
 from natnet.version import Version
 
-from hil.clock import MonotonicClock
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import NatNetMocap
 from hil.drivers.mocap.datagrams import UdpPort
-from hil.errors import DeviceError, DeviceTimeoutError
 from hil.fakes.mocap import NatNetFace, NatNetServer
 from hil.fakes.world import World
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 
 GROUP = f"239.255.42.{1 + os.getpid() % 250}"
 VERSIONS = [(3, 1), (4, 0), (4, 1)]

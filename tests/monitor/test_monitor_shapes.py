@@ -7,8 +7,6 @@ import math
 import numpy as np
 import pytest
 
-from hil.geometry import compose
-from hil.kinematics import WheelGeometry
 from hil.monitor.shapes import (
     Trail,
     body_outline,
@@ -18,6 +16,8 @@ from hil.monitor.shapes import (
     to_view,
     wheel_segments,
 )
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import compose
 
 GEOMETRY = WheelGeometry.nominal()
 POSE = np.array([1.2, -0.4, 0.3])

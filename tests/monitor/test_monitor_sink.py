@@ -10,13 +10,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.errors import UsageError
-from hil.loop import observed
 from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
 from hil.monitor.series import Series, SeriesCollector, conditions, observer_covariances, observer_poses
 from hil.monitor.sink import split_targets
-from hil.signals import (
+from hil.ring.loop import observed
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.signals import (
     SERVOS,
     CycleRecord,
     Event,

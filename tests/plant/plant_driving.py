@@ -4,16 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from hil.clock import NS_PER_S
 from hil.config.control import ControlConfig
 from hil.config.robot import RobotConfig
 from hil.controller import make_controller
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant_api import JointCommand
-from hil.geometry import compose, se2_exp
-from hil.kinematics import WheelGeometry, forward, inverse
-from hil.signals import RobotState, Stamp, WheelMeasurement
-from hil.trajectories import line
+from hil.robot.kinematics import WheelGeometry, forward, inverse
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import compose, se2_exp
+from hil.vocabulary.signals import RobotState, Stamp, WheelMeasurement
 
 PERIOD_NS = 10_000_000
 MS_NS = 1_000_000

@@ -10,8 +10,8 @@ from hil.config.robot import RobotConfig
 from hil.fakes.faults import FaultPlan, make_fault
 from hil.fakes.plant import Patch, Surface
 from hil.fakes.plant.robot import GRAVITY_M_S2
-from hil.kinematics import WheelGeometry
-from hil.trajectories import circle
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.trajectories import circle
 
 WEIGHT_N = 3.25 * GRAVITY_M_S2
 

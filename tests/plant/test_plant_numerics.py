@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from plant_driving import FLOOR, MS_NS, build, drive, release, settle, wait
 
-from hil.errors import UsageError
 from hil.fakes.faults import FaultPlan, make_fault
 from hil.fakes.plant import Patch
 from hil.fakes.plant_api import JointCommand
+from hil.vocabulary.errors import UsageError
 
 
 def _differences(a, b):

@@ -8,12 +8,12 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.calibration.artefact import CalibrationFile, save_calibration
-from hil.clock import MonotonicClock
 from hil.config.bench import load_bench
 from hil.procedure.bench_source import BenchSource
-from hil.punctuality import LoopStatistics
 from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late
+from hil.ring.loop_timing import LoopStatistics
+from hil.vocabulary.clock import MonotonicClock
 
 pytest_plugins = ["pytester"]
 

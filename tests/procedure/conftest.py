@@ -4,10 +4,10 @@ import itertools
 
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
+from hil.vocabulary.clock import MonotonicClock
 
 
 class Scripted:

@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.recording.mcap_reader import RecordingReader
 from hil.report.run_page import write_run_page
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import MonotonicClock
 
 
 @procedure(name="climb", needs=("servos",), measurements=(Measurement("last", "1"),))

@@ -8,9 +8,9 @@ import sys
 
 import pytest
 
-from hil.errors import ConfigError
 from hil.procedure import Measurement, procedure
 from hil.procedure.journal import Journal, read_journal
+from hil.vocabulary.errors import ConfigError
 
 DONE = []
 

@@ -9,10 +9,10 @@ from xml.etree import ElementTree
 
 import pytest
 
-from hil.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
 from hil.procedure import Measurement, procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.operator import Answers, Terminal
+from hil.vocabulary.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
 
 LIMITS = (Measurement("good", "mm", high=10.0, rationale="because"), Measurement("seen", "s"))
 

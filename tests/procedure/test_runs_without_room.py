@@ -8,12 +8,12 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli.run import command
-from hil.errors import RecordingError
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.journal import Journal, read_journal
 from hil.recording.mcap_reader import read_cycles
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import RecordingError
 
 FULL = Path("/dev/full")
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from hil.bench import open_bench
-from hil.clock import MonotonicClock, nanoseconds
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.results import Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
+from hil.vocabulary.clock import MonotonicClock, nanoseconds
 
 SAFE_HEADING_RAD = math.radians(15.0)
 

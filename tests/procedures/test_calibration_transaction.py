@@ -8,11 +8,11 @@ import pytest
 
 from hil.bench import open_bench
 from hil.calibration.artefact import CalibrationFile, read_calibration, save_calibration
-from hil.calibration.shelf import Shelf, made_for
+from hil.calibration.versions import Shelf, made_for
 from hil.cli import main
 from hil.config.bench import load_bench
-from hil.errors import ConfigError
 from hil.procedure import BenchSource
+from hil.vocabulary.errors import ConfigError
 
 CONFIG = load_bench("emulated_floor")
 

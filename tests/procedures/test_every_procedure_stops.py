@@ -8,11 +8,11 @@ import pytest
 from procedure_runs import Nobody, Run, watched
 from struck_runs import WAYS, check, struck
 
-from hil.clock import MonotonicClock
 from hil.procedure.journal import read_journal
 from hil.procedure.parameters import make_parameters
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure, shipped_names
+from hil.vocabulary.clock import MonotonicClock
 
 SHORT = {
     "bring_up": {"watch_s": 2.0, "devices": "servos,mocap"},

@@ -5,8 +5,8 @@ import pytest
 from latency_truth import measured_and_true_ms
 from procedure_runs import assert_covered, run
 
-from procedures.latency import Parameters
-from procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
+from hil.procedures.latency import Parameters
+from hil.procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
 
 SHORT = {"reversals": 10}
 

@@ -7,14 +7,14 @@ import pytest
 from procedure_runs import Nobody, run, watched
 
 from hil.calibration.artefact import read_calibration
-from hil.calibration.shelf import Shelf
-from hil.clock import MonotonicClock
+from hil.calibration.versions import Shelf
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
+from hil.procedures.odometry_calibration import Parameters
+from hil.procedures.parts.odometry_rounds import improvement_bound, rise_beyond_chance
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
-from procedures.odometry_calibration import Parameters
-from procedures.parts.odometry_rounds import improvement_bound, rise_beyond_chance
+from hil.vocabulary.clock import MonotonicClock
 
 SMALL = {
     "motions": "line_x,line_y,circle_ccw,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,

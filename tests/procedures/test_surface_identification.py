@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.clock import MonotonicClock, nanoseconds
 from hil.config.bench import load_bench
-from hil.errors import ConfigError
 from hil.fakes.plant_api import JointCommand
 from hil.procedure import BenchSource
 from hil.procedure.dry_run import dry_run
 from hil.procedure.operator import Terminal
 from hil.procedure.runner import RunOptions, run_procedure
-from procedures import surface_identification
-from procedures.parts.surface_slip import rate
+from hil.procedures import surface_identification
+from hil.procedures.parts.surface_slip import rate
+from hil.vocabulary.clock import MonotonicClock, nanoseconds
+from hil.vocabulary.errors import ConfigError
 
 QUICK = {"length_m": "0.4", "hold_step_deg": "1"}
 DAMPING_N_S_M = 30.0

@@ -9,9 +9,9 @@ from procedure_runs import assert_covered, part, run, true_world
 
 from hil.config.bench import load_bench
 from hil.fakes.tracker import T265
-from hil.geometry import quat_from_rotvec, quat_multiply
-from procedures.parts.samples import Series
-from procedures.parts.tracker_hand_eye import Truth, intervals, solve
+from hil.procedures.parts.samples import Series
+from hil.procedures.parts.tracker_hand_eye import Truth, intervals, solve
+from hil.vocabulary.geometry import quat_from_rotvec, quat_multiply
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.clock import MonotonicClock
-from hil.geometry import wrap_array
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
-from hil.trajectories import line
-from procedures import grid_scan, wall_tracking
-from procedures.parts.tracking import tracking_errors
+from hil.procedures import grid_scan, wall_tracking
+from hil.procedures.parts.tracking import tracking_errors
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.geometry import wrap_array
 
 SHORT_LINES = {"length_m": 0.3, "duration_s": 8.0, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
 SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}

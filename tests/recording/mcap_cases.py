@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from hypothesis import strategies as st
 
-from hil.signals import (
+from hil.vocabulary.signals import (
     CycleRecord,
     EncoderSample,
     Event,

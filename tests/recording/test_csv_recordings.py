@@ -7,10 +7,10 @@ import pytest
 
 from hil.calibration.datasets import Log, build_recording, increasing
 from hil.calibration.synthetic import hidden_robot, simulate
-from hil.errors import DataError
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.recording.public_csv import read_pair
 from hil.recording.sources import read_recordings
+from hil.vocabulary.errors import DataError
 
 NAMES = [f"{w}_{k}" for w in ("BL", "BR", "FL", "FR") for k in ("Position", "Wheel")]
 

@@ -15,7 +15,6 @@ from mcap_cases import driving_record
 
 from hil.cli import main
 from hil.config.bench import load_bench
-from hil.errors import HilError
 from hil.live.playback import open_recording, verify_recording
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
@@ -24,7 +23,8 @@ from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
 from hil.recording.ros_messages import octet_array, string
 from hil.recording.runs import RunStart, read_runs
-from hil.signals import CycleRecord, RobotState
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.signals import CycleRecord, RobotState
 
 BOUNDED = settings(
     max_examples=15,

@@ -16,7 +16,7 @@ from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
 from hil.recording.cycle_layout import FORMAT, describe
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 
 @settings(max_examples=150)

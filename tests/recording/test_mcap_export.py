@@ -12,12 +12,12 @@ from click.testing import CliRunner
 from mcap_cases import driving_record
 
 from hil.cli.export import command
-from hil.errors import ConfigError, DataError, UsageError
 from hil.recording.export import COLUMNS, tabulate, to_recording, write_table
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.plain_csv import read_plain
 from hil.recording.rosbag import read_bag, read_topic_map
-from hil.signals import SERVOS
+from hil.vocabulary.errors import ConfigError, DataError, UsageError
+from hil.vocabulary.signals import SERVOS
 
 CYCLES = 300
 

@@ -15,11 +15,11 @@ from mcap_cases import PERIOD_NS, driving_record
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
-from hil.errors import DataError
 from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.ros_messages import TOPICS
+from hil.vocabulary.errors import DataError
 
 HEADER = {"seed": 7, "config": {"name": "test", "rate_hz": 100.0}, "versions": {"hil": "0"}}
 
@@ -248,7 +248,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_loop(tmp_path, mode):
 KILLED = """
 import sys
 from mcap_cases import PERIOD_NS, driving_record
-from hil.clock import MonotonicClock
+from hil.vocabulary.clock import MonotonicClock
 from hil.recording.mcap_writer import McapRecorder
 recorder = McapRecorder(sys.argv[1], {}, lossless=False)
 clock = MonotonicClock()

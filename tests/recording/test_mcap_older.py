@@ -11,7 +11,7 @@ from hil.config.bench import load_bench
 from hil.config.recorded import changed_since, recorded_bench
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
-from hil.trajectories import line
+from hil.robot.trajectories import line
 
 HERE = Path(__file__).parent
 

@@ -8,17 +8,12 @@ import numpy as np
 import pytest
 from mcap_cases import driving_record
 
-from hil.alignment import Alignment, AlignmentParameters
 from hil.bench.blueprint import Blueprint
 from hil.config.bench import load_bench
-from hil.errors import DataError, SafetyStop
-from hil.geometry import compose, se2_exp
-from hil.interfaces import Controller, Estimator
-from hil.kinematics import WheelGeometry, twist_of_vectors
-from hil.loop import Brain
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
-from hil.report.replay import (
+from hil.replay.page import write_replay_page
+from hil.replay.replay import (
     ESTIMATION,
     KINDS,
     RecordedReferences,
@@ -30,9 +25,14 @@ from hil.report.replay import (
     verify,
     verify_cycle,
 )
-from hil.report.replay_page import write_replay_page
-from hil.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
-from hil.supervisor import SafetyLimits, Supervisor
+from hil.ring.alignment import Alignment, AlignmentParameters
+from hil.ring.loop import Brain
+from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.robot.kinematics import WheelGeometry, twist_of_vectors
+from hil.vocabulary.errors import DataError, SafetyStop
+from hil.vocabulary.geometry import compose, se2_exp
+from hil.vocabulary.interfaces import Controller, Estimator
+from hil.vocabulary.signals import CycleRecord, Event, Reference, RobotState, WheelSetpoint
 
 GEOMETRY = WheelGeometry.nominal()
 START = RobotState(0, np.array([0.1, 1.0 / 3.0, 0.02]), np.zeros(3), np.eye(6) * 1e-6)

@@ -11,7 +11,6 @@ from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
 from hil.config.bench import load_bench
-from hil.kinematics import WheelGeometry
 from hil.recording.frames import FrameTree
 from hil.recording.ros_messages import (
     TOPICS,
@@ -22,7 +21,8 @@ from hil.recording.ros_messages import (
     text_of,
     transforms,
 )
-from hil.signals import SERVOS
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.signals import SERVOS
 
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()

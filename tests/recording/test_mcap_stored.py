@@ -8,14 +8,14 @@ import pytest
 from hypothesis import given, settings
 from mcap_cases import CYCLE_RECORDS, driving_record
 
-from hil.errors import DataError
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED, CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
 from hil.recording.cycle_layout import describe
 from hil.recording.mcap_reader import Note, RecordingReader
 from hil.recording.mcap_writer import McapRecorder
-from hil.signals import CycleRecord
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.signals import CycleRecord
 
 ENCODER, DECODER = CycleEncoder(), CycleDecoder(describe())
 

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
-from hil.kinematics import NOMINAL_RADIUS_M
+from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 MAPPING = """
 schema = 1

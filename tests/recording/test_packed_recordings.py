@@ -19,13 +19,13 @@ from mcap_cases import driving_record
 from test_mcap_topics import MAPPING, write_bag
 
 from hil.cli import main
-from hil.errors import DataError
 from hil.recording import unpacking
 from hil.recording.mcap_reader import RecordingReader, top_level
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.rosbag import read_bag, read_topic_map
 from hil.recording.sources import find_recordings
 from hil.recording.unpacking import Allowance, chunk_data
+from hil.vocabulary.errors import DataError
 
 MIB = 1 << 20
 MOST_MEMORY_BYTES = 200 * MIB

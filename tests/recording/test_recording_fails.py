@@ -9,13 +9,13 @@ import pytest
 from mcap_cases import driving_record
 
 import hil
-from hil.errors import EXIT_ABORTED, RecordingError
-from hil.interfaces import Sink
 from hil.live.playback import open_recording, verify_recording
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
-from hil.signals import CycleRecord
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import EXIT_ABORTED, RecordingError
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
 
 AHEAD = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0)
 

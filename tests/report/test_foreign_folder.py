@@ -13,9 +13,9 @@ import pytest
 from click.testing import CliRunner
 
 from hil.cli import cli, main
-from hil.errors import DataError
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
+from hil.vocabulary.errors import DataError
 
 EVIL = '"><script>document.title = "ran"</script><img src="http://127.0.0.1:{port}/text" onerror="alert(1)">'
 SVG = """<?xml version="1.0"?>

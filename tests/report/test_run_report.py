@@ -12,9 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.clock import MonotonicClock
 from hil.config.bench import BenchConfig
-from hil.errors import DataError, UsageError
 from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
@@ -22,6 +20,8 @@ from hil.report.figures import figure_image, themed_svg
 from hil.report.result_file import read_result
 from hil.report.run_page import bar, write_run_page
 from hil.report.run_plots import PALETTE, legend, new_figure, plain_log, style
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError, UsageError
 
 SCRIPTED = SimpleNamespace(ask=lambda question: "yes")
 

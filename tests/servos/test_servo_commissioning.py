@@ -3,7 +3,7 @@
 import pytest
 
 from hil.drivers.servos import FoundServo, scan, set_up
-from hil.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 
 PORT = "hil://servos"
 

@@ -7,11 +7,11 @@ import pytest
 from servo_client import Client
 from servo_wire import Wire
 
-from hil.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError, UsageError
 from hil.fakes.faults import parse_fault
 from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.servos import BUS_FAULTS, SERVO_FAULTS
-from hil.signals import ServoSetpoint, Status
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError, UsageError
+from hil.vocabulary.signals import ServoSetpoint, Status
 
 SECOND = 1_000_000_000
 CYCLE_NS = 10_000_000

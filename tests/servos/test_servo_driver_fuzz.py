@@ -11,12 +11,12 @@ from servo_wire import JointPlant
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import XH430Servos, scan, set_up
 from hil.drivers.servos.packets import GroupRead, find_statuses
-from hil.errors import DeviceError, HilError
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, protocol
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import VirtualClock, World
-from hil.signals import Status
+from hil.vocabulary.errors import DeviceError, HilError
+from hil.vocabulary.signals import Status
 
 SECOND = 1_000_000_000
 STATUSES = st.builds(protocol.status, st.integers(0, 253), st.integers(0, 255), st.binary(max_size=20))

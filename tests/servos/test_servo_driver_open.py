@@ -7,13 +7,13 @@ import pytest
 from servo_client import ALL, word
 
 from hil.cli.setup import command as setup
-from hil.clock import MonotonicClock
 from hil.config.servos import ServosConfig
 from hil.config.xh430 import BAUD_RATES, TABLE
 from hil.drivers.servos import XH430Servos, set_up
 from hil.drivers.servos.packets import instruction
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.signals import ServoSetpoint, Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.signals import ServoSetpoint, Status
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from hil.drivers.servos.packets import find_statuses, instruction
 from hil.fakes.plant import make_plant
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
-from hil.signals import ServoSetpoint
+from hil.vocabulary.signals import ServoSetpoint
 
 STEP_NS = 1_000_000
 

@@ -7,8 +7,8 @@ from hil.config.servos import ServosConfig
 from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.packets import GoalWrite
-from hil.errors import UsageError
-from hil.signals import ServoSetpoint
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.signals import ServoSetpoint
 
 LOW, HIGH = 700, 3400
 

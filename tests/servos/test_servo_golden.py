@@ -10,7 +10,7 @@ from hil.config.xh430 import RAD_PER_COUNT
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import GoalWrite, GroupRead, find_statuses, instruction
 from hil.fakes.servos import protocol
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 GOLDEN = json.loads((Path(__file__).parents[1] / "golden" / "dynamixel_vectors.json").read_text())
 ASKED = {name: bytes.fromhex(text) for name, text in GOLDEN["instructions"].items()}

@@ -28,7 +28,7 @@ from hil.config.xh430 import BAUD_RATES
 from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
 from hil.fakes.plant_api import JointCommand
 from hil.fakes.servos import protocol
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 IDS = bytes(range(1, 9))
 POSITION = where("present_position")

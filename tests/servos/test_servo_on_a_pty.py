@@ -21,16 +21,16 @@ from dynamixel_sdk import (
 )
 from servo_wire import JointPlant
 
-from hil.clock import MonotonicClock
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import XH430Servos, scan
-from hil.errors import DeviceError, DeviceTimeoutError
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.servos import ServoBus, ServoBusOptions
 from hil.fakes.world import World
-from hil.signals import ServoSetpoint, Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.signals import ServoSetpoint, Status
 
 IDS = range(1, 9)
 

@@ -3,9 +3,9 @@
 import pytest
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos.outage import OutageWatch
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.signals import Status
+from hil.drivers.servos.timeouts import OutageWatch
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.signals import Status
 
 LIMIT_NS = 500_000_000
 

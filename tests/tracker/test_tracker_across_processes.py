@@ -8,13 +8,13 @@ import threading
 import numpy as np
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.tracker import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD, TrackerConfig
 from hil.drivers.tracker import FeedPipeline, T265Tracker
-from hil.errors import DeviceError
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import TrackerFace
-from hil.signals import Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.signals import Status
 
 
 @contextlib.contextmanager

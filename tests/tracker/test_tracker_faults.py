@@ -5,13 +5,13 @@ import sys
 import numpy as np
 import pytest
 
-from hil.clock import MonotonicClock
 from hil.config.tracker import TrackerConfig
 from hil.drivers.tracker import T265Tracker
-from hil.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.fakes.faults import parse_fault
 from hil.fakes.tracker import SUPPORTED_FAULTS, TrackerTruthOptions
-from hil.signals import Status
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.signals import Status
 
 
 def kinds(samples):

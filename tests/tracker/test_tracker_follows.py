@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from hil.alignment import Alignment, AlignmentParameters, Mount
 from hil.fakes.tracker import TrackerTruthOptions
-from hil.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
-from hil.signals import Inputs, Status
+from hil.ring.alignment import Alignment, AlignmentParameters, Mount
+from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
+from hil.vocabulary.signals import Inputs, Status
 
 TILTED = tuple(float(v) for v in quat_from_rotvec([0.05, -0.3, 0.2]))
 WALL, FLOOR = math.pi / 2, 0.0

@@ -9,7 +9,7 @@ from hil.bench.discover import discover
 from hil.config.tracker import TrackerConfig
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.library import PlainLibrary, StreamRequest
-from hil.errors import DeviceError
+from hil.vocabulary.errors import DeviceError
 
 OTHER = ("Intel RealSense D435", "1234")
 

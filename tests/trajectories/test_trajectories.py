@@ -6,12 +6,12 @@ import math
 import numpy as np
 import pytest
 
-from hil import trajectories as tr
-from hil.errors import DataError, TrajectoryError, UsageError
-from hil.geometry import rotation2
-from hil.kinematics import WheelGeometry
-from hil.motion_limits import MotionLimits, check
-from hil.signals import Reference
+from hil.robot import trajectories as tr
+from hil.robot.kinematics import WheelGeometry
+from hil.robot.motion_limits import MotionLimits, check
+from hil.vocabulary.errors import DataError, TrajectoryError, UsageError
+from hil.vocabulary.geometry import rotation2
+from hil.vocabulary.signals import Reference
 
 CAD = WheelGeometry.nominal().projection()
 ORIGIN = np.zeros(3)

@@ -6,14 +6,14 @@ import threading
 import pytest
 import serial
 
-from hil.clock import MonotonicClock
-from hil.errors import FaultNotSupportedError, UsageError
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import World
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import FaultNotSupportedError, UsageError
 
 
 class Still:

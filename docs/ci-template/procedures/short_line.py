@@ -1,7 +1,7 @@
 """A procedure: what it measures and within which limits; `hil run` gives verdict and report."""
 
 from hil.procedure import Context, Measurement, procedure
-from hil.trajectories import line
+from hil.robot.trajectories import line
 
 
 @procedure(

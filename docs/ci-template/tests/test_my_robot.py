@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.errors import DeviceTimeoutError
-from hil.trajectories import line
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import DeviceTimeoutError
 
 UP = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=4.0)
 

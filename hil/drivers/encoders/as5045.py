@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 COUNTS = 4096
 _RAD_PER_COUNT = 2.0 * math.pi / COUNTS

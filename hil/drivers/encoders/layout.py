@@ -15,7 +15,7 @@ from cantools.database import Error as CantoolsError
 from cantools.database import UnsupportedDatabaseFormatError
 
 from hil.config.encoders import EncodersConfig
-from hil.errors import DataError
+from hil.vocabulary.errors import DataError
 
 SEQUENCE, NODE_TIME = "Sequence", "NodeTime"
 _WORD_BITS = 18

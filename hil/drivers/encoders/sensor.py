@@ -10,14 +10,14 @@ from typing import Any
 import can
 import numpy as np
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders.as5045 import decode_word
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.timeline import ArrivalClock, NodeTimeline
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.interfaces import Sensor
-from hil.signals import EncoderSample, Stamp, Status
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import EncoderSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 

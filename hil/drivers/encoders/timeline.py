@@ -7,7 +7,7 @@ prompt frame shows that earlier ones were late, times go on from where they are 
 
 from __future__ import annotations
 
-from hil.clock import NS_PER_S
+from hil.vocabulary.clock import NS_PER_S
 
 _LEAK = 200e-6
 _RESTART_NS = 250_000_000

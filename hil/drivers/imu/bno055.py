@@ -10,16 +10,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.imu import ImuConfig
 from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
 from hil.drivers.imu.link import ExchangeError, Link
 from hil.drivers.stuck import StuckTest
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.interfaces import Sensor
-from hil.signals import ImuSample, Stamp, Status
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import ImuSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 

@@ -11,7 +11,7 @@ import struct
 
 import numpy as np
 
-from hil.signals import ImuSample, Stamp, Status
+from hil.vocabulary.signals import ImuSample, Stamp, Status
 
 START, LENGTH, MEASURED = 0x14, 34, 32
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import tomli_w
 
-from hil.errors import DataError
-from hil.files import write_text
-from hil.reading import read_text, toml_tables
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import write_text
+from hil.vocabulary.reading import read_text, toml_tables
 
 SIZE = 22
 _MOST_BYTES = 1 << 16

@@ -6,13 +6,13 @@ All of it happens in CONFIG mode, which the chip is brought into and out of here
 
 from __future__ import annotations
 
-from hil.clock import Clock, nanoseconds
 from hil.config.imu import ImuConfig
 from hil.drivers.imu.calibration import SIZE as CALIBRATION_SIZE
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.link import ExchangeError, Link
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.signals import Status
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.signals import Status
 
 OPR_MODE = 0x3D
 REMEDY = "check power, wiring, baud rate and that the PS1 pin selects UART"

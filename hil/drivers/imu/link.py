@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.clock import Clock, nanoseconds
 from hil.config.imu import ImuConfig
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
-from hil.signals import Status
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.signals import Status
 
 READ, WRITE = 0x01, 0x00
 STATUS_TEXT = {

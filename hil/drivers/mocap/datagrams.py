@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
-from hil.clock import NS_PER_S, Clock
+from hil.vocabulary.clock import NS_PER_S, Clock
 
 Address: TypeAlias = tuple[str, int]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hil.clock import Clock
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap.packets import ServerInfo
 from hil.drivers.mocap.session import NewFrame, Session
-from hil.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 
 _WAIT_NS = 1_000_000
 _ASK_AGAIN_NS = 250_000_000

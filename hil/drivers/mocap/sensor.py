@@ -8,7 +8,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.mocap import MocapConfig
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
@@ -17,9 +16,10 @@ from hil.drivers.mocap.frames import BodyPose, Frame
 from hil.drivers.mocap.handshake import Handshake
 from hil.drivers.mocap.session import Session
 from hil.drivers.stuck import StuckTest
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.interfaces import Sensor
-from hil.signals import MocapSample, Stamp, Status
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import MocapSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 

@@ -6,7 +6,6 @@ import logging
 from collections.abc import Iterator
 from typing import TypeAlias
 
-from hil.clock import Clock, nanoseconds
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap.datagrams import Address, Datagram, DatagramFactory, DatagramPort
 from hil.drivers.mocap.frames import Frame, frame_number, parse_frame
@@ -19,6 +18,7 @@ from hil.drivers.mocap.packets import (
     request,
     split,
 )
+from hil.vocabulary.clock import Clock, nanoseconds
 
 _LOG = logging.getLogger(__name__)
 

@@ -14,12 +14,12 @@ from dynamixel_sdk import (
     PacketHandler,
 )
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
 from hil.drivers.servos.port import PortLost, ServoPort
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.signals import Status
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.signals import Status
 
 T = TypeVar("T")
 

@@ -11,8 +11,8 @@ import logging
 import threading
 from collections.abc import Callable
 
-from hil.clock import Clock, nanoseconds
-from hil.errors import HilError
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import HilError
 
 _LOG = logging.getLogger(__name__)
 

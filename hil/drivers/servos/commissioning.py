@@ -5,15 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from hil.clock import Clock
 from hil.config.xh430 import BAUD_CODES, BAUD_RATES, TABLE, Register
 from hil.drivers.servos import packets
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import find_statuses
 from hil.drivers.servos.port import ServoPort
-from hil.errors import DeviceError, UsageError
-from hil.signals import Status
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import DeviceError, UsageError
+from hil.vocabulary.signals import Status
 
 _DEVICE = "servos"
 _LATENCY_S, _SLACK_S = 0.016, 0.004  # an adapter as delivered must do here

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
-from hil.signals import Status
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.signals import Status
 
 _DEAD_AFTER = 3
 _AGE_NS = 2_500_000

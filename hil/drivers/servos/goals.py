@@ -15,8 +15,8 @@ from hil.config.xh430 import COUNTS_PER_TURN, POSITION, RAD_PER_COUNT, RAD_S_PER
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.identity import expected_mode
 from hil.drivers.servos.packets import GoalWrite
-from hil.errors import UsageError
-from hil.signals import ServoSetpoint
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.signals import ServoSetpoint
 
 _FARTHEST = 1_048_575
 """Counts from zero that extended position mode takes."""

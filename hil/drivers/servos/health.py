@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.clock import Clock, nanoseconds
 from hil.config.servos import ServosConfig
 from hil.config.xh430 import TABLE
 from hil.drivers.servos.cycle import Reading
-from hil.signals import ServoHealth, Stamp, Status
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.signals import ServoHealth, Stamp, Status
 
 _VOLT = TABLE["present_input_voltage"].scale
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-from hil.clock import NS_PER_S, Clock
 from hil.config.servos import STEER_MODES, ServosConfig
 from hil.config.xh430 import (
     BAUD_RATES,
@@ -23,9 +22,10 @@ from hil.drivers.serial_url import latency_timer
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import Answer
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.finding import Finding
-from hil.signals import SERVOS, Status
+from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.signals import SERVOS, Status
 
 _PAUSE_NS = 100_000_000
 _PATIENCE_NS = 1_500_000_000

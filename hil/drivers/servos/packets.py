@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from fastcrc import crc16
 
-from hil.signals import Status
+from hil.vocabulary.signals import Status
 
 BROADCAST = 0xFE
 ALERT, ERROR_NUMBER = 0x80, 0x7F

@@ -14,8 +14,8 @@ from typing import Any
 
 from dynamixel_sdk import PortHandler
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 
 _BITS = 10
 _SMALLEST_TIMEOUT_S = 1e-4

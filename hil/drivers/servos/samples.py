@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.clock import Clock
 from hil.config.xh430 import (
     A_PER_COUNT,
     RAD_PER_COUNT,
@@ -17,10 +16,11 @@ from hil.config.xh430 import (
 )
 from hil.drivers.servos import registers as reg
 from hil.drivers.servos.cycle import ALL_OK, Reading
-from hil.drivers.servos.turns import TurnCounter
-from hil.drivers.servos.upkeep import Upkeep
-from hil.geometry import Array
-from hil.signals import SERVOS, ServoSample, Stamp, Status
+from hil.drivers.servos.multi_turn import TurnCounter
+from hil.drivers.servos.restoring import Upkeep
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import SERVOS, ServoSample, Stamp, Status
 
 _LOG = logging.getLogger(__name__)
 

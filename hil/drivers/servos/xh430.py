@@ -17,7 +17,6 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from hil.clock import Clock, nanoseconds
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import identity as ident
 from hil.drivers.servos import registers as reg
@@ -26,14 +25,15 @@ from hil.drivers.servos.caretaker import Caretaker
 from hil.drivers.servos.cycle import CycleReader, Reading
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
-from hil.drivers.servos.outage import OutageWatch
 from hil.drivers.servos.port import ServoPort
+from hil.drivers.servos.restoring import Upkeep
 from hil.drivers.servos.samples import Samples
-from hil.drivers.servos.upkeep import Upkeep
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.finding import Finding
-from hil.interfaces import Actuators
-from hil.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
+from hil.drivers.servos.timeouts import OutageWatch
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.interfaces import Actuators
+from hil.vocabulary.signals import SERVOS, ServoHealth, ServoHold, ServoSample, ServoSetpoint, Status
 
 _LOG = logging.getLogger(__name__)
 

@@ -10,9 +10,9 @@ import importlib
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from hil.clock import Clock, nanoseconds
-from hil.errors import DeviceError
-from hil.extras import how_to_install
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.extras import how_to_install
 
 MODEL = "T265"
 LAST_VERSION = "2.53.1"

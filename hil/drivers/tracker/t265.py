@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 
-from hil.clock import NS_PER_S, Clock, nanoseconds
 from hil.config.tracker import TrackerConfig
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
@@ -31,9 +30,10 @@ from hil.drivers.tracker.library import (
     find_camera,
     realsense,
 )
-from hil.errors import DeviceError, DeviceTimeoutError
-from hil.interfaces import Sensor
-from hil.signals import Stamp, Status, TrackerSample
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import Stamp, Status, TrackerSample
 
 _LOG = logging.getLogger(__name__)
 

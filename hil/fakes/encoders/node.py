@@ -20,7 +20,7 @@ from hil.fakes.encoders.as5045 import (
 )
 from hil.fakes.faults import PERIODIC, STRIKES, Fault, Supported
 from hil.fakes.world import Scheduled, World
-from hil.signals import WHEELS
+from hil.vocabulary.signals import WHEELS
 
 AXIS_FAULTS: Supported = {
     "off": (),

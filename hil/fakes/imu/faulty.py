@@ -7,11 +7,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hil.clock import nanoseconds
 from hil.fakes.faults import PERIODIC, DeviceFaults, FaultPlan, Supported
 from hil.fakes.imu import uart
 from hil.fakes.imu.output import EMPTY
 from hil.fakes.imu.sensors import Sensed
+from hil.vocabulary.clock import nanoseconds
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),

@@ -15,7 +15,7 @@ from hil.fakes.imu.registers import (
     Mode,
 )
 from hil.fakes.imu.sensors import GRAVITY_M_S2, Sensed
-from hil.geometry import Four as Quaternion
+from hil.vocabulary.geometry import Four as Quaternion
 
 _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size

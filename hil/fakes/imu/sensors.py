@@ -16,8 +16,8 @@ import numpy as np
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import PlantState
-from hil.geometry import Four as Quaternion
-from hil.geometry import multiplied
+from hil.vocabulary.geometry import Four as Quaternion
+from hil.vocabulary.geometry import multiplied
 
 GRAVITY_M_S2 = 9.80665
 _FIELD_UT = (22.0, 0.0, -42.0)

@@ -8,12 +8,12 @@ import heapq
 import itertools
 import socket
 
-from hil.errors import DeviceError
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap.network import Address
 from hil.fakes.mocap.server import NatNetServer, Outlet
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS
+from hil.vocabulary.errors import DeviceError
 
 _LARGEST = 65535
 

@@ -11,14 +11,14 @@ from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import UsageError
 from hil.fakes.mocap import encode
 from hil.fakes.mocap.capture import CaptureVolume, SeenBody
 from hil.fakes.mocap.faulty import SUPPORTED_FAULTS, MocapFaults
 from hil.fakes.mocap.network import Address, WorldNetwork, WorldPort
 from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.world import Scheduled, World
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import UsageError
 
 __all__ = ["SUPPORTED_FAULTS", "NatNetServer", "Outlet"]
 

@@ -12,7 +12,7 @@ from functools import cache
 from typing import cast
 
 from hil.fakes.plant import kernel
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 Advance = Callable[[int, float, Array, Array, Array], None]
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import math
 
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 # Modes of a joint.
 MODE_OFF, MODE_VELOCITY, MODE_POSITION, MODE_PWM, MODE_CURRENT = range(5)

@@ -12,8 +12,8 @@ import numpy as np
 
 from hil.config.robot import RobotConfig
 from hil.fakes.plant.surfaces import Surface
-from hil.geometry import Array
-from hil.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
 
 _STEERING_SIGMA_RAD = math.radians(1.0)
 

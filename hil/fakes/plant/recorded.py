@@ -11,10 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.clock import NS_PER_S, nanoseconds
-from hil.errors import DataError
 from hil.fakes.plant_api import JointCommand, Plant, PlantState
-from hil.geometry import Array
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
 
 _GRID_S = 0.005
 _POSE_WINDOW, _JOINT_WINDOW, _ORDER = 51, 21, 3
@@ -32,7 +32,7 @@ class RecordedMotion:
     Attributes:
         name: for messages.
         t_s: (n,) increasing; `pose_t_s` (m,) shares its axis.
-        joint_rad: (n, 8) servo angles, order `hil.signals.SERVOS`.
+        joint_rad: (n, 8) servo angles, order `hil.vocabulary.signals.SERVOS`.
         pose: (m, 3) body in wall: m, m, rad unwrapped.
     """
 

@@ -10,16 +10,16 @@ import math
 
 import numpy as np
 
-from hil.clock import NS_PER_S
 from hil.config.robot import RobotConfig
-from hil.errors import UsageError
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import kernel as k
 from hil.fakes.plant.compiled import choose_advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
 from hil.fakes.plant_api import JointCommand, Plant, PlantState
-from hil.geometry import Array, ArrayLike
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array, ArrayLike
 
 GRAVITY_M_S2 = 9.81
 FALL_SLIDE_M = 0.05

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hil.errors import UsageError
+from hil.vocabulary.errors import UsageError
 
 
 @dataclass(frozen=True)

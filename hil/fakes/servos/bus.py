@@ -8,16 +8,16 @@ heat, voltage and overload.
 from __future__ import annotations
 
 from hil.fakes.servos import protocol
-from hil.fakes.servos.cadence import Cadence
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
 from hil.fakes.servos.options import ServoBusOptions
 from hil.fakes.servos.protocol import Instruction, InstructionParser
+from hil.fakes.servos.sampling import Cadence
 from hil.fakes.servos.sensing import GRID_NS, Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.single import SingleInstructions, identification
-from hil.fakes.servos.wear import Wear
+from hil.fakes.servos.thermal import Wear
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
 
@@ -29,7 +29,7 @@ _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
 class ServoBus(SerialChip, Scheduled):
-    """A `SerialChip` with eight servos behind it, joint by joint as in `hil.signals.SERVOS`.
+    """A `SerialChip` with eight servos behind it, joint by joint as in `hil.vocabulary.signals.SERVOS`.
 
     Args:
         world: plant, seed and faults; the bus registers itself as a part.

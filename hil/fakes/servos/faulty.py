@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.clock import nanoseconds
 from hil.config.xh430 import RAD_PER_COUNT
 from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Supported
-from hil.signals import SERVOS
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.signals import SERVOS
 
 BUS_FAULTS: Supported = {
     "off": (),

@@ -6,7 +6,7 @@ from hil.config.xh430 import TABLE
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
-from hil.fakes.servos.wear import Wear
+from hil.fakes.servos.thermal import Wear
 
 _FIRST, _END = TABLE["realtime_tick"].address, TABLE["backup_ready"].address
 _INDIRECT = TABLE["indirect_data_1"].address

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.xh430 import A_PER_COUNT, RAD_PER_COUNT, RAD_S_PER_COUNT
 from hil.fakes.plant_api import Plant
-from hil.geometry import Array
+from hil.vocabulary.geometry import Array
 
 GRID_NS = 4_000_000
 _GRID_S = GRID_NS * 1e-9

@@ -38,7 +38,7 @@ class Servo:
     """State of one servo without its bus.
 
     Attributes:
-        joint: index in the plant and in `hil.signals.SERVOS`.
+        joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
         table: the control table.
         axis: the motor, and what it is asked for.
         dead: without power.

@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import socket
 
-from hil.clock import nanoseconds
 from hil.config.tracker import (
     FEED_HEAD,
     FEED_INFO,
@@ -19,11 +18,12 @@ from hil.config.tracker import (
     INFO_RECORD,
     POSE_RECORD,
 )
-from hil.errors import DeviceError
 from hil.fakes.server import Face
 from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
 from hil.fakes.tracker.t265 import T265
 from hil.fakes.world import NEVER_NS
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import DeviceError
 
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048

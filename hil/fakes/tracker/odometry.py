@@ -14,7 +14,7 @@ import numpy as np
 
 from hil.fakes.plant_api import PlantState
 from hil.fakes.tracker.options import TrackerTruthOptions
-from hil.geometry import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
+from hil.vocabulary.geometry import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
 
 _BLOCK = 512
 _DRAWS = 16

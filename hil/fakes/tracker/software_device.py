@@ -9,10 +9,10 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from hil.errors import DeviceError
-from hil.extras import how_to_install
 from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
 from hil.fakes.tracker.t265 import RATE_HZ, T265
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.extras import how_to_install
 
 _STREAM_UID = 1
 

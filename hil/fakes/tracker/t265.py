@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections import deque
 
-from hil.clock import NS_PER_S, nanoseconds
 from hil.fakes.plant_api import PlantState
 from hil.fakes.tracker.faulty import SUPPORTED_FAULTS, TrackerFaults
 from hil.fakes.tracker.frames import MODEL, FrameCallback, PoseFrame, WorldPipeline
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.tracker.options import TrackerTruthOptions
 from hil.fakes.world import NEVER_NS, Scheduled, World
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
 
 __all__ = ["SUPPORTED_FAULTS", "T265"]
 

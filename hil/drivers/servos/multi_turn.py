@@ -1,0 +1,71 @@
+"""Multi-turn positions that go on counting when a servo starts over within one turn.
+
+A register in velocity mode counts turns until the servo restarts; then it shows one turn again. A
+change that no motor could have made since the last reading is such a restart.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.config.xh430 import COUNTS_PER_TURN, RAD_PER_COUNT
+from hil.vocabulary.geometry import Array
+
+_TOP_COUNTS_S = 6.5 / RAD_PER_COUNT
+_MARGIN_COUNTS = 512
+_WORD = 1 << 32
+_COASTING_S = 0.1
+
+Counts = np.ndarray
+
+
+class TurnCounter:
+    """Adds the turns that the registers of eight servos have lost.
+
+    Attributes:
+        offset: (8,) counts to add to a register.
+    """
+
+    def __init__(self) -> None:
+        self.offset: Counts = np.zeros(8, dtype=np.int64)
+        self._last: Counts = np.zeros(8, dtype=np.int64)
+        self._last_ns = np.zeros(8, dtype=np.int64)
+        self._speed: Array = np.zeros(8)
+        self._known = np.zeros(8, dtype=bool)
+        self._restarted = np.zeros(8, dtype=bool)
+
+    def restarted(self, joint: int) -> None:
+        """It is known that a servo has started over: its next reading is bridged to the nearest turn."""
+        self._restarted[joint] = True
+
+    def follow(self, raw: Counts, speed: Array, seen: np.ndarray, t_ns: int) -> tuple[Counts, np.ndarray]:
+        """Continuous counts, and which servos have started over.
+
+        Args:
+            raw: (8,) registers.
+            speed: (8,) counts/s, to bridge a gap.
+            seen: (8,) whether the servo answered.
+            t_ns: time of the reading.
+        """
+        counts = raw + self.offset
+        elapsed_s = (t_ns - self._last_ns) * 1e-9
+        change = counts - self._last
+        impossible = np.abs(change) > _TOP_COUNTS_S * elapsed_s + _MARGIN_COUNTS
+        jumped = seen & self._known & (impossible | self._restarted)
+        if jumped.any():
+            counts = self._bridge(counts, change, jumped, elapsed_s)
+            self._restarted &= ~jumped
+        self._last = np.where(seen, counts, self._last)
+        self._last_ns = np.where(seen, t_ns, self._last_ns)
+        self._speed = np.where(seen, speed, self._speed)
+        self._known |= seen
+        return counts, jumped
+
+    def _bridge(self, counts: Counts, change: Counts, jumped: np.ndarray, elapsed_s: np.ndarray) -> Counts:
+        excess = change - self._speed * np.minimum(elapsed_s, _COASTING_S)
+        words = np.rint(excess / _WORD).astype(np.int64) * _WORD
+        turns = np.rint((excess - words) / COUNTS_PER_TURN).astype(np.int64) * COUNTS_PER_TURN
+        lost = np.where(jumped, words + turns, 0)
+        self.offset = self.offset - lost
+        bridged: Counts = counts - lost
+        return bridged

@@ -1,0 +1,23 @@
+"""One piece of work run many times: over seeds and parameters, in parallel on Dask, into one table.
+
+What a single run does is an argument: this package plans the cases, spreads them over processes or
+machines, and says what came out as statistics, CSV and a page.
+"""
+
+from hil.procedure.campaign.page import write_campaign_page
+from hil.procedure.campaign.plan import Axis, Case, expand, parse_axis, parse_seeds
+from hil.procedure.campaign.spread import spread
+from hil.procedure.campaign.table import Row, summarise, write_csv
+
+__all__ = [
+    "Axis",
+    "Case",
+    "Row",
+    "expand",
+    "parse_axis",
+    "parse_seeds",
+    "spread",
+    "summarise",
+    "write_campaign_page",
+    "write_csv",
+]

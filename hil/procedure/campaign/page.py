@@ -1,0 +1,83 @@
+"""The page of a campaign: shares of good runs, a figure per measurement, every case."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+from urllib.parse import quote
+
+import numpy as np
+from markupsafe import Markup
+
+from hil.procedure.campaign.table import GOOD, Row
+from hil.report.figures import figure_image
+from hil.report.run_page import PAGE, environment
+from hil.report.run_plots import PALETTE, new_figure, style
+from hil.vocabulary.files import write_text
+
+_ROWS_SHOWN = 500
+
+
+def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]) -> Path:
+    """Write the page.
+
+    Args:
+        path: of the HTML file.
+        tree: as in `campaign.json`.
+        rows: all cases.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    names = dict.fromkeys(n for row in rows for n in row.measurements)
+    drawn = [name for name in names if _values(name, rows)]
+    figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
+    shown = sorted(rows, key=lambda row: row.verdict in GOOD)[:_ROWS_SHOWN]
+    page = (
+        environment()
+        .get_template("campaign.html")
+        .render(
+            campaign=tree, figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
+            reports=[_report(row) for row in shown],
+        )
+    )  # fmt: skip
+    return write_text(path, page)
+
+
+def _report(row: Row) -> str:
+    """Where the report of a run is, from the campaign's folder; empty where there is none."""
+    folder = Path(row.folder)
+    return f"runs/{quote(folder.name)}/{PAGE}" if (folder / PAGE).exists() else ""
+
+
+def _values(name: str, rows: Sequence[Row]) -> list[float]:
+    return [m["value"] for row in rows if (m := row.measurements.get(name)) and m["value"] is not None]
+
+
+def _figure(name: str, rows: Sequence[Row]) -> Markup:
+    """One column of dots per combination, its median, and the limits."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.case.group, []).append(row)
+    first = next(row.measurements[name] for row in rows if name in row.measurements)
+    figure = new_figure(max(4.0, 1.6 + 0.9 * len(groups)), 2.8)
+    axes = style(figure.add_subplot(), "", f"{name} ({first['unit']})".replace("$", r"\$"))
+    for column, own in enumerate(groups.values()):
+        values = np.array(_values(name, own))
+        if len(values) == 0:
+            continue
+        offsets = np.linspace(-0.22, 0.22, len(values)) if len(values) > 1 else np.zeros(1)
+        axes.plot(column + offsets, values, "o", ms=4, color=PALETTE["c1"], mec="none", alpha=0.8)
+        axes.hlines(np.median(values), column - 0.3, column + 0.3, color=PALETTE["truth"], lw=1.5)
+    for key in ("low", "high"):
+        if first[key] is not None:
+            axes.axhline(first[key], color=PALETTE["c5"], lw=1.0, ls="--")
+    turned = 30 if len(groups) > 1 and max(map(len, groups)) > 10 else 0
+    axes.set_xticks(range(len(groups)), list(groups), fontsize=8, rotation=turned)
+    axes.set_xlim(-0.6, len(groups) - 0.4)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figure.svg"
+        figure.savefig(file)
+        return figure_image(file, name)

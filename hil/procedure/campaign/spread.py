@@ -1,0 +1,100 @@
+"""Runs the cases of a campaign in parallel on Dask: worker processes here, or a cluster elsewhere.
+
+Dask restarts a worker that dies and runs its case again; a case that kills its worker over and over is
+given up and the others go on.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.extras import how_to_install
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+J = TypeVar("J")
+R = TypeVar("R")
+
+_RETRIES = 2
+
+
+def spread(
+    work: Callable[[J], R],
+    jobs: Sequence[J],
+    *,
+    lost: Callable[[J, str], R],
+    done: Callable[[R], None],
+    workers: int = 2,
+    scheduler: str = "",
+) -> None:
+    """Do all jobs; results come in the order in which they end.
+
+    Args:
+        work: what to do; must be importable by name, and raise nothing that is expected.
+        jobs: what to do it with; sent to the workers.
+        lost: result of a job whose worker died or that raised, with the reason.
+        done: called here with every result.
+        workers: processes on this computer; 0 works in this one, without Dask.
+        scheduler: address of a Dask scheduler to use instead; its workers need the same files.
+
+    Raises:
+        UsageError: Dask is not installed, or the scheduler does not answer.
+    """
+    if workers == 0 and not scheduler:
+        for job in jobs:
+            done(work(job))
+        return
+    with _client(min(workers, len(jobs)), scheduler) as client:
+        from distributed import as_completed
+
+        futures = {client.submit(work, job, retries=_RETRIES, pure=False): job for job in jobs}
+        try:
+            for future in as_completed(futures):
+                error = future.exception()
+                done(future.result() if error is None else lost(futures[future], _reason(error)))
+                future.release()
+        except BaseException:
+            client.cancel(list(futures), force=True)
+            raise
+
+
+def _reason(error: BaseException) -> str:
+    if type(error).__name__ == "KilledWorker":
+        return "its worker process died, again and again"
+    return f"{type(error).__name__}: {error}"
+
+
+@contextmanager
+def _client(workers: int, scheduler: str) -> Iterator[Client]:
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError:
+        raise UsageError(
+            "a campaign in parallel needs Dask, which is not installed",
+            remedy=f"{how_to_install('campaign')}; or use --workers 0",
+        ) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    if scheduler:
+        try:
+            client = Client(scheduler, timeout=10)
+        except (OSError, ValueError) as error:
+            raise UsageError(f"Dask scheduler {scheduler!r} does not answer ({error})") from None
+        with client:
+            yield client
+        return
+    options: dict[str, Any] = {
+        "n_workers": workers, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1",
+        "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL, "memory_limit": 0,
+    }  # fmt: skip
+    with (
+        tempfile.TemporaryDirectory(prefix="hil-campaign-") as folder,
+        LocalCluster(local_directory=folder, **options) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client

@@ -1,0 +1,134 @@
+"""What came out of a campaign: one row per case, statistics per combination, CSV."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.procedure.campaign.plan import Case
+from hil.vocabulary.errors import DataError
+
+GOOD = ("PASS", "MARGINAL")
+_Z95 = 1.959963984540054
+
+
+@dataclass(frozen=True)
+class Row:
+    """One finished case.
+
+    Attributes:
+        measurements: name -> unit, value, outcome and limits, as the run reported them.
+        error: what went wrong, empty if nothing did.
+        exit_code: as `hil run` would have ended.
+    """
+
+    case: Case
+    folder: str
+    verdict: str
+    exit_code: int
+    duration_s: float
+    measurements: dict[str, dict[str, Any]] = field(default_factory=dict)
+    error: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Plain data; the case as name, seed and settings."""
+        tree = asdict(self)
+        tree["case"] = self.case.name
+        return {**tree, "seed": self.case.seed, "settings": dict(self.case.settings)}
+
+
+def summarise(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """Per combination of settings: verdicts, share of good runs, and statistics of each measurement."""
+    groups: dict[str, list[Row]] = {}
+    for row in rows:
+        groups.setdefault(row.case.group, []).append(row)
+    return [_summary(name, own) for name, own in groups.items()]
+
+
+def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    good = sum(row.verdict in GOOD for row in rows)
+    low, high = wilson(good, len(rows))
+    names = dict.fromkeys(n for row in rows for n in row.measurements)
+    return {
+        "group": name,
+        "settings": dict(rows[0].case.settings),
+        "n": len(rows),
+        "verdicts": count(row.verdict for row in rows),
+        "pass_share": good / len(rows),
+        "pass_share_95": [low, high],
+        "measurements": [_statistics(n, rows) for n in names],
+    }
+
+
+def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    found = [row.measurements[name] for row in rows if name in row.measurements]
+    values = np.array([m["value"] for m in found if m["value"] is not None], dtype=np.float64)
+    first = found[0]
+    some = {"name": name, "unit": first["unit"], "low": first["low"], "high": first["high"], "n": len(values)}
+    if len(values) == 0:
+        return some | dict.fromkeys(("mean", "std", "min", "median", "p95", "max"))
+    return some | {
+        "mean": float(values.mean()),
+        "std": float(values.std(ddof=1)) if len(values) > 1 else None,
+        "min": float(values.min()),
+        "median": float(np.median(values)),
+        "p95": float(np.quantile(values, 0.95)),
+        "max": float(values.max()),
+    }
+
+
+def count(verdicts: Iterable[str]) -> dict[str, int]:
+    """How often each verdict came out."""
+    found: dict[str, int] = {}
+    for verdict in verdicts:
+        found[verdict] = found.get(verdict, 0) + 1
+    return dict(sorted(found.items()))
+
+
+def wilson(good: int, total: int) -> tuple[float, float]:
+    """95 % interval of a share (Wilson's score interval): honest for few runs, too."""
+    if total == 0:
+        return 0.0, 1.0
+    share, square = good / total, _Z95 * _Z95
+    centre = share + square / (2 * total)
+    reach = _Z95 * math.sqrt(share * (1 - share) / total + square / (4 * total * total))
+    scale = 1 + square / total
+    return max(0.0, (centre - reach) / scale), min(1.0, (centre + reach) / scale)
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """One line per case: settings, verdict, measurements with their units in the header.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    keys = list(dict.fromkeys(k for row in rows for k, _ in row.case.settings))
+    units = {n: m["unit"] for row in rows for n, m in row.measurements.items()}
+    header = [
+        "case",
+        "seed",
+        *keys,
+        "verdict",
+        "duration_s",
+        *(f"{n} ({u})" for n, u in units.items()),
+        "error",
+    ]
+    try:
+        with path.open("w", newline="", encoding="utf-8") as file:
+            writer = csv.writer(file)
+            writer.writerow(header)
+            for row in rows:
+                settings = dict(row.case.settings)
+                values = [row.measurements.get(n, {}).get("value") for n in units]
+                writer.writerow(
+                    [row.case.name, row.case.seed, *(settings.get(k, "") for k in keys), row.verdict,
+                     f"{row.duration_s:.3f}", *("" if v is None else repr(v) for v in values), row.error]
+                )  # fmt: skip
+    except OSError as error:
+        raise DataError(str(path), f"cannot be written ({error.strerror})") from None

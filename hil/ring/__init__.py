@@ -1,0 +1,1 @@
+"""What one control cycle is made of: devices read, data judged, aligned, decided on, sent."""

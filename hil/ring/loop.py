@@ -1,0 +1,274 @@
+"""The ring: one control cycle from devices to devices, and the deterministic part of it by itself.
+
+`Brain.decide` is steps 2 to 7 of `design.md`: a function of the inputs and its own state, so a
+recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
+`ControlLoop.run` adds the devices, the clock and the sinks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.ring.alignment import Alignment
+from hil.ring.loop_timing import Laps, LoopStatistics
+from hil.ring.rig import Rig
+from hil.ring.supervisor import Supervisor
+from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.vocabulary.errors import HilError, SafetyStop
+from hil.vocabulary.interfaces import Controller, Estimator, Sink
+from hil.vocabulary.signals import (
+    CycleRecord,
+    Event,
+    Inputs,
+    Measurements,
+    Reference,
+    RobotState,
+    ServoSetpoint,
+    WheelMeasurement,
+    WheelSetpoint,
+)
+
+__all__ = ["OUTSIDE", "Brain", "ControlLoop", "Decision", "LoopStatistics"]
+
+OUTSIDE = "loop"
+"""Source of the event in the last record of a run that was ended by something other than its brain."""
+
+ReferenceAt = Callable[[float], Reference]
+Lap = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What the brain made of one cycle's inputs."""
+
+    measurements: Measurements
+    state: RobotState
+    reference: Reference | None
+    setpoint: WheelSetpoint
+    command: ServoSetpoint
+    events: tuple[Event, ...]
+
+
+def _untimed(section: str) -> None:
+    """Nobody measures how long the sections take."""
+
+
+def observed(name: str, state: RobotState) -> dict[str, float]:
+    """A further estimator's pose and the covariance of its position, as diagnostics of the state in the loop.
+
+    `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`; `NAME_xx_m2`, `NAME_xy_m2`, `NAME_yy_m2`.
+    """
+    (x_m, y_m, theta_rad), covariance = state.pose_body_in_wall.tolist(), state.covariance
+    return {
+        f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad,
+        f"{name}_xx_m2": covariance.item(0, 0), f"{name}_xy_m2": covariance.item(0, 1),
+        f"{name}_yy_m2": covariance.item(1, 1),
+    }  # fmt: skip
+
+
+class Brain:
+    """Supervisor, alignment, estimator and controller in their fixed order.
+
+    Args:
+        reference_at: reference by seconds since the first cycle; None observes without moving.
+        observers: further estimators that run on the same measurements; what they say appears in the
+            state's diagnostics, see `observed`.
+
+    Attributes:
+        reference: of the latest cycle, also when that ended in a `SafetyStop`.
+    """
+
+    def __init__(
+        self,
+        supervisor: Supervisor,
+        alignment: Alignment,
+        estimator: Estimator,
+        controller: Controller | None = None,
+        reference_at: ReferenceAt | None = None,
+        observers: Mapping[str, Estimator] | None = None,
+    ) -> None:
+        self.supervisor, self.alignment = supervisor, alignment
+        self.estimator, self.controller = estimator, controller
+        self.reference_at = reference_at
+        self.observers = dict(observers or {})
+        self.reference: Reference | None = None
+        self._t0_ns: int | None = None
+        self._steering = np.zeros(4)
+
+    def reset(self, state: RobotState) -> None:
+        """Start a run from a known state; the reference's time starts with the next cycle."""
+        self._t0_ns = None
+        self._steering = np.zeros(4)
+        self.supervisor.reset()
+        self.alignment.reset()
+        self.estimator.reset(state)
+        for observer in self.observers.values():
+            observer.reset(state)
+        if self.controller is not None:
+            self.controller.reset()
+
+    def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
+        """Steps 2 to 7; raises `SafetyStop` when the robot must be held.
+
+        Args:
+            inputs: what the devices delivered.
+            lap: told when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+        """
+        self.reference = None
+        if self._t0_ns is None:
+            self._t0_ns = inputs.t_ns
+        measurements = self.alignment.measure(inputs)  # 3
+        events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
+        state = self._estimate(measurements)  # 4
+        lap("estimate")
+        if self.reference_at is not None:
+            self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
+        reference = self.reference
+        self.supervisor.guard(state, reference)
+        setpoint = self._control(state, reference, measurements)  # 6
+        setpoint = self.supervisor.limit(setpoint)  # 7
+        command = self.alignment.to_servos(setpoint)
+        lap("control")
+        return Decision(measurements, state, reference, setpoint, command, events)
+
+    def _estimate(self, measurements: Measurements) -> RobotState:
+        state = self.estimator.update(measurements)
+        if not self.observers:
+            return state
+        extra = dict(state.diagnostics)
+        for name, observer in self.observers.items():
+            extra |= observed(name, observer.update(measurements))
+        return replace(state, diagnostics=extra)
+
+    def _control(
+        self, state: RobotState, reference: Reference | None, measurements: Measurements
+    ) -> WheelSetpoint:
+        wheels = measurements.wheels[-1] if measurements.wheels else None
+        if wheels is not None:
+            known = np.isfinite(wheels.steering_rad)
+            self._steering = np.where(known, wheels.steering_rad, self._steering)
+        if self.controller is None or reference is None or wheels is None:
+            return WheelSetpoint(np.zeros(4), self._steering.copy())
+        return self.controller.update(state, reference, self._complete(wheels))
+
+    def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
+        return replace(wheels, steering_rad=self._steering.copy())
+
+
+class ControlLoop:
+    """Runs a brain on a rig at a fixed rate with absolute deadlines.
+
+    A missed deadline is counted; deadlines that have passed entirely are skipped on the grid, never
+    made up for in a burst. Whatever goes wrong, the actuators are stopped before the error leaves.
+
+    Args:
+        rig, clock, brain: devices, time, and what decides.
+        rate_hz: cycles per second.
+        late_after_s: a start later than this after its deadline counts as late.
+        sinks: receive every cycle.
+        idle: called with the next deadline when a cycle is done; may use the time until then.
+    """
+
+    def __init__(
+        self,
+        rig: Rig,
+        clock: Clock,
+        brain: Brain,
+        *,
+        rate_hz: float = 100.0,
+        late_after_s: float = 0.001,
+        sinks: tuple[Sink, ...] = (),
+        idle: Callable[[int], None] | None = None,
+    ) -> None:
+        self.rig, self.clock, self.brain = rig, clock, brain
+        self.period_ns = round(NS_PER_S / rate_hz)
+        self.late_ns = round(late_after_s * NS_PER_S)
+        self.sinks, self.idle = sinks, idle
+        self.statistics = LoopStatistics()
+        self._cycle = self._sinks_ns = 0
+
+    def run(self, until: Callable[[CycleRecord], bool]) -> None:
+        """Cycle until `until(record)` says so; always asks the robot to stop."""
+        deadline_ns = self.clock.now_ns()
+        try:
+            while True:
+                self.clock.sleep_until_ns(deadline_ns)  # 10
+                self._heed_sinks()
+                record = self.cycle(deadline_ns)
+                if until(record):
+                    return
+                deadline_ns = self._next_deadline(deadline_ns)
+                if self.idle is not None:
+                    self.idle(deadline_ns)
+        finally:
+            if self.rig.servos is not None:
+                self.rig.servos.stop()
+
+    def cycle(self, deadline_ns: int) -> CycleRecord:
+        """One pass through the ring; `timing_ns["sinks"]` of a record is the previous cycle's."""
+        start_ns = self.clock.now_ns()
+        lap = Laps(self.clock, start_ns)
+        inputs = self.rig.read(self._cycle)  # 1
+        lap("read")
+        try:
+            decision = self.brain.decide(inputs, lap)  # 2 to 7
+        except SafetyStop as stop:
+            self._stopped(inputs, stop)
+            raise
+        if self.brain.controller is not None and self.rig.servos is not None:
+            self.rig.servos.command(decision.command)  # 8
+        lap("write")
+        timing = {**lap.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
+        record = CycleRecord(
+            self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
+            decision.reference, decision.setpoint, decision.command, decision.events, timing,
+        )  # fmt: skip
+        for sink in self.sinks:  # 9
+            sink.write(record)
+        lap("sinks")
+        self._count(start_ns, deadline_ns, lap)
+        return record
+
+    def _heed_sinks(self) -> None:
+        """Stop and raise when a sink objects to a further cycle."""
+        for sink in self.sinks:
+            error = sink.objection()
+            if error is not None:
+                self._stopped(Inputs(self._cycle, self.clock.now_ns()), error, source=OUTSIDE)
+                raise error
+
+    def _count(self, start_ns: int, deadline_ns: int, lap: Laps) -> None:
+        lateness_ns, durations = start_ns - deadline_ns, lap.timing_ns
+        self.statistics.cycles += 1
+        self.statistics.late += lateness_ns > self.late_ns
+        self.statistics.add({**durations, "work": sum(durations.values()), "lateness": lateness_ns})
+        self._sinks_ns = durations["sinks"]
+        self._cycle += 1
+
+    def _next_deadline(self, deadline_ns: int) -> int:
+        following = deadline_ns + self.period_ns
+        behind_ns = self.clock.now_ns() - following
+        if behind_ns > 0:
+            self.statistics.overruns += 1
+            missed = behind_ns // self.period_ns
+            self.statistics.skipped += missed
+            following += missed * self.period_ns
+        return following
+
+    def _stopped(self, inputs: Inputs, stop: HilError, *, source: str = "supervisor") -> None:
+        """Hold the robot at once and leave a last record that names the reason."""
+        if self.rig.servos is not None:
+            self.rig.servos.stop()
+        event = Event(inputs.t_ns, "error", source, str(stop))
+        zero = np.zeros(4)
+        nothing = Measurements(inputs.cycle, inputs.t_ns)
+        state = RobotState(inputs.t_ns, np.full(3, np.nan), np.full(3, np.nan), np.full((6, 6), np.nan))
+        record = CycleRecord(
+            self._cycle, inputs.t_ns, inputs.t_ns, inputs, nothing, state, self.brain.reference,
+            WheelSetpoint(zero, zero), ServoSetpoint(zero, zero), (event,),
+        )  # fmt: skip
+        for sink in self.sinks:
+            sink.write(record)

@@ -1,0 +1,92 @@
+"""How punctual a loop is: durations of its sections, cycles late and skipped, in a fixed amount of memory."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hil.vocabulary.clock import Clock
+
+_BIN = math.log(1.01)
+_BINS = round(math.log(1e11) / _BIN)
+
+
+class Distribution:
+    """Mean, worst value and quantiles (to 1 %) of durations in ns, in a fixed amount of memory."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(_BINS, dtype=np.int64)
+        self._total_ns = self.worst_ns = self.count = 0
+
+    def add(self, value_ns: int) -> None:
+        """Count one duration; below 1 ns counts as 1 ns."""
+        self._counts[min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)] += 1
+        self._total_ns += value_ns
+        self.worst_ns = max(self.worst_ns, value_ns)
+        self.count += 1
+
+    @property
+    def mean_ns(self) -> float:
+        """Mean of what was counted."""
+        return self._total_ns / max(1, self.count)
+
+    def quantile_ns(self, share: float) -> float:
+        """Duration that a share (0 to 1) of what was counted does not exceed; 0 when empty."""
+        if not self.count:
+            return 0.0
+        place = int(np.searchsorted(np.cumsum(self._counts), share * self.count))
+        return min(math.exp((place + 1) * _BIN), float(self.worst_ns))
+
+
+@dataclass
+class LoopStatistics:
+    """Punctuality of a run.
+
+    Attributes:
+        late: cycles that began more than the allowed time after their deadline.
+        overruns: cycles that were not done when the next was due.
+        skipped: deadlines that had passed entirely.
+        sections: durations of `read estimate control write sinks`, of all of them (`work`), and `lateness`.
+    """
+
+    cycles: int = 0
+    late: int = 0
+    overruns: int = 0
+    skipped: int = 0
+    sections: dict[str, Distribution] = field(default_factory=dict)
+
+    def add(self, timing_ns: Mapping[str, int]) -> None:
+        """Note one cycle."""
+        for name, value in timing_ns.items():
+            found = self.sections.get(name)
+            if found is None:
+                found = self.sections[name] = Distribution()
+            found.add(value)
+
+    def summary(self) -> dict[str, float]:
+        """Counts, and mean, 99th percentile and worst per section (ms)."""
+        out: dict[str, float] = {
+            "cycles": self.cycles, "late": self.late, "overruns": self.overruns, "skipped": self.skipped,
+        }  # fmt: skip
+        for name, found in self.sections.items():
+            out[f"{name}_mean_ms"] = found.mean_ns / 1e6
+            out[f"{name}_p99_ms"] = found.quantile_ns(0.99) / 1e6
+            out[f"{name}_worst_ms"] = found.worst_ns / 1e6
+        return out
+
+
+class Laps:
+    """Stopwatch of one cycle: how long each section took, ns."""
+
+    def __init__(self, clock: Clock, start_ns: int) -> None:
+        self._clock, self._last_ns = clock, start_ns
+        self.timing_ns: dict[str, int] = {}
+
+    def __call__(self, section: str) -> None:
+        """A section is done."""
+        now_ns = self._clock.now_ns()
+        self.timing_ns[section] = now_ns - self._last_ns
+        self._last_ns = now_ns

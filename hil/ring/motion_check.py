@@ -1,0 +1,294 @@
+"""Camera, wheels and gyro judge each other: motion that one of them tells and the others do not.
+
+What two of them say of the same stretch is subtracted, step by step, and summed. From the sum each step
+takes what honest sensors may differ by in it (`Honest`), never below zero: honest ones stay near zero however
+long the way is, and a camera that stands still or measures by another scale passes the limit within
+centimetres. Deterministic: depends on the measurements seen since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import cmath
+from dataclasses import dataclass
+
+from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.signals import Measurements, PoseMeasurement
+
+_STEP_NS = 40_000_000
+_GAP_NS = 1_000_000_000
+_JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
+_LITTLE = 0.3
+_CALLED = {"tracker": "the camera", "servos": "the wheels", "imu": "the gyro"}
+
+
+@dataclass(frozen=True)
+class Honest:
+    """What honest sensors differ by, and from where on one of two is not.
+
+    Attributes:
+        path: m per rolled metre: the camera's scale (1 to 2 %), radii (1 %), wheels that are not quite
+            parallel (3 % in the robot's public recordings of lines).
+        creep: m per rolled metre beside that by which a robot on a wall gets lower than its wheels roll: 5 to
+            8 % have been seen, climbing as well as across.
+        lever_m: m per radian turned: before its calibration, a camera's place on the body is known to 2 to
+            3 cm.
+        rest_m_s: drift of a camera while nothing moves.
+        turn: rad per radian that the wheels tell: track, radii and scrubbing; 2.3 % in the robot's public
+            recordings of turns in place.
+        turn_rad_m: rad per rolled metre: wheels that are not parallel; 0.03 in those of lines.
+        gyro, gyro_rad_s: rad per radian, and rad per second of bias: the data sheet allows 3 degrees per
+            second before the chip has calibrated itself.
+        camera_rad_s: drift of the camera's heading.
+        told_m, told_rad: sums that are told. A pose has 0.3 to 1.5 mm of noise, and a camera that is late
+            by 50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
+        stop_m, stop_rad: sums at which the robot must not go on.
+    """
+
+    path: float = 0.05
+    creep: float = 0.06
+    lever_m: float = 0.03
+    rest_m_s: float = 0.001
+    turn: float = 0.05
+    turn_rad_m: float = 0.04
+    gyro: float = 0.03
+    gyro_rad_s: float = 0.053
+    camera_rad_s: float = 0.003
+    told_m: float = 0.008
+    told_rad: float = 0.05
+    stop_m: float = 0.012
+    stop_rad: float = 0.08
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Somebody is wrong.
+
+    Attributes:
+        source: the device that is alone with what it says, or the first of two.
+        message: what each says.
+        grave: whether the robot must not go on by them.
+    """
+
+    source: str
+    message: str
+    grave: bool
+
+
+class _Sum:
+    """What two devices differ by so far, in the plane of the body (m), or in heading (rad).
+
+    Args:
+        first, second: names of the devices.
+        told, stop: limits of the sum.
+    """
+
+    def __init__(self, first: str, second: str, told: float, stop: float) -> None:
+        self.names, self._told_at, self._stop_at = (first, second), told, stop
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again."""
+        self.size = 0.0
+        self._sum = self._first = self._second = 0j
+        self._since_ns = 0
+        self._told = False
+
+    def add(
+        self,
+        t_ns: int,
+        first: complex,
+        second: complex,
+        allowed: float,
+        turned: complex = 1.0,
+        backwards: float = 0.0,
+    ) -> None:
+        """Take a step of both from `t_ns` on, less what they may differ by in it.
+
+        Args:
+            t_ns: its beginning.
+            first: what one device says.
+            second: what the other says.
+            allowed: what honest ones may differ by.
+            turned: unit number that takes axes at its beginning to those at its end.
+            backwards: by how much more the first may have gone less far along the first axis.
+        """
+        if self.size == 0.0:
+            self.reset()
+            self._since_ns = t_ns
+        self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
+        total = self._sum + first - second
+        if total.real < 0.0:
+            total += min(backwards, -total.real)
+        size = abs(total)
+        self.size = max(0.0, size - allowed)
+        self._sum = total * turned * (self.size / size) if size else 0j
+
+    def news(self) -> bool:
+        """Whether something is to be said now: once when it becomes known, and always when it is grave."""
+        return self.size > self._told_at and (not self._told or self.size > self._stop_at)
+
+    def doubt(self, t_ns: int, source: str, verb_and_unit: tuple[str, str]) -> Doubt:
+        """What is to be said; grave only when it has been told before."""
+        grave, self._told = self._told, True
+        moved, unit = verb_and_unit
+        (one, other), duration_s = (_CALLED[name] for name in self.names), (t_ns - self._since_ns) / NS_PER_S
+        return Doubt(
+            source,
+            f"in {duration_s:.1f} s the robot {moved} {1e3 * abs(self._first):.0f} {unit} by {one} and "
+            f"{1e3 * abs(self._second):.0f} {unit} by {other}: {self._why()}",
+            grave,
+        )
+
+    def _why(self) -> str:
+        if self.names != ("tracker", "servos"):
+            return "one of them is wrong" + (", or the wheels slip" if "servos" in self.names else "")
+        if abs(self._second) < _LITTLE * abs(self._first):
+            return "the robot slides, or the camera invents motion"
+        if abs(self._first) < abs(self._second):
+            return "the camera is frozen or sees another scale, or the wheels slip"
+        return "the camera sees another scale, or the robot slides"
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """One instant: the camera's place and heading, the wheels' and the gyro's values."""
+
+    t_ns: int
+    place: complex
+    heading_rad: float
+    wheels: Kept
+    gyro: Kept | None
+
+
+class MotionCheck:
+    """The sums of one bench.
+
+    Args:
+        geometry: of the wheels.
+        honest: what honest sensors differ by.
+        on_wall: whether body x points up, within the heading that a wall allows.
+    """
+
+    def __init__(
+        self, geometry: WheelGeometry, honest: Honest | None = None, *, on_wall: bool = True
+    ) -> None:
+        self._on_wall = on_wall
+        self.honest = h = honest if honest is not None else Honest()
+        self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
+        self._arm_m = float((geometry.x_m**2 + geometry.y_m**2).mean() ** 0.5)
+        self._way = _Sum("tracker", "servos", h.told_m, h.stop_m)
+        self._camera_wheels = _Sum("tracker", "servos", h.told_rad, h.stop_rad)
+        self._camera_gyro = _Sum("tracker", "imu", h.told_rad, h.stop_rad)
+        self._wheels_gyro = _Sum("servos", "imu", h.told_rad, h.stop_rad)
+        self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        self._wheels.reset()
+        self._gyro.reset()
+        for one in (self._way, *self._turns):
+            one.reset()
+        self._seen: _Seen | None = None
+        self._felt: tuple[int, Kept, Kept] | None = None
+        self._calm_ns = 0
+
+    def update(self, measurements: Measurements) -> tuple[Doubt, ...]:
+        """Take one cycle's measurements; what is in doubt because of them."""
+        for wheels in measurements.wheels:
+            self._wheels.take(wheels)
+        for gyro in measurements.gyro:
+            self._gyro.take(gyro)
+        looked = self._look(measurements.tracker)
+        if measurements.gyro:
+            looked |= self._feel(measurements.gyro[-1].stamp.t_ns)
+        return self._doubts(measurements.t_ns) if looked else ()
+
+    def _look(self, poses: tuple[PoseMeasurement, ...]) -> bool:
+        """Compare the newest camera pose with the last one compared; whether there was something to compare.
+
+        A pose that is not valid, and a gap, begin anew: behind them the camera's frame may be another.
+        """
+        for pose in poses:
+            if not pose.valid:
+                self._seen = None
+        if not poses or not poses[-1].valid:
+            return False
+        pose, before = poses[-1], self._seen
+        t_ns = pose.stamp.t_ns
+        if before is not None and 0 <= t_ns - before.t_ns < _STEP_NS:
+            return False
+        wheels = self._wheels.at(t_ns)
+        if wheels is None:
+            return False
+        x_m, y_m, heading_rad = pose.pose.tolist()
+        now = _Seen(t_ns, complex(x_m, y_m), heading_rad, wheels, self._gyro.at(t_ns))
+        self._seen = now
+        if before is None or not 0 < t_ns - before.t_ns < _GAP_NS:
+            return False
+        return self._compare(before, now)
+
+    def _compare(self, before: _Seen, now: _Seen) -> bool:
+        """Add one step of camera, wheels and gyro, in the body's axes at its beginning."""
+        h, t_ns = self.honest, before.t_ns
+        dt_s = (now.t_ns - t_ns) / NS_PER_S
+        way = (now.place - before.place) * cmath.rect(1.0, -before.heading_rad)
+        turn = now.heading_rad - before.heading_rad
+        (place, heading, rolled, slack), (place0, heading0, rolled0, slack0) = now.wheels, before.wheels
+        rolling = (place - place0) * cmath.rect(1.0, -heading0.real)
+        turning, path, loose = (heading - heading0).real, (rolled - rolled0).real, (slack - slack0).real
+        if self._jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
+            return False
+        allowed = h.path * path + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
+        lower = h.creep * path if self._on_wall else 0.0
+        self._way.add(t_ns, way, rolling, allowed, cmath.rect(1.0, -turning), lower)
+        scrub = h.turn * abs(turning) + h.turn_rad_m * path + loose / self._arm_m
+        self._camera_wheels.add(t_ns, turn, turning, scrub + h.camera_rad_s * dt_s)
+        if now.gyro is not None and before.gyro is not None and self._gyro.covers(t_ns):
+            turned = (now.gyro[0] - before.gyro[0]).real
+            drift = h.gyro * abs(turned) + (h.gyro_rad_s + h.camera_rad_s) * dt_s
+            self._camera_gyro.add(t_ns, turn, turned, drift)
+        return True
+
+    def _jumped(self, t_ns: int, way_m: float, turn_rad: float) -> bool:
+        """Whether a step is a relocalisation; one that follows another too soon is motion that is told."""
+        if way_m < _JUMP_M and turn_rad < _JUMP_RAD:
+            return False
+        calm, self._calm_ns = t_ns >= self._calm_ns, t_ns + _CALM_NS
+        return calm
+
+    def _feel(self, t_ns: int) -> bool:
+        """Compare wheels and gyro by themselves; whether there was something to compare."""
+        before = self._felt
+        if before is not None and 0 <= t_ns - before[0] < _STEP_NS:
+            return False
+        wheels, gyro = self._wheels.at(t_ns), self._gyro.at(t_ns)
+        if wheels is None or gyro is None:
+            return False
+        self._felt = (t_ns, wheels, gyro)
+        if before is None or not 0 < t_ns - before[0] < _GAP_NS or not self._gyro.covers(before[0]):
+            return False
+        h, dt_s = self.honest, (t_ns - before[0]) / NS_PER_S
+        turning, path, loose = ((a - b).real for a, b in zip(wheels[1:], before[1][1:], strict=True))
+        turned = (gyro[0] - before[2][0]).real
+        allowed = h.turn * abs(turning) + h.turn_rad_m * path + loose / self._arm_m
+        self._wheels_gyro.add(
+            before[0], turning, turned, allowed + h.gyro * abs(turned) + h.gyro_rad_s * dt_s
+        )
+        return True
+
+    def _doubts(self, t_ns: int) -> tuple[Doubt, ...]:
+        found = []
+        if self._way.news():
+            found.append(self._way.doubt(t_ns, "tracker", ("moved", "mm")))
+        for one in self._turns:
+            if one.news():
+                found.append(one.doubt(t_ns, self._alone(one), ("turned", "mrad")))
+        return tuple(found)
+
+    def _alone(self, pair: _Sum) -> str:
+        """The device of a pair that the third one contradicts more; the first when nobody knows."""
+        others = [o for o in self._turns if o is not pair]
+        return max(pair.names, key=lambda name: sum(o.size for o in others if name in o.names))

@@ -1,0 +1,76 @@
+"""What becomes of the sensors' samples: who falls silent, who sends what cannot be used, told once each."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.signals import WHEELS, Event, Inputs, Status
+
+_FORGOTTEN_NS = 1_000_000_000
+_ALL_OK = (Status.OK,) * 4
+_TOLD = {
+    Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
+    Status.IMPLAUSIBLE: "sends values that cannot be; not used",
+    Status.NOT_FINITE: "sends values that are no numbers; not used",
+    Status.JUMP: "has jumped; not used until it goes on steadily",
+    Status.RESET: "has started again",
+    Status.HARDWARE_ERROR: "reports a hardware error; not used",
+    Status.MAGNET: "reports a magnet that is too near or too far",
+}
+"""Statuses that are worth a word at once; a lost packet is not, only a silence is."""
+
+
+class SampleWatch:
+    """Follows the samples of one run.
+
+    Args:
+        stale_s: by sensor, time without a good sample after which it counts as silent.
+    """
+
+    def __init__(self, stale_s: Mapping[str, float]) -> None:
+        self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget ages and what was told."""
+        self._last_ok_ns: dict[str, int] = {}
+        self._silent: set[str] = set()
+        self._last_told_ns: dict[tuple[str, Status], int] = {}
+
+    def judge(self, inputs: Inputs, events: list[Event]) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events`."""
+        t_ns = inputs.t_ns
+        for name, samples in (("imu", inputs.imu), ("tracker", inputs.tracker), ("mocap", inputs.mocap)):
+            good = False
+            for sample in samples:
+                if sample.status is Status.OK:
+                    good = True
+                elif sample.status in _TOLD:
+                    self._tell(name, "", sample.status, t_ns, events)
+            if name in self._stale_ns:
+                self._age(name, good, t_ns, events)
+        for angles in inputs.encoders:
+            if angles.status == _ALL_OK:
+                continue
+            for wheel, status in zip(WHEELS, angles.status, strict=True):
+                if status in _TOLD:
+                    self._tell("encoders", f"{wheel} ", status, t_ns, events)
+
+    def _tell(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
+        key = (name + part, status)
+        last_ns = self._last_told_ns.get(key)
+        self._last_told_ns[key] = t_ns
+        if last_ns is None or t_ns - last_ns > _FORGOTTEN_NS:
+            events.append(Event(t_ns, "warning", name, part + _TOLD[status]))
+
+    def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
+        last_ns = self._last_ok_ns.setdefault(name, t_ns)
+        if good:
+            self._last_ok_ns[name] = t_ns
+            if name in self._silent:
+                self._silent.discard(name)
+                events.append(Event(t_ns, "info", name, "answers again"))
+        elif t_ns - last_ns > self._stale_ns[name] and name not in self._silent:
+            self._silent.add(name)
+            events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))

@@ -1,0 +1,238 @@
+"""Safety: judges data before they are used and setpoints before they are sent.
+
+Stale, implausible or faulty data are reported as events; a condition under which the robot must not
+go on raises `SafetyStop`, which the loop answers with `stop()` (wheels at rest, torque on). All conditions
+of a cycle are judged first and named together. Deterministic: depends on the inputs seen since `reset` and
+on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.ring.crosscheck import SteeringWatch
+from hil.ring.motion_check import MotionCheck
+from hil.ring.sample_watch import SampleWatch
+from hil.ring.servo_watch import ServoWatch
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.geometry import Array, wrap
+from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, Status, WheelSetpoint
+
+_HOLD_SAMPLES = 3
+
+
+@dataclass(frozen=True)
+class SafetyLimits:
+    """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` counts on a wall only.
+
+    `servo_ids` are the bus IDs in the order of `SERVOS`, for messages; empty when unknown.
+    """
+
+    servo_stale_s: float = 0.1
+    imu_stale_s: float = 0.5
+    tracker_stale_s: float = 2.0
+    wheel_rate_limit_rad_s: float = 4.9
+    steering_limit_rad: float = 2.0944
+    heading_limit_rad: float = math.radians(15.0)
+    tracking_error_limit_m: float = 0.5
+    body_speed_limit_m_s: float = 0.5
+    adhesion_limit_m_s2: float = 5.0
+    on_wall: bool = True
+    servo_ids: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True)
+class Checks:
+    """Which sensors are held against each other, and whether the robot stops by it.
+
+    Where the robot does not steer by what is in doubt, it is told only: a script that turns single wheels
+    follows no pose, and odometry needs no camera.
+
+    Attributes:
+        motion: camera against wheels and gyro; None without.
+        stops_by_motion: whether the estimate that is followed uses the camera.
+        steering: external encoders against the servos; None without.
+        stops_by_steering: whether a pose is followed.
+    """
+
+    motion: MotionCheck | None = None
+    stops_by_motion: bool = False
+    steering: SteeringWatch | None = None
+    stops_by_steering: bool = False
+
+
+def _finite(values: Array) -> bool:
+    """Whether every value is a number; for a handful, plain floats are quicker than an array's tests."""
+    return all(map(math.isfinite, values.tolist()))
+
+
+class Supervisor:
+    """Watches one run.
+
+    Args:
+        limits: of the bench.
+        watched: devices that it has.
+        checks: of sensors against each other.
+    """
+
+    def __init__(
+        self,
+        limits: SafetyLimits,
+        *,
+        watched: tuple[str, ...] = ("servos",),
+        checks: Checks | None = None,
+    ) -> None:
+        self.limits, self.checks = limits, checks if checks is not None else Checks()
+        self._watched = watched
+        self._servos = ServoWatch(limits.servo_stale_s, limits.servo_ids)
+        patience_s = {"imu": limits.imu_stale_s, "tracker": limits.tracker_stale_s}
+        self._samples = SampleWatch({name: s for name, s in patience_s.items() if name in watched})
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget ages, alarms and what the sensors said."""
+        self._servos.reset()
+        self._samples.reset()
+        if self.checks.motion is not None:
+            self.checks.motion.reset()
+        if self.checks.steering is not None:
+            self.checks.steering.reset()
+        self._weightless = self._sliding = 0
+        self._causes: dict[str, str] = {}
+        self._named: set[str] = set()
+
+    def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
+        """Judge one cycle.
+
+        Args:
+            inputs: what the devices delivered.
+            measurements: the same, aligned; without them no sensor is held against another.
+
+        Raises:
+            SafetyStop: `adhesion`, `sliding`, `hardware_error`, `stale_servos`, `blocked`, `servo_jump`,
+                `horn_slip` or `sensors_disagree`; the message names everything that came together. A silent
+                IMU or camera is an event at first: the estimator lives without it for a while and says how
+                sure it is; a silence that lasts is their driver's `DeviceTimeoutError`, which stops as well.
+        """
+        events = self._judge(inputs, measurements)
+        if self._causes:
+            self._named |= self._causes.keys()
+            raise _stop_for(self._causes)
+        return events
+
+    def causes(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
+        """Go on judging after a stop, without raising: the robot is held, and somebody should know why.
+
+        Returns:
+            What `check` would have told, and an error for every condition that was not named before.
+        """
+        self._servos.asked_rad_s = [0.0] * 4
+        events = self._judge(inputs, measurements)
+        news = {reason: said for reason, said in self._causes.items() if reason not in self._named}
+        self._named |= news.keys()
+        errors = (Event(inputs.t_ns, "error", "supervisor", f"{k}: {v}") for k, v in news.items())
+        return (*events, *errors)
+
+    def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
+        """Events of a cycle; `_causes` holds its conditions, the gravest first."""
+        events: list[Event] = []
+        self._causes = {}
+        self._check_hold(inputs)
+        self._servos.judge(inputs, events, self._blame)
+        if "servos" in self._watched:
+            self._servos.check_silence(inputs, self._blame)
+        self._samples.judge(inputs, events)
+        if measurements is not None:
+            self._compare(inputs, measurements, events)
+        return tuple(events)
+
+    def _blame(self, reason: str, message: str) -> None:
+        known = self._causes.get(reason)
+        self._causes[reason] = message if known is None else f"{known}; {message}"
+
+    def _compare(self, inputs: Inputs, measurements: Measurements, events: list[Event]) -> None:
+        """Hold sensors against each other."""
+        checks = self.checks
+        if checks.steering is not None:
+            stop = self._blame if checks.stops_by_steering else _ignore
+            checks.steering.judge(inputs, measurements, events, stop)
+        if checks.motion is not None:
+            for doubt in checks.motion.update(measurements):
+                if not doubt.grave:
+                    events.append(Event(inputs.t_ns, "warning", doubt.source, doubt.message))
+                elif checks.stops_by_motion:
+                    standing = self._servos.standing(inputs.t_ns)
+                    if standing and "blocked" not in self._causes:
+                        self._blame("blocked", standing)
+                    self._blame("sensors_disagree", doubt.message)
+
+    def _check_hold(self, inputs: Inputs) -> None:
+        """A robot that has come off is weightless; one that slides is faster than it can drive."""
+        for imu in inputs.imu:
+            if imu.status is Status.OK:
+                force = imu.gravity_m_s2 + imu.linear_acceleration_m_s2
+                light = math.hypot(*force.tolist()) < self.limits.adhesion_limit_m_s2
+                self._weightless = self._weightless + 1 if light else 0
+        for tracker in inputs.tracker:
+            if tracker.status is Status.OK:
+                fast = math.hypot(*tracker.velocity_m_s.tolist()) > self.limits.body_speed_limit_m_s
+                self._sliding = self._sliding + 1 if fast else 0
+        if self._weightless >= _HOLD_SAMPLES:
+            self._blame("adhesion", "the accelerometer feels less than the weight: adhesion is lost")
+        if self._sliding >= _HOLD_SAMPLES:
+            self._blame(
+                "sliding", f"the camera sees more than {self.limits.body_speed_limit_m_s:g} m/s: no hold"
+            )
+
+    def guard(self, state: RobotState, reference: Reference | None) -> None:
+        """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
+        pose, found = state.pose_body_in_wall, {}
+        if not (_finite(pose) and _finite(state.twist_body)):
+            raise SafetyStop("not_finite", "the estimated state is not finite")
+        if self.limits.on_wall and abs(wrap(float(pose[2]))) > self.limits.heading_limit_rad:
+            found["heading"] = (
+                f"heading {math.degrees(pose[2]):.1f} deg exceeds "
+                f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold"
+            )
+        if reference is not None:
+            if not _finite(reference.pose_in_wall):
+                raise SafetyStop("not_finite", "the reference is not finite")
+            error_m = math.hypot(*(reference.pose_in_wall[:2] - pose[:2]))
+            if error_m > self.limits.tracking_error_limit_m:
+                found["tracking"] = f"{error_m:.3f} m from the reference"
+        if found:
+            self._named |= found.keys()
+            raise _stop_for(found)
+
+    def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
+        """Setpoint within command limits; scaling keeps the centre of rotation.
+
+        Raises:
+            SafetyStop: `not_finite` or `steering_limit`.
+        """
+        rate, steering = setpoint.wheel_rate_rad_s, setpoint.steering_rad
+        if not (_finite(rate) and _finite(steering)):
+            raise SafetyStop("not_finite", "a setpoint is not finite")
+        widest = self.limits.steering_limit_rad + 1e-9
+        if any(abs(angle) > widest for angle in steering.tolist()):
+            raise SafetyStop(
+                "steering_limit", f"steering setpoint {np.degrees(steering).round(1).tolist()} deg"
+            )
+        peak = max(map(abs, rate.tolist()))
+        if peak > self.limits.wheel_rate_limit_rad_s:
+            setpoint = WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
+        self._servos.asked_rad_s = setpoint.wheel_rate_rad_s.tolist()
+        return setpoint
+
+
+def _ignore(reason: str, message: str) -> None:
+    """What is told as an event is enough."""
+
+
+def _stop_for(causes: dict[str, str]) -> SafetyStop:
+    """One stop for all conditions that came together; its reason is the first."""
+    (reason, message), *others = causes.items()
+    return SafetyStop(reason, "; ".join([message, *(f"also {k}: {v}" for k, v in others)]))

@@ -1,0 +1,1 @@
+"""The robot's mathematics: kinematics, wheel contact, odometry, trajectories and what they may ask."""

@@ -1,0 +1,120 @@
+"""Odometry: integrating body motion to a pose, and the paper's state-space model with derivatives.
+
+The paper's model has 11 states (x, y, theta, phi_1..4, delta_1..4) and 8 inputs (v_1..4, steering
+rates 1..4), arXiv 2509.04016. SI units; poses in the frame of the start pose.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.robot.kinematics import WheelGeometry, forward_matrix, wheel_vectors
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.geometry import Array, ArrayLike
+
+INTEGRATORS = ("exponential", "euler")
+
+
+def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "exponential") -> Array:
+    """Poses (n + 1, 3) from body displacements (n, 3) per step, the start included.
+
+    Args:
+        start_pose: (3,) m, m, rad.
+        motion_body: (n, 3) twist times step time, in the frame of the step's start.
+        integrator: `exponential` is exact for a constant twist within the step, `euler` is the
+            paper's forward Euler.
+    """
+    start = np.asarray(start_pose, dtype=np.float64)
+    theta = start[2] + np.concatenate([[0.0], np.cumsum(motion_body[:, 2])])
+    heading, chord = theta[:-1], np.ones(len(motion_body))
+    if integrator == "exponential":
+        half = 0.5 * motion_body[:, 2]
+        heading, chord = heading + half, np.sinc(half / np.pi)
+    elif integrator != "euler":
+        raise UsageError(f"integrator {integrator!r}", expected="one of " + ", ".join(INTEGRATORS))
+    c, s = np.cos(heading) * chord, np.sin(heading) * chord
+    out = np.empty((len(motion_body) + 1, 3))
+    out[0] = start
+    out[1:, 0] = start[0] + np.cumsum(c * motion_body[:, 0] - s * motion_body[:, 1])
+    out[1:, 1] = start[1] + np.cumsum(s * motion_body[:, 0] + c * motion_body[:, 1])
+    out[1:, 2] = theta[1:]
+    return out
+
+
+def integrate_with_jacobian(
+    start_pose: ArrayLike, motion_body: Array, motion_jacobian: Array
+) -> tuple[Array, Array]:
+    """Poses (n + 1, 3) by SE(2) exponential and their derivatives (n + 1, 3, m) by m parameters.
+
+    Args:
+        start_pose: (3,), taken as independent of the parameters.
+        motion_body: (n, 3) displacement per step.
+        motion_jacobian: (n, 3, m).
+    """
+    poses = integrate(start_pose, motion_body)
+    half = 0.5 * motion_body[:, 2]
+    sinc = np.sinc(half / np.pi)
+    small = np.abs(half) < 1e-4
+    safe = np.where(small, 1.0, half)
+    slope = np.where(small, -half / 3.0, (np.cos(safe) - np.sin(safe) / safe) / safe)
+    heading = poses[:-1, 2] + half
+    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
+    dx, dy = motion_body[:, :1], motion_body[:, 1:2]
+    jx, jy, jt = motion_jacobian[:, 0], motion_jacobian[:, 1], motion_jacobian[:, 2]
+    theta_after = np.cumsum(jt, axis=0)
+    turn = theta_after - 0.5 * jt
+    forward, left = c * dx - s * dy, s * dx + c * dy
+    k, dk = sinc[:, None], 0.5 * slope[:, None] * jt
+    out = np.zeros((len(poses), 3, motion_jacobian.shape[2]))
+    out[1:, 0] = np.cumsum(k * (c * jx - s * jy - left * turn) + dk * forward, axis=0)
+    out[1:, 1] = np.cumsum(k * (s * jx + c * jy + forward * turn) + dk * left, axis=0)
+    out[1:, 2] = theta_after
+    return poses, out
+
+
+def state_derivative(
+    geometry: WheelGeometry, state: ArrayLike, inputs: ArrayLike, model: str = "exact"
+) -> Array:
+    """Time derivative (11,) of the paper's state (11,) under inputs (8,).
+
+    State (x, y, theta, phi_1..4, delta_1..4); inputs (v_1..4 m/s, steering rates 1..4 rad/s).
+    `model` is `exact` or `paper`.
+    """
+    s, w = np.asarray(state, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
+    u = wheel_vectors(w[:4], s[7:11] - geometry.steering_zero_rad)
+    v_x, v_y, omega = forward_matrix(geometry.x_m, geometry.y_m, model) @ u
+    c, sn = np.cos(s[2]), np.sin(s[2])
+    return np.concatenate([[c * v_x - sn * v_y, sn * v_x + c * v_y, omega], w[:4] / geometry.radius_m, w[4:]])
+
+
+def state_jacobian(
+    geometry: WheelGeometry, state: ArrayLike, inputs: ArrayLike, model: str = "exact"
+) -> Array:
+    """Derivative (11, 11) of `state_derivative` by the state."""
+    s, w = np.asarray(state, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
+    f = forward_matrix(geometry.x_m, geometry.y_m, model)
+    heading = s[7:11] - geometry.steering_zero_rad
+    v_x, v_y, _ = f @ wheel_vectors(w[:4], heading)
+    c, sn = np.cos(s[2]), np.sin(s[2])
+    out = np.zeros((11, 11))
+    out[0, 2], out[1, 2] = -sn * v_x - c * v_y, c * v_x - sn * v_y
+    for i in range(4):
+        du = w[i] * np.array([-np.sin(heading[i]), np.cos(heading[i])])
+        a, b, k = f[:, 2 * i : 2 * i + 2] @ du
+        out[0, 7 + i], out[1, 7 + i], out[2, 7 + i] = c * a - sn * b, sn * a + c * b, k
+    return out
+
+
+def input_jacobian(geometry: WheelGeometry, state: ArrayLike, model: str = "exact") -> Array:
+    """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on them."""
+    s = np.asarray(state, dtype=np.float64)
+    f = forward_matrix(geometry.x_m, geometry.y_m, model)
+    heading = s[7:11] - geometry.steering_zero_rad
+    c, sn = np.cos(s[2]), np.sin(s[2])
+    out = np.zeros((11, 8))
+    for i in range(4):
+        a, b, k = f[:, 2 * i : 2 * i + 2] @ np.array([np.cos(heading[i]), np.sin(heading[i])])
+        out[0, i], out[1, i], out[2, i] = c * a - sn * b, sn * a + c * b, k
+        out[3 + i, i] = 1.0 / geometry.radius_m[i]
+        out[7 + i, 4 + i] = 1.0
+    return out

@@ -1,0 +1,275 @@
+"""References: where the robot should be at a time.
+
+A trajectory is a chain of segments. A segment is a path over s in [0, 1] and a time law: `quintic`
+(s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both ends) or `constant` (the step profile of the public
+recordings). Wall frame: X up the wall, Y to the left; heading about the wall normal.
+SI units.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.geometry import Array, ArrayLike, rotation2
+from hil.vocabulary.reading import read_text
+from hil.vocabulary.signals import Reference
+
+_MOST_WAYPOINT_BYTES = 16 << 20
+
+TimeLaw = Literal["quintic", "constant"]
+Pose = tuple[float, float, float]
+
+QUINTIC_PEAK_SPEED = 1.875
+QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
+
+
+@dataclass(frozen=True)
+class Straight:
+    """Path that changes x, y and heading in proportion to s, between two poses (x m, y m, theta rad)."""
+
+    start: Pose
+    end: Pose
+
+    def __call__(self, s: float) -> tuple[Array, Array, Array]:
+        """Pose (3,), its first and its second derivative by s."""
+        a, b = np.array(self.start), np.array(self.end)
+        return a + s * (b - a), b - a, np.zeros(3)
+
+
+@dataclass(frozen=True)
+class Arc:
+    """Arc to the left (positive angle) or right of the start heading, heading tangent or fixed."""
+
+    start: Pose
+    radius_m: float
+    angle_rad: float
+    tangent: bool = True
+
+    def __call__(self, s: float) -> tuple[Array, Array, Array]:
+        """Pose (3,), its first and its second derivative by s."""
+        x, y, theta = self.start
+        side, w = math.copysign(1.0, self.angle_rad), abs(self.angle_rad)
+        a = w * s
+        turn = rotation2(theta) * self.radius_m
+        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))])
+        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * w
+        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * w**2
+        heading, rate = (side * a, side * w) if self.tangent else (0.0, 0.0)
+        return (
+            np.array([x + p[0], y + p[1], theta + heading]),
+            np.array([d[0], d[1], rate]),
+            np.array([dd[0], dd[1], 0.0]),
+        )
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One stretch: a path over s in [0, 1], how long it takes, and how s runs."""
+
+    path: Straight | Arc
+    duration_s: float
+    law: TimeLaw = "quintic"
+
+    def at(self, t_s: float) -> tuple[Array, Array, Array]:
+        """Pose, velocity and acceleration (3,) each, in wall axes, at a time within the segment."""
+        u = min(max(t_s / self.duration_s, 0.0), 1.0)
+        if self.law == "quintic":
+            s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
+            ds = 30.0 * u**2 * (1.0 - u) ** 2 / self.duration_s
+            dds = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / self.duration_s**2
+        else:
+            s, ds, dds = u, (1.0 / self.duration_s if 0.0 <= t_s < self.duration_s else 0.0), 0.0
+        pose, first, second = self.path(s)
+        return pose, first * ds, second * ds**2 + first * dds
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A chain of segments, held at its last pose afterwards."""
+
+    name: str
+    segments: tuple[Segment, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Time from start to the last pose."""
+        return sum(s.duration_s for s in self.segments)
+
+    def to_mapping(self) -> dict[str, Any]:
+        """Plain data from which `from_mapping` builds the same trajectory, bit for bit."""
+        segments = [
+            {"kind": type(part.path).__name__.lower(), "path": asdict(part.path),
+             "duration_s": part.duration_s, "law": part.law}
+            for part in self.segments
+        ]  # fmt: skip
+        return {"name": self.name, "segments": segments}
+
+    @classmethod
+    def from_mapping(cls, data: Mapping[str, Any]) -> Trajectory:
+        """The inverse of `to_mapping`; raises `UsageError` for anything else."""
+        try:
+            made = cls(str(data["name"]), tuple(_segment(part) for part in data["segments"]))
+            made.sample(0.0)
+        except (KeyError, TypeError, ValueError, IndexError, OverflowError) as error:
+            raise UsageError(f"this is no trajectory ({error!r})", expected="what to_mapping wrote") from None
+        return made
+
+    def sample(self, t_s: float) -> Reference:
+        """Reference at a time; the twist is in the reference's body frame."""
+        left = t_s
+        for segment in self.segments:
+            if left < segment.duration_s:
+                pose, velocity, acceleration = segment.at(max(left, 0.0))
+                if t_s < 0.0:
+                    velocity, acceleration = np.zeros(3), np.zeros(3)
+                return _reference(t_s, pose, velocity, acceleration, False)
+            left -= segment.duration_s
+        pose, _, _ = self.segments[-1].path(1.0)
+        return _reference(t_s, pose, np.zeros(3), np.zeros(3), True)
+
+
+def _segment(data: Mapping[str, Any]) -> Segment:
+    path = dict(data["path"])
+    for key in ("start", "end"):
+        if key in path:
+            path[key] = _pose(path[key])
+    kinds: dict[str, type[Straight | Arc]] = {"straight": Straight, "arc": Arc}
+    law: TimeLaw = "constant" if data["law"] == "constant" else "quintic"
+    return Segment(kinds[data["kind"]](**path), float(data["duration_s"]), law)
+
+
+def _pose(value: ArrayLike) -> Pose:
+    x, y, theta = np.asarray(value, dtype=np.float64).tolist()
+    return (x, y, theta)
+
+
+def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, done: bool) -> Reference:
+    body = rotation2(-pose[2]) @ velocity[:2]
+    return Reference(t_s, pose, np.array([body[0], body[1], velocity[2]]), acceleration, done)
+
+
+def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:
+    """Time for a stretch within peak wheel speed and acceleration; a turn counts by its wheel path."""
+    way = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
+    if way <= 0:
+        raise UsageError("a segment of no length", expected="a start and an end that differ")
+    if law == "constant":
+        return way / speed
+    return max(QUINTIC_PEAK_SPEED * way / speed, math.sqrt(QUINTIC_PEAK_ACCELERATION * way / acceleration))
+
+
+def line(
+    start: ArrayLike, end: ArrayLike, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    duration_s: float | None = None, law: TimeLaw = "quintic", name: str = "line",
+) -> Trajectory:  # fmt: skip
+    """Straight line between two poses (3,), heading changing along with it.
+
+    Args:
+        start: first pose.
+        end: last pose.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        duration_s: overrides what the limits would need (and is checked later).
+        law: `quintic` or `constant`.
+        name: shown in results.
+    """
+    a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
+    length = float(np.hypot(*(b - a)[:2]))
+    needed = _duration(length, float(b[2] - a[2]), speed_m_s, acceleration_m_s2, law)
+    return Trajectory(name, (Segment(Straight(_pose(a), _pose(b)), duration_s or needed, law),))
+
+
+def rotation(
+    start: ArrayLike, angle_rad: float, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    law: TimeLaw = "quintic", name: str = "rotation",
+) -> Trajectory:  # fmt: skip
+    """Turn on the spot, counter-clockwise for positive angles."""
+    pose = np.asarray(start, dtype=np.float64)
+    end = pose + np.array([0.0, 0.0, angle_rad])
+    return line(pose, end, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, law=law, name=name)
+
+
+def circle(
+    start: ArrayLike, radius_m: float, *, turns: float = 1.0, tangent: bool = True, speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2, law: TimeLaw = "quintic", name: str = "circle",
+) -> Trajectory:  # fmt: skip
+    """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading."""
+    angle = 2.0 * math.pi * turns
+    turn = angle if tangent else 0.0
+    time_s = _duration(abs(angle) * radius_m, turn, speed_m_s, acceleration_m_s2, law)
+    return Trajectory(name, (Segment(Arc(_pose(start), radius_m, angle, tangent), time_s, law),))
+
+
+def scan(
+    start: ArrayLike, length_m: float, lanes: int, spacing_m: float, *, speed_m_s: float = 0.1,
+    acceleration_m_s2: float = 0.2, name: str = "scan",
+) -> Trajectory:  # fmt: skip
+    """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners."""
+    if lanes < 1:
+        raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
+    x, y, theta = np.asarray(start, dtype=np.float64)
+    points = []
+    for lane in range(lanes):
+        ends = (x, x + length_m) if lane % 2 == 0 else (x + length_m, x)
+        points += [np.array([e, y + lane * spacing_m, theta]) for e in ends]
+    return through(points, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, name=name)
+
+
+def through(
+    poses: Sequence[ArrayLike], *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
+    name: str = "waypoints",
+) -> Trajectory:  # fmt: skip
+    """Straight quintic segments through poses, at rest at each."""
+    if len(poses) < 2:
+        raise UsageError(f"{len(poses)} waypoint(s)", expected="at least 2")
+    parts = [
+        line(a, b, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2).segments[0]
+        for a, b in pairwise(poses)
+    ]
+    return Trajectory(name, tuple(parts))
+
+
+def read_waypoints(path: Path) -> list[Array]:
+    """Poses of a CSV file with the header `x,y,theta` (m, m, rad)."""
+    try:
+        text = read_text(path, _MOST_WAYPOINT_BYTES)
+    except (OSError, ValueError) as error:
+        raise DataError(str(path), f"cannot be read ({error})") from None
+    try:
+        rows = csv.DictReader(io.StringIO(text, newline=""))
+        poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]
+    except (KeyError, TypeError, ValueError, csv.Error):
+        raise DataError(str(path), "is no waypoint list", expected="header x,y,theta and numbers") from None
+    if len(poses) < 2 or not np.all(np.isfinite(poses)):
+        raise DataError(str(path), f"holds {len(poses)} waypoint(s)", expected="at least 2, all finite")
+    return poses
+
+
+def recorded_motion(name: str) -> Trajectory:
+    """The public recordings' motions: constant speed with a step start (arXiv 2509.04016)."""
+    origin = (0.0, 0.0, 0.0)
+    v, w = 0.050, 0.157
+    law: TimeLaw = "constant"
+    sign = 1.0 if name.endswith("_ccw") else -1.0
+    if name in ("line_x", "line_y"):
+        end = (4.0, 0.0, 0.0) if name == "line_x" else (0.0, 4.0, 0.0)
+        return Trajectory(name, (Segment(Straight(origin, end), 4.0 / v, law),))
+    if name in ("circle_ccw", "circle_cw"):
+        full = sign * 2.0 * math.pi
+        return Trajectory(name, (Segment(Arc(origin, 0.5, full), math.pi / v, law),))
+    if name in ("rotation_ccw", "rotation_cw"):
+        turned = (0.0, 0.0, sign * 2.0 * math.pi)
+        return Trajectory(name, (Segment(Straight(origin, turned), 2 * math.pi / w, law),))
+    raise UsageError(
+        f"motion {name!r}", expected="line_x, line_y, circle_ccw, circle_cw, rotation_ccw, rotation_cw"
+    )

@@ -1,0 +1,1 @@
+"""What every other package speaks: samples and states, seams, time, geometry, errors, files."""

@@ -1,0 +1,88 @@
+"""Writes files whole, with an error that names the file, and says beforehand whether they can be written."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from hil.vocabulary.errors import DataError
+
+_REMEDY = "choose a folder that exists and has room"
+
+
+def write_text(path: Path, text: str) -> Path:
+    """Write a text as UTF-8, over what was there; returns the path.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8", errors="backslashreplace")
+    except OSError as error:
+        raise _refused(path, error) from None
+    return path
+
+
+def check_folder(path: Path) -> None:
+    """Make sure that files can be put into a folder, which need not exist yet; leaves nothing behind.
+
+    Raises:
+        DataError: it, or what is above it, is no folder or cannot be written.
+    """
+    _probe(path, path)
+
+
+def check_file(path: Path) -> None:
+    """Make sure that a file can be written, in a folder that need not exist yet; raises `DataError`."""
+    if path.is_dir():
+        raise DataError(str(path), "is a folder", expected="the name of a file")
+    _probe(path, path.parent)
+    if path.exists() and not os.access(path, os.W_OK):
+        raise DataError(str(path), "cannot be written (Permission denied)", remedy=_REMEDY)
+
+
+def _probe(path: Path, folder: Path) -> None:
+    """Try to write where `folder` is or would be; `path` is what an error names."""
+    try:
+        there = folder
+        while not there.exists() and there != there.parent:
+            there = there.parent
+        if not there.is_dir():
+            raise DataError(str(path), f"{there} is a file", expected="a folder, new or not")
+        with tempfile.TemporaryDirectory(prefix=".hil-", dir=there):
+            pass
+    except OSError as error:
+        raise _refused(path, error) from None
+
+
+@contextmanager
+def staged(folder: Path) -> Iterator[Path]:
+    """A folder for the files of one result, which appear in `folder` together or not at all.
+
+    `folder` is made where it is missing, and taken away again when the body fails.
+
+    Raises:
+        DataError: something cannot be written.
+    """
+    check_folder(folder)
+    made = [p for p in (folder, *folder.parents) if not p.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=".hil-", dir=folder) as parts:
+            yield Path(parts)
+            for part in sorted(Path(parts).iterdir()):
+                os.replace(part, folder / part.name)
+    except BaseException as error:
+        for path in made:
+            with suppress(OSError):
+                path.rmdir()
+        if isinstance(error, OSError):
+            raise _refused(folder, error) from None
+        raise
+
+
+def _refused(path: Path, error: OSError) -> DataError:
+    return DataError(str(path), f"cannot be written ({error.strerror or error})", remedy=_REMEDY)

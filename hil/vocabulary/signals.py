@@ -1,0 +1,311 @@
+"""What flows through the ring: samples from devices, states, references, setpoints, cycle records.
+
+Frozen dataclasses, SI units, unit and frame in the name. Wheel order is FL, BL, BR, FR everywhere
+(the paper's 1..4); an array over servos has the four drives first, then the four steers, each in
+wheel order. "No data" is never a number: it is NaN together with a status that says why.
+
+Frames: `body` has x forward, y left, z out of the surface; `wall` has X up the wall, Y to the left,
+Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from hil.vocabulary.geometry import Array
+
+WHEELS = ("FL", "BL", "BR", "FR")
+SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
+
+
+class Status(str, enum.Enum):
+    """Why a sample or a channel of it can or cannot be used."""
+
+    OK = "ok"
+    TIMEOUT = "timeout"
+    CRC = "crc"
+    HARDWARE_ERROR = "hardware error"
+    PROTOCOL = "protocol"
+    STALE = "stale"
+    FROZEN = "frozen"
+    STARTING = "starting"
+    NOT_TRACKED = "not tracked"
+    LOW_CONFIDENCE = "low confidence"
+    JUMP = "jump"
+    NOT_FINITE = "not finite"
+    IMPLAUSIBLE = "implausible"
+    PARITY = "parity"
+    MAGNET = "magnet"
+    RESET = "reset"
+
+
+@dataclass(frozen=True)
+class Stamp:
+    """When a sample was measured and when the host saw it.
+
+    Attributes:
+        t_ns: best knowledge of the instant of measurement, on the bench clock.
+        host_ns: when the host received it, on the bench clock.
+        seq: sequence number counted by the source (or the driver), never decreasing.
+        device_ns: the device's own clock where it has one, else None.
+    """
+
+    t_ns: int
+    host_ns: int
+    seq: int
+    device_ns: int | None = None
+
+
+@dataclass(frozen=True)
+class ServoSample:
+    """One synchronised read of the eight servos; arrays of shape (8,), order `SERVOS`.
+
+    Angles are the servo's own (before `alignment`), multi-turn; NaN where `status` is not OK.
+    `current_a` is signed motor current. `alert` is the hardware-error byte per servo (0 = none).
+    """
+
+    stamp: Stamp
+    position_rad: Array
+    velocity_rad_s: Array
+    current_a: Array
+    status: tuple[Status, ...]
+    alert: tuple[int, ...] = (0,) * 8
+
+    @property
+    def ok(self) -> bool:
+        """Whether all eight servos answered."""
+        return all(s is Status.OK for s in self.status)
+
+
+@dataclass(frozen=True)
+class ServoHealth:
+    """Slow bulk read: shape (8,), NaN where a servo did not answer."""
+
+    stamp: Stamp
+    voltage_v: Array
+    temperature_c: Array
+    status: tuple[Status, ...]
+
+
+@dataclass(frozen=True)
+class ServoHold:
+    """What the servos say about holding the robot, when they were last looked after.
+
+    Attributes:
+        t_ns: when that was.
+        position_rad: (8,), as in `ServoSample`; NaN where a servo did not answer.
+        trouble: what keeps a servo from holding, by its name in `SERVOS`; empty when all eight have torque
+            and a watchdog that waits.
+        wanted: whether they are to hold at all: from `enable` until `release`.
+    """
+
+    t_ns: int
+    position_rad: Array
+    wanted: bool
+    trouble: Mapping[str, str] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class EncoderSample:
+    """External steering encoders (AS5045), shape (4,), rad in [-pi, pi), NaN where not OK."""
+
+    stamp: Stamp
+    angle_rad: Array
+    status: tuple[Status, ...]
+    raw_word: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """BNO055 burst in the sensor's (axis-remapped) frame.
+
+    Attributes:
+        quaternion_wxyz: shape (4,), sensor in its gravity-levelled reference frame.
+        gyro_rad_s: shape (3,).
+        linear_acceleration_m_s2: shape (3,), without gravity.
+        gravity_m_s2: shape (3,), points **up** (specific force at rest), sensor frame.
+        calibration: (system, gyro, accelerometer, magnetometer), each 0..3.
+    """
+
+    stamp: Stamp
+    quaternion_wxyz: Array
+    gyro_rad_s: Array
+    linear_acceleration_m_s2: Array
+    gravity_m_s2: Array
+    calibration: tuple[int, int, int, int]
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class TrackerSample:
+    """T265 pose in robot axes (x forward, y left, z up of the camera), camera in its start frame.
+
+    The mount on the robot is not applied here; `hil.ring.alignment` does that.
+    """
+
+    stamp: Stamp
+    position_m: Array
+    quaternion_wxyz: Array
+    velocity_m_s: Array
+    angular_velocity_rad_s: Array
+    confidence: int
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class MocapSample:
+    """Motion-capture pose of the robot's rigid body in the capture frame."""
+
+    stamp: Stamp
+    position_m: Array
+    quaternion_wxyz: Array
+    tracking_valid: bool
+    latency_s: float
+    marker_error_m: float
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Everything that the devices delivered since the previous cycle, oldest first per device."""
+
+    cycle: int
+    t_ns: int
+    servos: tuple[ServoSample, ...] = ()
+    health: tuple[ServoHealth, ...] = ()
+    encoders: tuple[EncoderSample, ...] = ()
+    imu: tuple[ImuSample, ...] = ()
+    tracker: tuple[TrackerSample, ...] = ()
+    mocap: tuple[MocapSample, ...] = ()
+
+
+@dataclass(frozen=True)
+class WheelMeasurement:
+    """Aligned wheel state: shape (4,) each, wheel order; signs and zero offsets applied.
+
+    `valid` marks wheels whose drive and steer are both usable.
+    """
+
+    stamp: Stamp
+    wheel_angle_rad: Array
+    wheel_rate_rad_s: Array
+    steering_rad: Array
+    valid: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class GyroMeasurement:
+    """Aligned inertial sample in body axes.
+
+    Attributes:
+        yaw_rate_rad_s: rate about the surface normal.
+        gravity_heading_rad: heading about the wall normal from gravity in the wall plane; NaN on the floor.
+        acceleration_m_s2: (2,) body, without gravity.
+    """
+
+    stamp: Stamp
+    yaw_rate_rad_s: float
+    gravity_heading_rad: float
+    acceleration_m_s2: Array
+
+
+@dataclass(frozen=True)
+class PoseMeasurement:
+    """Planar pose of the body from a camera or the capture system, shape (3,): (m, m, rad unwrapped).
+
+    `source` is `tracker` (own start frame) or `mocap` (wall frame). `quality` is 0..3.
+    """
+
+    stamp: Stamp
+    source: str
+    pose: Array
+    quality: int
+    valid: bool
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Aligned inputs of one cycle: what the estimator sees."""
+
+    cycle: int
+    t_ns: int
+    wheels: tuple[WheelMeasurement, ...] = ()
+    gyro: tuple[GyroMeasurement, ...] = ()
+    tracker: tuple[PoseMeasurement, ...] = ()
+    mocap: tuple[PoseMeasurement, ...] = ()
+
+
+@dataclass(frozen=True)
+class RobotState:
+    """Estimated state.
+
+    Attributes:
+        pose_body_in_wall: shape (3,), (x m, y m, theta rad unwrapped).
+        twist_body: shape (3,), (m/s, m/s, rad/s).
+        covariance: shape (6, 6) of (pose, twist), pose errors in wall axes.
+        diagnostics: scalar figures by name (`nis_wheels`, `rejected_tracker`, `sag_m_s`, ...).
+    """
+
+    t_ns: int
+    pose_body_in_wall: Array
+    twist_body: Array
+    covariance: Array
+    diagnostics: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
+
+    t_s: float
+    pose_in_wall: Array
+    twist_body: Array
+    acceleration_wall: Array
+    done: bool = False
+
+
+@dataclass(frozen=True)
+class WheelSetpoint:
+    """Wheel rates and steering angles in the aligned (body) convention, shape (4,) each."""
+
+    wheel_rate_rad_s: Array
+    steering_rad: Array
+
+
+@dataclass(frozen=True)
+class ServoSetpoint:
+    """What goes on the bus: drive velocity goals and steering position goals of the servos themselves."""
+
+    drive_velocity_rad_s: Array
+    steer_position_rad: Array
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something worth telling: a fault, a rejected sample, a stop, a mode change."""
+
+    t_ns: int
+    level: str
+    source: str
+    message: str
+
+
+@dataclass(frozen=True)
+class CycleRecord:
+    """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces."""
+
+    cycle: int
+    deadline_ns: int
+    start_ns: int
+    inputs: Inputs
+    measurements: Measurements
+    state: RobotState
+    reference: Reference | None
+    setpoint: WheelSetpoint
+    command: ServoSetpoint
+    events: tuple[Event, ...] = ()
+    timing_ns: Mapping[str, int] = field(default_factory=dict)
+    truth: Mapping[str, Any] | None = None
