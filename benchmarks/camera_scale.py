@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench import open_bench
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.fakes.world import random_stream
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure

@@ -16,21 +16,18 @@ from typing import Any
 
 from pydantic import BaseModel
 
-from hil.config.bench import BenchConfig
+from hil.config.bench import bench_model
 from hil.config.values import Within
-from hil.fakes.encoders import EncoderTruthOptions
-from hil.fakes.imu import ImuTruthOptions
-from hil.fakes.mocap import MocapTruthOptions
-from hil.fakes.servos import ServoBusOptions
-from hil.fakes.tracker import TrackerTruthOptions
+from hil.vocabulary.kinds import DeviceModel, kinds
+from hil.vocabulary.signals import KINDS
 
 OPTIONS = {
-    "servos": ServoBusOptions,
-    "encoders": EncoderTruthOptions,
-    "imu": ImuTruthOptions,
-    "tracker": TrackerTruthOptions,
-    "mocap": MocapTruthOptions,
+    (kind, model.name): model.imperfections()
+    for kind in KINDS
+    for model in kinds()[kind].models
+    if model.imperfections is not None
 }
+"""What may be wrong with the emulated devices that this package has, by kind and model."""
 PAGE = Path(__file__).with_name("bench-file.md")
 HEAD = """# The bench file
 
@@ -59,27 +56,36 @@ backend = "emulated"     # this one is not there yet
 
 def page() -> str:
     """The whole page."""
-    parts = list(_table(BenchConfig, ""))
-    parts += [part for device, options in OPTIONS.items() for part in _options(device, options)]
+    parts = list(_table(bench_model(), ""))
+    for kind in KINDS:
+        for model in kinds()[kind].models:
+            parts += _table(model.config, kind, _of(model))
+    for (kind, name), options in OPTIONS.items():
+        parts += _options(kind, _of(kinds()[kind].model(name)), options)
     return HEAD + "".join(parts)
 
 
-def _options(device: str, options: type) -> Iterator[str]:
+def _of(model: DeviceModel) -> str:
+    """What a heading says beside the kind, where there are several models."""
+    return f' with model = "{model.name}"' if len(kinds()[model.kind].models) > 1 else ""
+
+
+def _options(device: str, of: str, options: type) -> Iterator[str]:
     """True imperfections of one emulated device: a dataclass."""
     told = _told(options)
-    yield f"\n## `[emulation.{device}]`\n\n{inspect.cleandoc(options.__doc__ or '').splitlines()[0]}\n"
+    yield f"\n## `[emulation.{device}]`{of}\n\n{inspect.cleandoc(options.__doc__ or '').splitlines()[0]}\n"
     yield "\n| key | default | meaning |\n|---|---|---|\n"
     for field in dataclasses.fields(options):
         if field.default is not dataclasses.MISSING:
             yield f"| `{field.name}` | `{_toml(field.default)}` | {told.get(field.name, '')} |\n"
 
 
-def _table(model: type[BaseModel], path: str) -> Iterator[str]:
+def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
     told = _told(model)
     rows, nested = [], []
     for name, field in model.model_fields.items():
         inner = _model_of(field.annotation)
-        if path == "emulation" and name in OPTIONS:
+        if name in kinds() and path in ("", "emulation"):
             continue
         if inner is not None:
             nested.append((inner, f"{path}.{name}".lstrip(".")))
@@ -92,7 +98,7 @@ def _table(model: type[BaseModel], path: str) -> Iterator[str]:
         )
         rows.append(f"| `{field.alias or name}` | {default} | {meaning} |\n")
     if path:
-        yield f"\n## `[{path}]`\n\n"
+        yield f"\n## `[{path}]`{of}\n\n"
         yield inspect.cleandoc(model.__doc__ or "").splitlines()[0] + "\n"
     if rows:
         yield "\n| key | default | meaning |\n|---|---|---|\n" + "".join(rows)
@@ -108,9 +114,10 @@ def _model_of(annotation: Any) -> type[BaseModel] | None:
 
 
 def _told(model: type) -> dict[str, str]:
-    """Meaning of each key from the section `Attributes:`; several may share one entry."""
+    """Meaning of each key from the section `Attributes:`, its bases' too; several may share one entry."""
+    bases = [base for base in model.__bases__ if issubclass(base, BaseModel) and base is not BaseModel]
+    told: dict[str, str] = {key: text for base in bases for key, text in _told(base).items()}
     _, _, section = inspect.cleandoc(model.__doc__ or "").partition("Attributes:\n")
-    told: dict[str, str] = {}
     for entry in re.split(r"\n(?= {4}\S)", section.rstrip()):
         names, _, text = entry.strip().partition(": ")
         plain = " ".join(text.split()).replace("|", "\\|")

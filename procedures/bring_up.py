@@ -16,6 +16,7 @@ from scipy.integrate import trapezoid
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.config.encoders import EncodersConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
@@ -27,27 +28,24 @@ from hil.procedures.parts.bring_up_jogs import (
 )
 from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
-from hil.procedures.parts.devices import DEVICES, Device, only
+from hil.procedures.parts.devices import Device, only
 from hil.procedures.parts.fragment import write_fragment
 from hil.procedures.parts.samples import inertial, poses
 from hil.procedures.parts.tracking import stand
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import WHEELS
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import KINDS, WHEELS
 
 _DEG = float(np.degrees(1.0))
-_GAP_MS = {"servos": 50.0, "encoders": 50.0, "imu": 100.0, "tracker": 100.0, "mocap": 500.0}
-_AGE_MS = {"servos": 5.0, "encoders": 10.0, "imu": 20.0, "tracker": 50.0, "mocap": 50.0}
-_DELIVERED = {"servos": 0.98, "encoders": 0.98, "imu": 0.95, "tracker": 0.95, "mocap": 0.8}
-_OWN_CLOCK = ("encoders", "tracker", "mocap")
 
 
 class Parameters(BaseModel):
     """Which devices there should be, how long to watch them, and how far to move."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    devices: tuple[Device, ...] = DEVICES
+    devices: tuple[Device, ...] = KINDS
     watch_s: float = Field(20.0, ge=2.0, le=600)
     steer_deg: float = Field(5.0, ge=2.0, le=20)
     drive_rad_s: float = Field(0.5, ge=0.2, le=2.0)
@@ -71,9 +69,9 @@ def age_limit_ms(name: str, config: BenchConfig) -> float:
 
     Encoder frames wait for the loop in a queue, and so does whatever was asked for a cycle ahead.
     """
-    device = getattr(config, name)
+    device = config.devices().get(name)
     waits = name == "encoders" or bool(getattr(device, "prefetch", False))
-    return _AGE_MS[name] + (1e3 / config.loop.rate_hz if waits else 0.0)
+    return 1e3 * kinds()[name].age_s + (1e3 / config.loop.rate_hz if waits else 0.0)
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
@@ -92,16 +90,19 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
     for name in p.devices:
         yield Measurement(f"{name}.rate", "Hz", rationale="usable samples")
         yield Measurement(
-            f"{name}.delivered", "1", low=_DELIVERED[name], marginal=0.01, rationale="usable over due"
+            f"{name}.delivered", "1", low=kinds()[name].delivered, marginal=0.01, rationale="usable over due"
         )
         yield Measurement(
-            f"{name}.largest_gap", "ms", high=_GAP_MS[name], rationale="before estimate or supervisor suffer"
+            f"{name}.largest_gap",
+            "ms",
+            high=1e3 * kinds()[name].gap_s,
+            rationale="before estimate or supervisor suffer",
         )
         yield Measurement(
             f"{name}.age", "ms", low=0.0, high=age_limit_ms(name, config),
             rationale="median, from measurement to arrival; a cycle more where samples wait for the loop",
         )  # fmt: skip
-        if name in _OWN_CLOCK:
+        if kinds()[name].own_clock:
             yield Measurement(
                 f"{name}.clock_drift", "ppm", low=-90.0, high=90.0, marginal=10.0,
                 rationale="device against bench clock, positive fast; drivers follow 100",
@@ -216,7 +217,7 @@ def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:
     ctx.measure(f"{name}.delivered", stream.delivered)
     ctx.measure(f"{name}.largest_gap", 1e3 * stream.gap_s[2])
     ctx.measure(f"{name}.age", 1e3 * stream.age_s[0])
-    if name in _OWN_CLOCK:
+    if kinds()[name].own_clock:
         ctx.measure(f"{name}.clock_drift", stream.drift_ppm)
         ctx.measure(f"{name}.clock_drift_uncertainty", stream.drift_uncertainty_ppm)
 
@@ -248,9 +249,10 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
             "steer_sign": _turned(config.alignment.steer_sign, signs.steer),
         }
     }
-    if "encoders" in ctx.parameters.devices and config.encoders is not None:
+    encoders = config.of(EncodersConfig)
+    if "encoders" in ctx.parameters.devices and encoders is not None:
         told += reversed_names(signs.encoder, "encoder")
-        values["encoders"] = {"sign": _turned(config.encoders.sign, signs.encoder)}
+        values["encoders"] = {"sign": _turned(encoders.sign, signs.encoder)}
     ctx.note("Directions: " + (", ".join(told) if told else "all as configured") + ".")
     write_fragment(ctx, values, "Signs as found by small motions; unclear ones are left as they were.")
 

@@ -20,6 +20,7 @@ from scipy.stats import t as student
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.config.imu import Bno055Config
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedures.parts.fragment import write_fragment
 from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
@@ -166,7 +167,7 @@ def learn(bench: Bench, p: Parameters) -> float:
 
 def store(ctx: Context, bench: Bench) -> tuple[Any, Path]:
     """Read the offsets out and keep them in a file."""
-    stored = cast(StoresOffsets, bench.rig.imu).read_calibration()
+    stored = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
     path = ctx.folder / "imu_offsets.toml"
     stored.save(path)
     ctx.attach("IMU offsets", path)
@@ -256,10 +257,10 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
 
     What the bench believes changes; how an emulated chip is mounted does not.
     """
-    config = ctx.source.config.imu
+    config = ctx.source.config.of(Bno055Config)
     assert config is not None
     mount = quat_multiply(quat_from_yaw(offset_rad), config.mount_rotation_wxyz)
-    emulation = ctx.source.config.emulation.imu
+    emulation = ctx.source.config.imperfections("imu")
     values = {
         "imu": {"calibration_file": path.name, "mount_rotation_wxyz": [round(float(v), 6) for v in mount]}
     }
@@ -271,7 +272,7 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
             "emulation.imu": {"mount_rotation_wxyz": config.mount_rotation_wxyz, **emulation},
         },
     )  # fmt: skip
-    back = cast(StoresOffsets, bench.rig.imu).read_calibration()
+    back = cast(StoresOffsets, bench.rig.get("imu")).read_calibration()
     pairs = zip(
         (*stored.accelerometer_offset, *stored.magnetometer_offset, *stored.gyroscope_offset),
         (*back.accelerometer_offset, *back.magnetometer_offset, *back.gyroscope_offset), strict=True,

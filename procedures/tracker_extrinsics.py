@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.config.device import TrackerConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedures.parts.fragment import write_fragment
 from hil.procedures.parts.samples import Series, camera, poses
@@ -176,7 +177,7 @@ def _joined(parts: list[Series]) -> Series:
 
 def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     """Solve, measure, draw."""
-    config = ctx.source.config.tracker
+    config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     truth_series, seen, parts = collected(motions)
     truth = Truth(truth_series)
@@ -202,7 +203,7 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
 
 
 def _table(ctx: Context, found: Extrinsics) -> None:
-    config = ctx.source.config.tracker
+    config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     rows = [
         [axis, f"{1e3 * config.mount_position_m[k]:+.1f}", f"{1e3 * found.position_m[k]:+.2f}",
@@ -245,7 +246,7 @@ def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> N
 
 
 def _draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsics) -> None:
-    config = ctx.source.config.tracker
+    config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     late = found.late_s + np.linspace(-0.03, 0.03, 61)
     curve = lateness_curve(parts, truth, found, config.mount_rotation_wxyz, late)
@@ -280,7 +281,7 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
 
     What the bench believes changes; how an emulated camera is mounted does not.
     """
-    config = ctx.source.config.tracker
+    config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     x, y = found.position_m
     values: dict[str, Any] = {
@@ -292,7 +293,7 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     }
     true = {
         "mount_position_m": config.mount_position_m, "mount_rotation_wxyz": config.mount_rotation_wxyz,
-        **ctx.source.config.emulation.tracker,
+        **ctx.source.config.imperfections("tracker"),
     }  # fmt: skip
     overrides = {**unused, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
     bench = ctx.reopen("applied", overrides=overrides)

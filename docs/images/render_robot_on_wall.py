@@ -16,7 +16,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyBboxPatch, Polygon
 
-from hil.config.bench import BenchConfig, load_bench
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WHEELS
 

@@ -154,8 +154,8 @@ class Bench(Blueprint):
         return {**super().header(), "clock": describe_clock(self.clock.wall_offset())}
 
     def has(self, name: str) -> bool:
-        """Whether the bench has the device (`servos encoders imu tracker mocap`)."""
-        return getattr(self.rig, name) is not None
+        """Whether the bench has a device of this kind."""
+        return self.rig.get(name) is not None
 
     def truth(self) -> PlantState | None:
         """Physical truth of an emulated robot in this process; None on anything else."""

@@ -97,7 +97,6 @@ class Blueprint:
         return Brain(
             Supervisor(
                 safety_limits(config),
-                watched=tuple(config.devices()),
                 checks=checks(config, self.geometry, follows=follows, feedback=feedback),
             ),
             Alignment(self.alignment_parameters),

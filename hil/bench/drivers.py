@@ -1,51 +1,41 @@
-"""From a checked configuration to the rig: the real drivers, and where each finds its device."""
+"""From a checked configuration to the rig: the drivers of the registry, and where each finds its device."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, cast
 
 from hil.config.bench import BenchConfig
-from hil.drivers.encoders import As5045Encoders
-from hil.drivers.imu import Bno055Imu
-from hil.drivers.mocap import NatNetMocap
-from hil.drivers.servos import XH430Servos
-from hil.drivers.tracker import T265Tracker
+from hil.config.device import DeviceConfig
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.interfaces import Actuators, Device, Sensor
+from hil.vocabulary.kinds import Connection, DeviceModel, kinds
 
 
-@dataclass
-class Connections:
-    """Where emulated devices are to be found; empty for a bench of hardware.
+def model_of(config: BenchConfig, kind: str) -> DeviceModel:
+    """The model that a configured device is of."""
+    table = config.devices()[kind]
+    return kinds()[kind].model(getattr(table, "model"))  # noqa: B009 - every model's table has the key
 
-    Attributes:
-        values: per device, keys of its configuration that say where it is (`port`, `channel`, ...).
-        pipeline: stands in for the camera library's pipeline.
-        datagrams: stands in for the network of the capture system.
+
+def make_rig(config: BenchConfig, clock: Clock, connections: Mapping[str, Connection]) -> Rig:
+    """Drivers of all configured devices, closed.
+
+    Args:
+        config: of the bench.
+        clock: the bench clock.
+        connections: by kind, where emulated devices are to be found; empty for a bench of hardware.
     """
 
-    values: dict[str, Mapping[str, Any]] = field(default_factory=dict)
-    pipeline: Any = None
-    datagrams: Callable[..., Any] | None = None
+    def driver(name: str, table: DeviceConfig) -> Device:
+        found = connections.get(name, Connection())
+        at = table.model_copy(update=dict(found.values))
+        return model_of(config, name).driver(at, clock, **found.parts)
 
-
-def make_rig(config: BenchConfig, clock: Clock, connections: Connections) -> Rig:
-    """Drivers of all configured devices, closed."""
-
-    def at(name: str) -> Any:
-        device = getattr(config, name)
-        if device is None:
-            return None
-        return device.model_copy(update=dict(connections.values.get(name, {})))
-
-    servos, encoders, imu, tracker, mocap = map(at, ("servos", "encoders", "imu", "tracker", "mocap"))
+    made = {name: driver(name, table) for name, table in config.devices().items()}
+    moving = [device for name, device in made.items() if kinds()[name].actuates]
+    sensors = {name: device for name, device in made.items() if not kinds()[name].actuates}
     return Rig(
-        clock,
-        servos=servos and XH430Servos(servos, clock),
-        encoders=encoders and As5045Encoders(encoders, clock),
-        imu=imu and Bno055Imu(imu, clock),
-        tracker=tracker and T265Tracker(tracker, clock, pipeline=connections.pipeline),
-        mocap=mocap and NatNetMocap(mocap, clock, datagrams=connections.datagrams),
+        clock, cast("Actuators", moving[0]) if moving else None, cast("dict[str, Sensor[Any]]", sensors)
     )

@@ -3,50 +3,35 @@
 from __future__ import annotations
 
 import itertools
-import os
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
-from pydantic import TypeAdapter, ValidationError
-
-from hil.bench.drivers import Connections
+from hil.bench.drivers import model_of
 from hil.bench.repeating import repeating_robot
 from hil.config.bench import BenchConfig
-from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
-from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
+from hil.devices.emulated import EmulatedDevice, Face, Setting
 from hil.fakes.faults import Fault, FaultPlan, describe
-from hil.fakes.imu import Bno055Chip, ImuTruthOptions
-from hil.fakes.mocap import MocapTruthOptions, NatNetFace, NatNetServer
 from hil.fakes.plant import make_plant
-from hil.fakes.serial_line import SerialLine
-from hil.fakes.serial_pty import SerialPty
-from hil.fakes.server import EmulationServer, Face
-from hil.fakes.servos import ServoBus, ServoBusOptions
+from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
-from hil.fakes.tracker import T265, TrackerFace, TrackerTruthOptions
 from hil.fakes.world import World, random_stream
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
+from hil.vocabulary.kinds import Connection, kinds
 
-_IMU_LATENCY_S = 0.001
-_MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}
 _NUMBERS = itertools.count(1)
-
-T = TypeVar("T")
 
 
 @dataclass
 class Connected:
-    """Emulated devices in this process, and how to let go of what they occupy."""
+    """Emulated devices in this process, by kind, and how to let go of what they occupy."""
 
-    connections: Connections
-    closers: list[Callable[[], None]] = field(default_factory=list)
+    connections: dict[str, Connection] = field(default_factory=dict)
 
     def close(self) -> None:
         """Free channel and line names. Idempotent."""
-        while self.closers:
-            self.closers.pop()()
+        while self.connections:
+            self.connections.popitem()[1].close()
 
 
 def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ()) -> World:
@@ -69,6 +54,33 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     return World(plant, seed=seed, faults=plan)
 
 
+def emulated(
+    config: BenchConfig, world: World, kind: str, name: str, *, standard_ports: bool = False
+) -> EmulatedDevice:
+    """One emulated device of a bench, built in a world and not connected.
+
+    Args:
+        config: of the bench.
+        world: where it lives.
+        kind: of the device.
+        name: of its line or channel.
+        standard_ports: whether to serve it where such devices are usually found.
+
+    Raises:
+        ConfigError: its model cannot be emulated, or `[emulation.KIND]` is wrong.
+    """
+    model = model_of(config, kind)
+    if model.emulate is None:
+        raise ConfigError(
+            f"{config.name}: {kind}.model = {model.name!r} cannot be emulated",
+            remedy="choose another model for the emulated bench, or a real one",
+        )
+    given = config.imperfections(kind)
+    setting = Setting(kind, config.devices()[kind], given, world, name, standard_ports)
+    device: EmulatedDevice = model.emulate(setting)
+    return device
+
+
 def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
     """All emulated devices of a bench (or `only` some) in this process, on names of their own.
 
@@ -76,24 +88,12 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
         FaultNotSupportedError: a fault that none of them can produce.
     """
     number = next(_NUMBERS)
-    connected = Connected(Connections())
-    values = connected.connections.values
+    connected = Connected()
     try:
-        for name in config.emulated():
-            if only and name not in only:
-                continue
-            if name in _SERIAL:
-                line = _SERIAL[name](config, world, f"{name}-{number}").open()
-                connected.closers.append(line.close)
-                values[name] = {"port": f"hil://{line.name}"}
-            elif name == "encoders":
-                channel = _encoders(config, world, f"can-{number}").open()
-                connected.closers.append(channel.close)
-                values[name] = {"interface": "hil", "channel": channel.name, "options": {}}
-            elif name == "tracker":
-                connected.connections.pipeline = _tracker(config, world).pipeline()
-            elif name == "mocap":
-                connected.connections.datagrams = _mocap(config, world).datagrams
+        for kind in config.emulated():
+            if not only or kind in only:
+                device = emulated(config, world, kind, f"{kinds()[kind].shown_as}-{number}")
+                connected.connections[kind] = device.connect()
         world.faults.check()
     except HilError:
         connected.close()
@@ -170,7 +170,8 @@ def open_emulation(
     faces: dict[str, Face] = {}
     try:
         for name in names:
-            faces["can" if name == "encoders" else name] = _FACES[name](config, world, standard_ports)
+            shown = kinds()[name].shown_as
+            faces[shown] = emulated(config, world, name, shown, standard_ports=standard_ports).serve()
     except HilError:
         for face in faces.values():
             face.close()
@@ -178,115 +179,3 @@ def open_emulation(
     return EmulationServer(
         world, clock or MonotonicClock(), faces, lifeline=lifeline, await_start=await_start
     )
-
-
-def _options(kind: type[T], config: BenchConfig, device: str, **known: Any) -> T:
-    """True imperfections of a device from the configuration; raises `ConfigError` with the key."""
-    given = {**known, **getattr(config.emulation, device)}
-    names = [f.name for f in fields(kind)]  # type: ignore[arg-type]
-    problems = [f"emulation.{device}.{key}: unknown; one of {', '.join(names)}" for key in given
-                if key not in names]  # fmt: skip
-    if not problems:
-        try:
-            return TypeAdapter(kind).validate_python(given)
-        except ValidationError as error:
-            problems = [f"emulation.{device}.{e['loc'][0]}: {e['msg']}" for e in error.errors()]
-    raise ConfigError(f"{config.name}: {len(problems)} problem(s)", problems=tuple(problems))
-
-
-def _servos(config: BenchConfig, world: World, name: str = "") -> SerialLine:
-    servos = config.servos
-    assert servos is not None
-    known = {
-        "ids": servos.ids,
-        "baud": servos.baud,
-        "model_by_joint": dict.fromkeys(range(8), servos.model_number),
-    }
-    bus = ServoBus(world, options=_options(ServoBusOptions, config, "servos", **known))
-    return SerialLine(world, bus, name=name, latency_s=servos.usb_latency_s)
-
-
-def _imu(config: BenchConfig, world: World, name: str = "") -> SerialLine:
-    imu = config.imu
-    assert imu is not None
-    chip = Bno055Chip(
-        world,
-        options=_options(ImuTruthOptions, config, "imu", position_m=imu.mount_position_m),
-        mount_rotation_wxyz=imu.mount_rotation_wxyz,
-        bench_remap=(imu.axis_map, imu.axis_sign),
-    )
-    return SerialLine(world, chip, name=name, latency_s=_IMU_LATENCY_S)
-
-
-def _encoders(config: BenchConfig, world: World, name: str) -> CanChannel:
-    encoders = config.encoders
-    assert encoders is not None
-    channel = CanChannel(world, name, bitrate=encoders.bitrate)
-    EncoderNode(
-        world,
-        channel,
-        rate_hz=encoders.rate_hz,
-        node_id=encoders.node_id,
-        sign=encoders.sign,
-        zero_rad=encoders.zero_rad,
-        options=_options(EncoderTruthOptions, config, "encoders"),
-    )
-    return channel
-
-
-def _tracker(config: BenchConfig, world: World) -> T265:
-    tracker = config.tracker
-    assert tracker is not None
-    return T265(
-        world,
-        options=_options(TrackerTruthOptions, config, "tracker"),
-        mount_position_m=tracker.mount_position_m,
-        mount_rotation_wxyz=tracker.mount_rotation_wxyz,
-    )
-
-
-def _mocap(config: BenchConfig, world: World) -> NatNetServer:
-    mocap = config.mocap
-    assert mocap is not None
-    body: dict[str, Any] = {"body": mocap.body} if isinstance(mocap.body, str) else {"body_id": mocap.body}
-    return NatNetServer(
-        world, options=_options(MocapTruthOptions, config, "mocap"), up_axis=mocap.up_axis,
-        command_port=mocap.command_port, data_port=mocap.data_port, multicast=mocap.multicast, **body,
-    )  # fmt: skip
-
-
-def _servo_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
-    assert config.servos is not None
-    nominal: dict[str, object] = {"baud": config.servos.baud, "ids": list(config.servos.ids)}
-    return SerialPty(_servos(config, world), nominal)
-
-
-def _imu_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
-    assert config.imu is not None
-    return SerialPty(_imu(config, world), {"baud": config.imu.baud})
-
-
-def _can_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
-    assert config.encoders is not None
-    address = DEFAULT_GROUP if standard_ports else f"239.74.163.{2 + os.getpid() % 250}"
-    return CanFace(_encoders(config, world, "can"), address=address, dbc=config.encoders.dbc_path)
-
-
-def _tracker_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
-    return TrackerFace(_tracker(config, world))
-
-
-def _mocap_face(config: BenchConfig, world: World, standard_ports: bool) -> Face:
-    assert config.mocap is not None
-    chosen = {k: getattr(config.mocap, k) for k in _MOTIVE_PORTS if k in config.mocap.model_fields_set}
-    return NatNetFace(_mocap(config, world), **(_MOTIVE_PORTS if standard_ports else chosen))
-
-
-_SERIAL: dict[str, Callable[[BenchConfig, World, str], SerialLine]] = {"servos": _servos, "imu": _imu}
-_FACES: dict[str, Callable[[BenchConfig, World, bool], Face]] = {
-    "servos": _servo_face,
-    "imu": _imu_face,
-    "encoders": _can_face,
-    "tracker": _tracker_face,
-    "mocap": _mocap_face,
-}

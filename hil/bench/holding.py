@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import numpy as np
 
@@ -18,26 +18,17 @@ from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.interfaces import Sensor, Sink
-from hil.vocabulary.signals import SERVOS, CycleRecord, MocapSample, ServoHold, Status, TrackerSample
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import SERVOS, CycleRecord, ImuSample, ServoHold, Status
 
 _LOOK_NS = nanoseconds(0.02)
 _WINDOW_NS = nanoseconds(0.2)
 _LEAST = 4
-_PLACES = ("servos", "tracker", "mocap")
+_SERVOS = "servos"
 _FRESH_NS = nanoseconds(0.05)
 _MEAN_OF = 5
 """Sightings that are averaged against a camera's noise: 25 ms of it."""
-_STILL = {"servos": 0.01, "tracker": 0.001, "mocap": 0.0005, "imu": 0.2}
-"""What a robot at rest may seem to change within a window: rad of a joint, m of a camera and of motion
-capture, m/s^2 of gravity in the IMU's axes.
-
-A servo holds its place within three counts (0.005 rad); a camera's noise of half a millimetre leaves a fifth
-of one in the mean of a quarter of a window; the IMU's gravity turns with the robot, 0.2 m/s^2 for a degree.
-"""
-_NAMES = {"servos": "servo positions", "tracker": "camera", "mocap": "motion capture", "imu": "IMU"}
-
-S = TypeVar("S")
 State = Literal["HELD", "NOT HELD", "not needed"]
 
 
@@ -118,19 +109,25 @@ class HoldWatch(Sink):
     ) -> None:
         self._lightest_m_s2, self._falls = lightest_m_s2, False
         self._rig, self._clock = rig, clock
+        present = [k for k in kinds().values() if rig.get(k.name) is not None]
+        self._witnesses = {k.name: k.witness for k in present if k.witness is not None}
         self._radius_m, self._on_wall = radius_m, on_wall
-        self._latest: dict[str, deque[tuple[int, Array]]] = {n: deque(maxlen=_MEAN_OF) for n in _PLACES}
+        self._latest: dict[str, deque[tuple[int, Array]]] = {
+            name: deque(maxlen=_MEAN_OF)
+            for name, witness in self._witnesses.items()
+            if witness.is_place or name == _SERVOS
+        }
         self._stopped_at: dict[str, Array] = {}
         self._moved_m = 0.0
 
     def write(self, record: CycleRecord) -> None:
         """Remember where the robot was seen last."""
         inputs = record.inputs
-        for sample in inputs.servos:
-            if sample.ok:
-                self._latest["servos"].append((inputs.t_ns, sample.position_rad))
-        for name, place in _places(inputs.tracker, inputs.mocap):
-            self._latest[name].append((inputs.t_ns, place))
+        for name, latest in self._latest.items():
+            for sample in inputs.of(name):
+                place = self._witnesses[name].value(sample)
+                if place is not None:
+                    latest.append((inputs.t_ns, place))
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -153,7 +150,7 @@ class HoldWatch(Sink):
         if servos is None or not servos.identity():
             return self._verdict("NOT HELD", "no servos are open", wanted=False)
         end_ns = self._clock.now_ns() + nanoseconds(limit_s)
-        trails = {name: _Trail() for name in _STILL}
+        trails = {name: _Trail() for name in self._witnesses}
         while True:
             hold = servos.look_after()
             self._see(hold, trails)
@@ -182,26 +179,36 @@ class HoldWatch(Sink):
     def _see(self, hold: ServoHold, trails: dict[str, _Trail]) -> None:
         """Take what servos and sensors say now."""
         now_ns = hold.t_ns
-        seen = _places(_drained(self._rig.tracker), _drained(self._rig.mocap))
-        if np.isfinite(hold.position_rad).all():
-            seen.append(("servos", hold.position_rad))
-        for name, place in seen:
-            trails[name].add(now_ns, place)
-            self._latest[name].append((now_ns, place))
-            self._measure(name)
-        for sample in _drained(self._rig.imu):
-            if sample.status is Status.OK:
-                force = sample.gravity_m_s2 + sample.linear_acceleration_m_s2
-                self._falls = float(np.linalg.norm(force)) < self._lightest_m_s2
-                trails["imu"].add(now_ns, sample.gravity_m_s2)
+        seen = [(_SERVOS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
+        for name in self._witnesses:
+            if name != _SERVOS:
+                seen += [(name, value) for value in self._testified(name)]
+        for name, value in seen:
+            trails[name].add(now_ns, value)
+            if name in self._latest:
+                self._latest[name].append((now_ns, value))
+                self._measure(name)
         for trail in trails.values():
             trail.forget(now_ns - _WINDOW_NS)
+
+    def _testified(self, name: str) -> list[Array]:
+        """What a sensor has seen since it was last asked; nothing where it fails."""
+        try:
+            samples = self._rig.get(name).read()
+        except HilError:
+            return []
+        for sample in samples:
+            if isinstance(sample, ImuSample) and sample.status is Status.OK:
+                force = sample.gravity_m_s2 + sample.linear_acceleration_m_s2
+                self._falls = float(np.linalg.norm(force)) < self._lightest_m_s2
+        values = (self._witnesses[name].value(sample) for sample in samples)
+        return [value for value in values if value is not None]
 
     def _measure(self, name: str) -> None:
         """How far a witness says that the robot is from where it was stopped."""
         here = _mean(self._latest[name])
         moved = here - self._stopped_at.setdefault(name, here)
-        if name == "servos":
+        if name == _SERVOS:
             moved_m = self._radius_m * float(np.median(np.abs(moved[:4])))
         else:
             moved_m = float(np.linalg.norm(moved))
@@ -214,14 +221,13 @@ class HoldWatch(Sink):
         if self._falls:
             return "torque is on, but the accelerometer feels less than the weight: adhesion is lost"
         seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
-        if "servos" not in seen:
+        if _SERVOS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"
         for name in seen:
             change = float(np.abs(trails[name].change()).max())
-            if change > _STILL[name]:
-                return f"torque is on, but the robot still moves by its {_NAMES[name]}"
-        others = (self._rig.tracker, self._rig.mocap, self._rig.imu)
-        if len(seen) == 1 and any(sensor is not None for sensor in others):
+            if change > self._witnesses[name].still:
+                return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
+        if len(seen) == 1 and len(self._witnesses) > 1:
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
         return ""
 
@@ -232,21 +238,7 @@ def _mean(seen: deque[tuple[int, Array]]) -> Array:
 
 
 def _witnesses(trails: dict[str, _Trail], now_ns: int) -> str:
-    return ", ".join(_NAMES[name] for name, trail in trails.items() if trail.full(now_ns))
-
-
-def _drained(sensor: Sensor[S] | None) -> tuple[S, ...]:
-    """What a sensor has, nothing where it fails."""
-    try:
-        return sensor.read() if sensor is not None else ()
-    except HilError:
-        return ()
-
-
-def _places(tracker: tuple[TrackerSample, ...], mocap: tuple[MocapSample, ...]) -> list[tuple[str, Array]]:
-    """Usable positions (3,) m with the name of who saw them."""
-    seen = [("tracker", s.position_m) for s in tracker if s.status is Status.OK]
-    return seen + [("mocap", s.position_m) for s in mocap if s.status is Status.OK and s.tracking_valid]
+    return ", ".join(kinds()[name].noun for name, trail in trails.items() if trail.full(now_ns))
 
 
 def _in_words(hold: ServoHold) -> str:

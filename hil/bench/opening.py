@@ -11,18 +11,19 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.bench import Bench
-from hil.bench.drivers import Connections, make_rig
+from hil.bench.drivers import make_rig, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process
 from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.versions import check_made_for
-from hil.config.bench import BenchConfig, load_bench
-from hil.config.tracker import FeedEndpoint
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
 from hil.fakes.faults import Fault, describe
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.kinds import Connection, kinds
 
 
 def open_bench(
@@ -66,7 +67,7 @@ def open_bench(
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
     if not emulated:
         clock = MonotonicClock()
-        return Bench(checked, clock, make_rig(checked, clock, Connections()), **common)
+        return Bench(checked, clock, make_rig(checked, clock, {}), **common)
     if realtime or len(emulated) < len(checked.devices()):
         return _at_the_wire(checked, plan, seed, common)
     world = build_world(checked, seed=seed, faults=plan)
@@ -81,30 +82,23 @@ def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
     emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
     clock = MonotonicClock()
-    values = {("encoders" if n == "can" else n): e for n, e in emulator.endpoints.items()}
-    bench = Bench(config, clock, make_rig(config, clock, _reach(values)), **common)
+    bench = Bench(config, clock, make_rig(config, clock, _reach(config, emulator.endpoints)), **common)
     bench.on_open(emulator.begin)
     bench.on_close(emulator.close)
     return bench
 
 
-def _reach(endpoints: Mapping[str, Mapping[str, Any]]) -> Connections:
-    """Configuration keys from the endpoints that the emulator printed."""
-    values: dict[str, Mapping[str, Any]] = {}
-    for name, found in endpoints.items():
-        if name in ("servos", "imu"):
-            values[name] = {"port": found["port"], "baud": found["baud"]}
-        elif name == "encoders":
-            options = {k: v for k, v in found.items() if k not in ("interface", "channel", "bitrate", "dbc")}
-            if found["interface"] == "udp_multicast":
-                options["hop_limit"] = 0
-            values[name] = {**{k: found[k] for k in ("interface", "channel", "bitrate")}, "options": options}
-        elif name == "tracker":
-            values[name] = {"endpoint": FeedEndpoint(host=found["host"], port=found["port"])}
+def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> dict[str, Connection]:
+    """Connections by kind, from the endpoints that the emulator printed."""
+    found = {}
+    for kind in config.emulated():
+        endpoint, model = endpoints[kinds()[kind].shown_as], model_of(config, kind)
+        if model.reach is not None:
+            values = model.reach(endpoint)
         else:
-            where = {k: found[k] for k in ("server", "command_port", "data_port", "multicast")}
-            values[name] = {**where, "local_address": found["server"]}
-    return Connections(values)
+            values = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
+        found[kind] = Connection(values)
+    return found
 
 
 def _calibrated(config: BenchConfig, given: str | Path | None) -> tuple[BenchConfig, dict[str, Any]]:

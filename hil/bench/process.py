@@ -21,7 +21,6 @@ from hil.vocabulary.errors import DeviceError
 
 _START_S = 60.0
 _END_S = 5.0
-_FREE_PORTS = {"mocap": {"command_port", "data_port"}}  # only this process asks there: runs go side by side
 
 
 class EmulatorProcess:
@@ -38,7 +37,8 @@ class EmulatorProcess:
 
     def __init__(self, config: BenchConfig, *, seed: int, faults: Sequence[str]) -> None:
         with tempfile.NamedTemporaryFile("wb", suffix=".toml", delete=False) as file:
-            tree = config.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=_FREE_PORTS)
+            free = {name: set(table.CHOSEN_BY_EMULATOR) for name, table in config.devices().items()}
+            tree = config.model_dump(mode="json", by_alias=True, exclude_none=True, exclude=free)
             tomli_w.dump(tree, file)
         self._config = Path(file.name)
         command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", file.name]

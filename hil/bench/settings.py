@@ -3,26 +3,32 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from dataclasses import fields
 
 import numpy as np
 
 from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig
+from hil.config.device import ImuConfig, TrackerConfig
+from hil.config.encoders import EncodersConfig
 from hil.config.robot import GRAVITY_M_S2
-from hil.ring.alignment import AlignmentParameters, Mount
+from hil.config.servos import ServosConfig
+from hil.ring.alignment import AlignmentParameters
 from hil.ring.crosscheck import SteeringWatch
 from hil.ring.motion_check import MotionCheck
+from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
 from hil.ring.supervisor import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
+_SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
 def real_time(config: BenchConfig, clock: Clock) -> RealTime | None:
@@ -47,9 +53,15 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
 
 def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
-    values = config.safety.model_dump(exclude={"x_range_m", "y_range_m", "tethered"})
-    ids = config.servos.ids if config.servos is not None else ()
-    return SafetyLimits(**values, on_wall=config.environment.on_wall, servo_ids=tuple(ids))
+    values = {key: value for key, value in config.safety.model_dump().items() if key in _SUPERVISED}
+    servos = config.of(ServosConfig)
+    limits_s = {name: kinds()[name].stale_s(config.safety, own) for name, own in config.devices().items()}
+    return SafetyLimits(
+        **values,
+        stale_s={name: limit_s for name, limit_s in limits_s.items() if limit_s is not None},
+        on_wall=config.environment.on_wall,
+        servo_ids=() if servos is None else servos.ids,
+    )
 
 
 def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedback: str) -> Checks:
@@ -61,26 +73,26 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         follows: whether a reference is followed.
         feedback: estimator in the loop.
     """
-    ids = tuple(config.servos.ids[4:]) if config.servos is not None else ()
-    on_wall = config.environment.on_wall
+    servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
+    ids = () if servos is None else servos.steer_ids
     return Checks(
-        motion=MotionCheck(geometry, on_wall=on_wall) if config.servos is not None else None,
+        motion=None if servos is None else MotionCheck(geometry, on_wall=config.environment.on_wall),
         stops_by_motion=follows and feedback != "odometry",
-        steering=SteeringWatch(config.encoders, ids) if config.encoders is not None else None,
+        steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
     )
 
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:
     """Zeros, signs, mounts and the camera's scale of a configuration."""
-    known: dict[str, Any] = {
-        name: Mount(tuple(device.mount_position_m), tuple(device.mount_rotation_wxyz))
-        for name in ("imu", "tracker")
-        if (device := getattr(config, name)) is not None
-    }
-    if config.tracker is not None:
-        known["tracker_scale"] = config.tracker.scale
-    return AlignmentParameters(**config.alignment.model_dump(), **known, on_wall=config.environment.on_wall)
+    imu, tracker = config.of(ImuConfig) or ImuConfig(), config.of(TrackerConfig) or TrackerConfig()
+    return AlignmentParameters(
+        **config.alignment.model_dump(),
+        imu=Mount(imu.mount_position_m, imu.mount_rotation_wxyz),
+        tracker=Mount(tracker.mount_position_m, tracker.mount_rotation_wxyz),
+        tracker_scale=tracker.scale,
+        on_wall=config.environment.on_wall,
+    )
 
 
 def geometry_of(config: BenchConfig) -> WheelGeometry:
@@ -98,8 +110,9 @@ def geometry_of(config: BenchConfig) -> WheelGeometry:
 def nominal_of(config: BenchConfig) -> Nominal:
     """The configured robot on paper, as calibration and evaluation take it."""
     limits_rad = [config.control.steering_limit_rad, config.safety.steering_limit_rad]
-    if config.servos is not None:
-        limits_rad.append(config.servos.steer_limit_rad)
+    servos = config.of(ServosConfig)
+    if servos is not None:
+        limits_rad.append(servos.steer_limit_rad)
     return Nominal(geometry_of(config), min(limits_rad), f"bench {config.name}")
 
 
@@ -155,7 +168,8 @@ def with_measured_scale(config: BenchConfig) -> BenchConfig:
     `estimator.tracker.scale_sigma` stays where the bench file, or a preset, names it: a difference is a
     warning. Without a measurement nothing changes.
     """
-    measured = None if config.tracker is None else config.tracker.scale_sigma
+    tracker = config.of(TrackerConfig)
+    measured = None if tracker is None else tracker.scale_sigma
     estimator, noise = config.estimator, config.estimator.tracker
     if measured is None or noise.scale_sigma == measured:
         return config

@@ -26,6 +26,7 @@ from hil.calibration.artefact import (
 )
 from hil.calibration.calibrate import Calibration
 from hil.config.bench import BenchConfig
+from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
 
@@ -152,13 +153,14 @@ def shelve(
 
 def made_for(config: BenchConfig) -> MadeFor | None:
     """The servos of a bench as a calibration remembers them; None for a bench without."""
-    if config.servos is None:
+    servos = config.of(ServosConfig)
+    if servos is None:
         return None
     alignment = config.alignment
     return MadeFor(
-        servo_model=config.servos.model_number,
-        drive_ids=config.servos.drive_ids,
-        steer_ids=config.servos.steer_ids,
+        servo_model=servos.model_number,
+        drive_ids=servos.drive_ids,
+        steer_ids=servos.steer_ids,
         drive_sign=alignment.drive_sign,
         steer_sign=alignment.steer_sign,
         steer_zero_rad=alignment.steer_zero_rad,

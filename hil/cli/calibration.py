@@ -87,7 +87,7 @@ def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) 
 
 
 def _config(bench: str | None) -> BenchConfig | None:
-    from hil.config.bench import load_bench
+    from hil.config.loading import load_bench
 
     return None if bench is None else load_bench(bench)
 

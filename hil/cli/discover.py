@@ -40,8 +40,7 @@ def command(
     found = discover(
         MonotonicClock(),
         ports=ports,
-        buses=[_bus(text) for text in buses] or None,
-        mocap=_server(mocap) if mocap else None,
+        given={"encoders": [_bus(text) for text in buses], "mocap": [_server(mocap)] if mocap else []},
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
     text = found.to_toml()
@@ -49,8 +48,9 @@ def command(
         write_text(out, text)
         click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
     if as_json:
-        servos = [asdict(s) for s in found.servos]
-        click.echo(json.dumps({"sections": found.sections, "servos": servos, "notes": found.notes}))
+        parts = {kind: [asdict(part) for part in parts] for kind, parts in found.parts.items() if parts}
+        servos = {"servos": parts.pop("servos", [])}
+        click.echo(json.dumps({"sections": found.sections, **servos, **parts, "notes": found.notes}))
     elif out is None:
         click.echo(text)
     if not found.sections:

@@ -55,10 +55,11 @@ def command(
     """
     from hil.bench import open_emulation
     from hil.cli.endpoints import EndpointsFile
-    from hil.config.bench import load_bench
+    from hil.config.loading import load_bench
+    from hil.vocabulary.kinds import kind_of
 
     file = EndpointsFile(out) if out is not None else None
-    names = tuple("encoders" if n == "can" else n for n in only.split(",") if n)
+    names = tuple(kind.name if (kind := kind_of(n)) else n for n in only.split(",") if n)
     config = load_bench(bench, emulate=names or ("all",))
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(

@@ -104,7 +104,7 @@ def command(
     with exit code 4.
     """
     from hil.bench import open_bench
-    from hil.config.bench import load_bench
+    from hil.config.loading import load_bench
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
 
     if source is not None and commands != "none":

@@ -18,7 +18,7 @@ BENCH = click.option(
 
 def configured(bench: str | None) -> BenchConfig | None:
     """The configuration of a bench file or profile, None without one."""
-    from hil.config.bench import load_bench
+    from hil.config.loading import load_bench
 
     return None if bench is None else load_bench(bench)
 

@@ -127,7 +127,7 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
     """The fitted tables, in a checked copy of the bench file where one was given."""
     import tomli_w
 
-    from hil.config.bench import find_bench, validate
+    from hil.config.loading import find_bench, validate
 
     tree: dict[str, Any] = {}
     if bench is not None:

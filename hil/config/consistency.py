@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hil.config.environment import SURFACES
+from hil.config.servos import ServosConfig
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 
 if TYPE_CHECKING:
@@ -61,7 +62,7 @@ def _of_motion(config: BenchConfig) -> Iterator[Problem]:
 
 
 def _of_servos(config: BenchConfig) -> Iterator[Problem]:
-    servos, safety = config.servos, config.safety
+    servos, safety = config.of(ServosConfig), config.safety
     if servos is None:
         return
     for name, asked, clipped, limit in (
@@ -86,7 +87,7 @@ def _of_servos(config: BenchConfig) -> Iterator[Problem]:
 
 
 def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
-    servos, safety = config.servos, config.safety
+    servos, safety = config.of(ServosConfig), config.safety
     if servos is not None and not 0.0 < servos.watchdog_s <= WALL_WATCHDOG_S * _SAME:
         told = f"for {servos.watchdog_s:g} s" if servos.watchdog_s else "for ever"
         yield (

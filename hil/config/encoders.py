@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 
+from hil.config.device import DeviceConfig
 from hil.config.values import Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
@@ -14,11 +15,10 @@ SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 Names = tuple[str, str, str, str]
 
 
-class EncodersConfig(BaseModel):
+class EncodersConfig(DeviceConfig):
     """How the AS5045 node is reached, decoded and judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
         options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         dbc: path of a DBC file; the shipped `as5045.dbc` when None.
@@ -34,13 +34,13 @@ class EncodersConfig(BaseModel):
         fail_after_s: uninterrupted silence that raises.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
 
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["as5045"] = "as5045"
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
     bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = {}
+    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     dbc: str | None = None
     signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
     node_id: int = Field(0, ge=0, le=0x3F)

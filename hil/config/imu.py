@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
-from hil.config.values import Freshness, Patience, UnitQuaternion, Within
+from hil.config.device import ImuConfig, Position
+from hil.config.values import Freshness, Patience, Within
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 
 
-class ImuConfig(BaseModel):
+class Bno055Config(ImuConfig):
     """How the IMU is reached, set up and judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         port: any pyserial URL or device path.
         baud: of the link; the BNO055 has 115200 only.
         fusion_mode: `imu` ignores the magnetometer (steel walls, motors); `ndof` uses it.
@@ -37,17 +37,16 @@ class ImuConfig(BaseModel):
         sample_age_s: mean age of the fused data when read: half of the 10 ms fusion period.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    PATHS: ClassVar[tuple[str, ...]] = ("calibration_file",)
 
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["bno055"] = "bno055"
     port: str = Field("/dev/ttyUSB0", min_length=1)
     baud: int = Field(115_200, gt=0)
     fusion_mode: Literal["imu", "ndof", "ndof_fmc_off", "compass", "m4g"] = "imu"
     axis_map: Byte = 0x24
     axis_sign: Annotated[int, Field(ge=0, le=7)] = 0x00
     external_crystal: bool = False
-    mount_position_m: tuple[float, float, float] = (0.0655, 0.0, 0.098)
-    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
+    mount_position_m: Position = (0.0655, 0.0, 0.098)
     calibration_file: str | None = None
     prefetch: bool = False
     reply_timeout_s: float = Field(0.010, gt=0, le=1)

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import ipaddress
-from typing import Annotated, Literal
+from typing import Annotated, ClassVar, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
+from hil.config.device import DeviceConfig
 from hil.config.values import Freshness, Patience, Within
 
 Port = Annotated[int, Field(ge=1, le=65535)]
 
 
-class MocapConfig(BaseModel):
+class MocapConfig(DeviceConfig):
     """How the capture server is reached and its poses are judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         server: IPv4 address of the computer that runs Motive.
         command_port, data_port: as set in Motive's streaming pane.
         multicast: group that Motive streams to; None for unicast.
@@ -38,9 +38,9 @@ class MocapConfig(BaseModel):
         fail_after_s: uninterrupted silence (or garbage) that raises.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ("command_port", "data_port")
 
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["natnet"] = "natnet"
     server: str = "127.0.0.1"
     command_port: Port = 1510
     data_port: Port = 1511

@@ -7,7 +7,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hil.config.bench import BenchConfig, explained
+from hil.config.bench import BenchConfig, bench_model
+from hil.config.loading import explained
 from hil.config.older import lifted
 from hil.config.values import RECORDED
 from hil.vocabulary.errors import ConfigError
@@ -26,7 +27,7 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
         ConfigError: listing every problem with its dotted path.
     """
     try:
-        return BenchConfig.model_validate(lifted(tree), context=RECORDED)
+        return bench_model().model_validate(lifted(tree), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
     raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
@@ -95,6 +95,8 @@ class AlignmentConfig(Strict):
 class EmulationConfig(Strict):
     """The emulated world: only read when at least one device is emulated.
 
+    Every kind of device has a table of its own beside these: true imperfections of the emulated device.
+
     Attributes:
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
@@ -103,9 +105,6 @@ class EmulationConfig(Strict):
         replay: recording (of this project, a public pair, or plain CSV) whose motion the robot repeats,
             whatever it is commanded; without it the robot is simulated.
         replay_after_s: world time at which that motion begins; before it the robot stands.
-        servos, encoders, imu, tracker, mocap: true imperfections of the emulated devices, by the names
-            in `ServoBusOptions`, `EncoderTruthOptions`, `ImuTruthOptions`, `TrackerTruthOptions` and
-            `MocapTruthOptions` of `hil.fakes`.
     """
 
     randomise_truth: bool = True
@@ -113,11 +112,6 @@ class EmulationConfig(Strict):
     faults: tuple[str, ...] = ()
     replay: str | None = None
     replay_after_s: float = Field(4.0, ge=0.0)
-    servos: dict[str, Any] = {}
-    encoders: dict[str, Any] = {}
-    imu: dict[str, Any] = {}
-    tracker: dict[str, Any] = {}
-    mocap: dict[str, Any] = {}
 
 
 class ExitConfig(Strict):

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
+from hil.config.device import DeviceConfig
 from hil.config.values import Patience, WheelRate, Within
 from hil.config.xh430 import (
     BAUD_CODES,
@@ -30,11 +31,10 @@ _OWNED = (
 )  # fmt: skip
 
 
-class ServosConfig(BaseModel):
+class ServosConfig(DeviceConfig):
     """How the servo bus is reached, checked, set up and judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         port: any pyserial URL or device path.
         baud: of the bus; the codes of the servo's Baud Rate register.
         drive_ids, steer_ids: IDs in wheel order FL, BL, BR, FR.
@@ -61,9 +61,7 @@ class ServosConfig(BaseModel):
             in the control table, raw counts, written at open and after a servo's restart.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["dynamixel"] = "dynamixel"
     port: str = Field("/dev/ttyUSB0", min_length=1)
     baud: int = 1_000_000
     drive_ids: Ids = (1, 2, 3, 4)
@@ -83,8 +81,8 @@ class ServosConfig(BaseModel):
     min_firmware: int = Field(38, ge=0, le=255)
     velocity_limit_rad_s: WheelRate = 4.9
     steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
-    drive_registers: dict[str, int] = {}
-    steer_registers: dict[str, int] = {}
+    drive_registers: dict[str, int] = Field(default_factory=dict)
+    steer_registers: dict[str, int] = Field(default_factory=dict)
 
     @property
     def ids(self) -> tuple[int, ...]:

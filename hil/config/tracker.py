@@ -13,7 +13,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.config.values import Freshness, Patience, UnitQuaternion, Within
+from hil.config.device import Position, TrackerConfig
+from hil.config.values import Freshness, Patience, Within
 
 FEED_MAGIC = b"HP1"
 FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE = 1, 2, 3, 4
@@ -39,16 +40,15 @@ class FeedEndpoint(BaseModel):
     port: int = Field(ge=1, le=65535)
 
 
-class TrackerConfig(BaseModel):
+class T265Config(TrackerConfig):
     """How the camera is found and its poses are judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         serial: serial number of the camera to use; any T265 when None.
         endpoint: poses come from an emulated camera in another process instead of the USB library.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (arXiv 2509.04016);
             applied by the alignment.
-        scale: way that the camera reports over the true way; the alignment divides by it.
+        scale: distance that the camera reports over the true distance; the alignment divides by it.
         scale_sigma: standard uncertainty of `scale` where it was measured (`tracker_extrinsics`): the
             estimator's prior for the scale error that is left, unless `estimator.tracker.scale_sigma` is
             given, too.
@@ -66,18 +66,10 @@ class TrackerConfig(BaseModel):
         queue_length: poses kept between two reads; the oldest are dropped and counted.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["t265"] = "t265"
     serial: str | None = None
     endpoint: FeedEndpoint | None = None
-    mount_position_m: tuple[float, float, float] = (0.1489, 0.0092, 0.0666)
-    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
-    scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
-    scale_sigma: (
-        Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None
-    ) = None
-    latency_s: float = Field(0.020, ge=0, le=0.5)
+    mount_position_m: Position = (0.1489, 0.0092, 0.0666)
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03
     jump_angle_rad: Annotated[float, Within(0.001, 1.0, "a jump of 1 rad is one")] = 0.05
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
-
-from hil.config.mocap import MocapConfig
-from hil.config.tracker import TrackerConfig
+from typing import Any, TypeAlias
 
 _Pose: TypeAlias = tuple[float, Sequence[float], Sequence[float]]
 
@@ -34,8 +31,8 @@ class JumpTest:
         self.reset()
 
     @classmethod
-    def of(cls, limits: MocapConfig | TrackerConfig) -> JumpTest:
-        """The test of a sensor's configuration."""
+    def of(cls, limits: Any) -> JumpTest:
+        """The test of a sensor's table: `jump_distance_m`, `jump_angle_rad`, `max_speed_m_s`, ..."""
         return cls(
             distance_m=limits.jump_distance_m,
             angle_rad=limits.jump_angle_rad,

@@ -16,7 +16,8 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.nominal import Nominal
-from hil.config.bench import BenchConfig, load_bench
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.recording.cycle_decoder import StoredCycle

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import CycleRecord, Status
-
-SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
 
 
 @dataclass
@@ -50,8 +49,8 @@ class SampleCounter(Sink):
 
     def write(self, record: CycleRecord) -> None:
         """Count one cycle's samples."""
-        for name in SENSORS:
-            for sample in getattr(record.inputs, name):
+        for name in kinds():
+            for sample in record.inputs.of(name):
                 self.counts.setdefault(name, SampleCount()).add(sample)
 
     def close(self) -> None:

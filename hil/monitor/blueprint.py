@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from hil.vocabulary.kinds import kinds
+
 Colour = tuple[int, int, int]
 
 PATH_COLOURS: dict[str, Colour] = {
@@ -17,14 +19,15 @@ PATH_COLOURS: dict[str, Colour] = {
 }
 _WALL = "Wall (m): estimate blue, truth green, reference grey, odometry orange, EKF violet, UKF teal"
 TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
+"""The tabs that every bench has; kinds of devices may add their own."""
 
 _PALETTE: tuple[Colour, ...] = (
     (0, 110, 230), (245, 130, 48), (60, 180, 75), (200, 30, 70),
     (145, 30, 180), (0, 160, 160), (170, 110, 40), (90, 90, 90),
 )  # fmt: skip
-_SENSOR_COLOURS = {
-    "wheels": 0, "servos": 0, "gyro": 1, "imu": 1, "tracker": 2, "gravity": 4, "mocap": 5, "encoders": 6,
-}  # fmt: skip
+_BY_MEASUREMENT = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 5}
+_BY_DEVICE = (0, 6, 1, 2, 5)
+"""Colours of measurements by name and of the first kinds of devices: what belongs together looks alike."""
 
 Bounds = tuple[tuple[float, float], tuple[float, float]]
 
@@ -36,10 +39,10 @@ def line_colours(names: Sequence[str], before: int = 0) -> list[Colour]:
         names: of the columns.
         before: columns of the same plot that have their colours already.
     """
-    found = []
+    found, known = [], {**dict(zip(kinds(), _BY_DEVICE, strict=False)), **_BY_MEASUREMENT}
     for k, name in enumerate(names, before):
-        sensor = next((s for s in _SENSOR_COLOURS if s in name), None)
-        colour = _PALETTE[(k if sensor is None else _SENSOR_COLOURS[sensor]) % len(_PALETTE)]
+        sensor = next((s for s in known if s in name), None)
+        colour = _PALETTE[(k if sensor is None else known[sensor]) % len(_PALETTE)]
         found.append(_paler(colour) if name.startswith("gate_") else colour)
     return found
 
@@ -64,6 +67,11 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
     def tab_of(name: str, *views: Any) -> Any:
         return rrb.Vertical(*views, name=name)
 
+    drawn = [p for kind in kinds().values() for p in kind.plots]
+
+    def of_devices(tab: str) -> list[Any]:
+        return [plot(p.title, p.entity) for p in drawn if p.tab == tab]
+
     area = None if bounds is None else rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1])
     wall = rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
     log = rrb.TextLogView(origin="/events", name="Faults and events")
@@ -74,12 +82,7 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
             plot("Heading and its error (rad)", "state/heading_rad"),
             plot("Body twist (m/s, rad/s)", "state/twist"),
         ),
-        tab_of(
-            "Servos",
-            plot("Servo angles (rad)", "servos/position_rad"),
-            plot("Servo rates (rad/s)", "servos/velocity_rad_s"),
-            plot("Motor currents (A)", "servos/current_a"),
-        ),
+        tab_of("Servos", *of_devices("Servos")),
         tab_of(
             "Estimator",
             plot("Normalised innovations and their gates", "innovations/normalised"),
@@ -93,10 +96,11 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
             plot("Sensor ages (ms)", "ages"),
             plot("Cycles not shown", "monitor"),
         ),
-        tab_of(
-            "Health",
-            plot("Temperatures (C)", "servos/temperature_c"),
-            plot("Voltages (V)", "servos/voltage_v"),
+        tab_of("Health", *of_devices("Health")),
+        *(
+            tab_of(name, *of_devices(name))
+            for name in dict.fromkeys(p.tab for p in drawn)
+            if name not in TABS
         ),
     )
     return rrb.Blueprint(

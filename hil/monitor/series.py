@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, wrap
-from hil.vocabulary.signals import SERVOS, CycleRecord, Status
+from hil.vocabulary.kinds import Figures, kinds
+from hil.vocabulary.signals import CycleRecord, Status
 
-_SENSORS = ("servos", "encoders", "imu", "tracker", "mocap")
 _POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad", "_xx_m2", "_xy_m2", "_yy_m2")
 _GROUPS = {
     "nis_mean": "estimator/mean_nis",
@@ -27,8 +27,6 @@ _GROUPS = {
 _OTHER = "estimator/states"
 _SLOW = ("estimator/mean_nis", "estimator/rejected", "estimator/age_s", _OTHER)
 _SLOW_S = 0.1
-
-Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -102,14 +100,8 @@ class SeriesCollector:
 
     def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
         inputs, state = record.inputs, record.state
-        if inputs.servos:
-            sample = inputs.servos[-1]
-            yield "servos/position_rad", _by_servo(sample.position_rad)
-            yield "servos/velocity_rad_s", _by_servo(sample.velocity_rad_s)
-            yield "servos/current_a", _by_servo(sample.current_a)
-        if inputs.health:
-            yield "servos/temperature_c", _by_servo(inputs.health[-1].temperature_c)
-            yield "servos/voltage_v", _by_servo(inputs.health[-1].voltage_v)
+        for kind in kinds().values():
+            yield from kind.figures(inputs)
         yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
         heading = {"estimate": float(state.pose_body_in_wall[2])}
         if record.reference is not None:
@@ -124,8 +116,8 @@ class SeriesCollector:
 
     def _ages(self, record: CycleRecord) -> Figures:
         """Age of every device's newest sample, ms."""
-        for name in _SENSORS:
-            samples = getattr(record.inputs, name)
+        for name in kinds():
+            samples = record.inputs.of(name)
             if samples:
                 self._seen_ns[name] = samples[-1].stamp.t_ns
         return {name: (record.inputs.t_ns - t_ns) / 1e6 for name, t_ns in self._seen_ns.items()}
@@ -133,10 +125,6 @@ class SeriesCollector:
 
 def _named(names: Sequence[str], values: Array) -> Figures:
     return dict(zip(names, values.tolist(), strict=False))
-
-
-def _by_servo(values: Array) -> Figures:
-    return _named(SERVOS, values)
 
 
 def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, Figures]]:
@@ -170,19 +158,18 @@ def observer_covariances(record: CycleRecord) -> dict[str, Array]:
 def conditions(record: CycleRecord) -> dict[str, str]:
     """What is wrong with each device's newest sample, in words; empty text when nothing is."""
     found = {}
-    for name in _SENSORS:
-        samples = getattr(record.inputs, name)
+    for name, kind in kinds().items():
+        samples = record.inputs.of(name)
         if not samples:
             continue
         status = samples[-1].status
         channels = status if isinstance(status, tuple) else (status,)
         wrong = [(k, s.value) for k, s in enumerate(channels) if s is not Status.OK]
-        kinds = {kind for _, kind in wrong}
-        if len(wrong) == len(channels) and len(kinds) == 1:
-            found[name] = kinds.pop()
+        reasons = {reason for _, reason in wrong}
+        if len(wrong) == len(channels) and len(reasons) == 1:
+            found[name] = reasons.pop()
             continue
-        labels = SERVOS if name == "servos" else tuple(map(str, range(len(channels))))
-        found[name] = ", ".join(f"{labels[k]} {kind}" for k, kind in wrong)
+        found[name] = ", ".join(f"{kind.labels[k]} {reason}" for k, reason in wrong)
     return found
 
 

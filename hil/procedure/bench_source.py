@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from hil.calibration.artefact import read_calibration
 from hil.calibration.versions import check_made_for
-from hil.config.bench import BenchConfig, load_bench
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
 from hil.vocabulary.interfaces import Sink
 
 if TYPE_CHECKING:

@@ -18,7 +18,8 @@ from typing import TYPE_CHECKING, Any
 from hil.config.bench import BenchConfig
 from hil.procedure.measurements import Measurement, check_unique
 from hil.robot.trajectories import Trajectory
-from hil.vocabulary.errors import ConfigError, UsageError
+from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
+from hil.vocabulary.kinds import kinds
 
 if TYPE_CHECKING:
     from hil.procedure.context import Context
@@ -28,7 +29,6 @@ Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
 Declare = Callable[[Any], Iterable[Measurement]] | Callable[[Any, BenchConfig], Iterable[Measurement]]
 Measurements = Sequence[Measurement] | Declare
 
-DEVICES = ("servos", "encoders", "imu", "tracker", "mocap")
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _STEP_CALL = re.compile(r"\.(?:step|checkpoint)\(\s*(?P<f>f?)[\"'](?P<title>[^\"']+)[\"']")
 
@@ -119,8 +119,12 @@ def procedure(
     if not _NAME.fullmatch(name):
         raise UsageError(f"procedure name {name!r}", expected="lower case letters, digits and _")
     for device in needs:
-        if device not in DEVICES:
-            raise UsageError(f"procedure {name} needs {device!r}", expected="some of " + ", ".join(DEVICES))
+        if device not in kinds():
+            raise UsageError(
+                f"procedure {name} needs {device!r}",
+                expected="some of " + ", ".join(kinds()),
+                remedy=did_you_mean(device, kinds()) or "install the package that adds this kind of device",
+            )
     if not callable(measurements):
         check_unique(measurements)
 

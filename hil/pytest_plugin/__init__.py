@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from hil.vocabulary.clock import Clock
 
 MARKERS = (
-    'needs(*devices): skip unless the bench has these devices ("servos", "encoders" or "can", "imu", '
-    '"tracker", "mocap")',
+    "needs(*devices): skip unless the bench has these kinds of devices, as its bench file names them, for "
+    'example needs("servos", "imu")',
     "fault(device, kind, at=0.0, duration=None, **options): a fault on an emulated device, for example "
     'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
     "real_only: skip where a device is emulated",
@@ -47,12 +47,17 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def _devices(text: str) -> str:
     from argparse import ArgumentTypeError
 
-    from hil.config.bench import DEVICES
+    from hil.vocabulary.errors import HilError
+    from hil.vocabulary.kinds import kinds
 
-    wrong = [name for name in text.split(",") if name not in (*DEVICES, "all")]
+    try:
+        known = (*kinds(), "all")
+    except HilError as error:
+        raise ArgumentTypeError(str(error)) from None
+    wrong = [name for name in text.split(",") if name not in known]
     if wrong:
         raise ArgumentTypeError(
-            f"{wrong[0]!r} is not a device; expected all or some of {', '.join(DEVICES)}; "
+            f"{wrong[0]!r} is not a device; expected all or some of {', '.join(known[:-1])}; "
             "in front of a path write --emulate=all"
         )
     return text

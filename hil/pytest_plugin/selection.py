@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from hil.config.bench import DEVICES
 from hil.procedure.bench_source import BenchSource
 from hil.vocabulary.errors import HilError, UsageError
+from hil.vocabulary.kinds import kind_of, kinds
 
 if TYPE_CHECKING:
     from hil.bench import Bench, Fault
 
-ALIASES = {"can": "encoders", "servo": "servos"}
 _SOURCE = pytest.StashKey[BenchSource]()
 
 
@@ -97,7 +96,7 @@ def _impossible(item: pytest.Item, source: BenchSource) -> str:
     for fault in _faults(item):
         device = _device(fault.device.partition(".")[0])
         told = f"fault {fault.device}:{fault.kind}: "
-        if device in DEVICES and device not in devices:
+        if device in kinds() and device not in devices:
             return f"{told}bench {config.name} lacks {device}"
         if device in source.real or not emulated:
             return f"{told}{device} of bench {config.name} is real"
@@ -130,14 +129,19 @@ def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
 
 
 def _device(name: str) -> str:
-    return ALIASES.get(name, name)
+    kind = kind_of(name)
+    return name if kind is None else kind.name
 
 
 def _needed(item: pytest.Item) -> tuple[str, ...]:
     names = [_device(str(n)) for mark in item.iter_markers("needs") for n in mark.args]
     for name in names:
-        if name not in DEVICES:
-            raise UsageError(f"marker needs({name!r})", expected="some of " + ", ".join(DEVICES))
+        if name not in kinds():
+            raise UsageError(
+                f"marker needs({name!r})",
+                expected="some of " + ", ".join(kinds()),
+                remedy="install the package that adds this kind of device, or correct the name",
+            )
     return tuple(dict.fromkeys(names))
 
 

@@ -22,14 +22,15 @@ import pytest
 
 from hil.bench import Bench
 from hil.bench.settings import real_time
-from hil.config.bench import DEVICES, BenchConfig
+from hil.config.bench import BenchConfig
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, properties, source_of
 from hil.ring.loop_timing import LoopStatistics
 from hil.ring.motion import Motion
 from hil.ring.realtime import idle_loop
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.signals import SERVOS, Status
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import SERVOS, Status, worst
 
 __all__ = [
     "_told",
@@ -47,12 +48,11 @@ __all__ = [
 ]
 
 WATCH_S = 15.0
-GOOD_SHARE, RATE_SHARE = 0.98, 0.9
+GOOD_SHARE, RATE_SHARE, OLDER = 0.98, 0.85, 5.0
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
 GRAVITY_M_S2, GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 9.81, 0.5, 0.05
 LATE_SHARE, BUSY_SHARE, IDLE_SHARE = 0.01, 0.05, 1.0 / 3.0
-AGE_S = {"servos": 0.02, "encoders": 0.05, "imu": 0.1, "tracker": 0.2, "mocap": 0.3}
 HORN_RAD = 0.1
 
 
@@ -74,28 +74,22 @@ class Watch:
         """All samples of a device in order; skips the test where the bench lacks the device."""
         if not self.bench.has(device):
             pytest.skip(f"bench {self.bench.config.name} has no {device}")
-        return [sample for record in self.motion.records for sample in getattr(record.inputs, device)]
+        return [sample for record in self.motion.records for sample in record.inputs.of(device)]
 
 
-def expected_rate_hz(bench: Bench, device: str) -> float:
-    """Rate at which a healthy device delivers, Hz."""
-    loop_hz = bench.config.loop.rate_hz
-    if device == "encoders" and bench.config.encoders is not None:
-        return bench.config.encoders.rate_hz
-    return {"servos": loop_hz, "imu": min(loop_hz, 90.0), "tracker": 190.0, "mocap": 90.0}[device]
+def due(bench: Bench, device: str, samples: list[Any], duration_s: float) -> float:
+    """Samples that a healthy device delivers; by the period that they came with where its owner chose it."""
+    rate_hz = kinds()[device].rate_hz(bench.config.devices()[device], bench.config.loop.rate_hz)
+    if np.isnan(rate_hz):
+        period_ns = np.median(np.diff([s.stamp.t_ns for s in samples])) if len(samples) > 2 else np.inf
+        return duration_s / (1e-9 * float(period_ns))
+    return duration_s * rate_hz
 
 
 def oldest_s(config: BenchConfig, device: str) -> float:
     """How old a healthy device's samples may be, s: a cycle more where they are asked for a cycle ahead."""
-    ahead = bool(getattr(getattr(config, device), "prefetch", False))
-    return AGE_S[device] + ahead / config.loop.rate_hz
-
-
-def worst_status(sample: Any) -> Status:
-    """OK where all of a sample can be used, else the first reason why not."""
-    status = getattr(sample, "status", Status.OK)
-    states = status if isinstance(status, tuple) else (status,)
-    return next((s for s in states if s is not Status.OK), Status.OK)
+    ahead = bool(getattr(config.devices()[device], "prefetch", False))
+    return OLDER * kinds()[device].age_s + ahead / config.loop.rate_hz
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +125,7 @@ def _told(request: pytest.FixtureRequest) -> None:
         request.node.user_properties.extend(properties(source_of(request.config)))
 
 
-each_device = pytest.mark.parametrize("device", DEVICES)
+each_device = pytest.mark.parametrize("device", tuple(kinds()))
 
 
 def test_every_device_says_what_it_is(watched: Watch) -> None:
@@ -143,9 +137,9 @@ def test_every_device_says_what_it_is(watched: Watch) -> None:
 @each_device
 def test_samples_come_at_their_rate_and_nearly_all_are_good(watched: Watch, device: str) -> None:
     """Rate and share of good samples; otherwise look at cables, supply and baud rate."""
-    samples = [s for s in watched.samples(device) if worst_status(s) is not Status.STARTING]
-    told = Counter(worst_status(s).value for s in samples)
-    wanted = RATE_SHARE * expected_rate_hz(watched.bench, device) * watched.duration_s
+    samples = [s for s in watched.samples(device) if worst(s) is not Status.STARTING]
+    told = Counter(worst(s).value for s in samples)
+    wanted = RATE_SHARE * due(watched.bench, device, samples, watched.duration_s)
     assert len(samples) >= wanted, f"{device}: {len(samples)} samples in {watched.duration_s:.1f} s"
     assert told["ok"] >= GOOD_SHARE * len(samples), f"{device}: {dict(told)}"
 
@@ -153,7 +147,7 @@ def test_samples_come_at_their_rate_and_nearly_all_are_good(watched: Watch, devi
 @each_device
 def test_samples_come_in_order_and_in_time(watched: Watch, device: str) -> None:
     """Times of measurement increase and are not old; otherwise look at the USB latency timer or network."""
-    good = [s for s in watched.samples(device) if worst_status(s) is Status.OK]
+    good = [s for s in watched.samples(device) if worst(s) is Status.OK]
     assert good, f"{device} has not delivered a good sample"
     measured_ns = np.array([s.stamp.t_ns for s in good])
     assert np.all(np.diff(measured_ns) > 0), f"{device}: times of measurement go back"
@@ -186,7 +180,7 @@ def test_supply_and_temperature_are_safe(watched: Watch) -> None:
 
 def test_steering_encoders_and_servos_agree(watched: Watch) -> None:
     """Steering axes and servos show the same angles; otherwise a horn has slipped or a zero is wrong."""
-    encoders = [s for s in watched.samples("encoders") if worst_status(s) is Status.OK]
+    encoders = [s for s in watched.samples("encoders") if worst(s) is Status.OK]
     servos = [s for s in watched.samples("servos") if s.ok]
     horn_rad = np.median([s.angle_rad for s in encoders], axis=0)
     servo_rad = np.median([s.position_rad[4:] for s in servos], axis=0)

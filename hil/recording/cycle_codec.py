@@ -28,6 +28,7 @@ from hil.recording.cycle_layout import (
     describe,
     record_types,
 )
+from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord
 
 Put = Callable[[bytes], None]
@@ -109,10 +110,15 @@ _PRIMITIVE_ENCODERS: dict[str, Encode] = {
 
 
 class CycleEncoder:
-    """Turns cycle records into bytes."""
+    """Turns cycle records into bytes.
 
-    def __init__(self) -> None:
-        self._layout = describe()
+    Args:
+        added: kinds of other packages whose samples they may hold.
+    """
+
+    def __init__(self, added: tuple[DeviceKind, ...] = ()) -> None:
+        self._types = record_types(added)
+        self._layout = describe(added)
         self._classes: dict[str, list[tuple[str, Encode]]] = {name: [] for name in self._layout["classes"]}
         for name, fields in self._layout["classes"].items():
             self._classes[name] += [(field, self._encoder(layout)) for field, layout in fields]
@@ -147,10 +153,23 @@ class CycleEncoder:
         if kind == "class":
             return self._class_encoder(inner)
         if kind == "enum":
-            members: list[Any] = list(record_types()[inner])
+            members: list[Any] = list(self._types[inner])
             codes = {member: BYTE.pack(i) for i, member in enumerate(members)}
             return lambda put, value: put(codes[value])
+        if kind == "samples":
+            return self._samples(inner)
         return {"tuple": self._tuple, "optional": self._optional, "mapping": self._mapping}[kind](inner)
+
+    def _samples(self, classes: Mapping[str, str]) -> Encode:
+        encoders = {kind: self._tuple(["class", name]) for kind, name in classes.items()}
+
+        def encode(put: Put, value: Any) -> None:
+            put(COUNT.pack(len(value)))
+            for kind, samples in value.items():
+                put(_known_text(kind))
+                encoders[kind](put, samples)
+
+        return encode
 
     def _class_encoder(self, name: str) -> Encode:
         fields = self._classes[name]

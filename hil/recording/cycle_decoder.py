@@ -15,7 +15,16 @@ from itertools import groupby
 from typing import Any
 
 from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_layout import CODES, FORMAT, MAGIC, SHAPES, Layout, describe, record_types
+from hil.recording.cycle_layout import (
+    CODES,
+    FORMAT,
+    MAGIC,
+    SHAPES,
+    Layout,
+    added_in,
+    describe,
+    record_types,
+)
 from hil.recording.value_decoders import (
     PRIMITIVES,
     Decode,
@@ -81,11 +90,14 @@ class CycleDecoder:
 
     Raises:
         ValueError: the description is of a newer format, malformed, or lacks what a record needs.
+        ConfigError: it needs a package that is not installed.
     """
 
     def __init__(self, description: Mapping[str, Any]) -> None:
         self._notes: list[str] = []
         try:
+            added = added_in(description)
+            self._types, self._today = record_types(added), describe(added)
             found, root = description["format"], description["root"]
             if found != FORMAT:
                 raise ValueError(f"cycle format {found} is not format {FORMAT}")
@@ -100,7 +112,7 @@ class CycleDecoder:
         except (KeyError, TypeError) as error:
             raise ValueError(f"the layout of the cycle records is malformed ({error!r})") from None
 
-        self.encoder = CycleEncoder() if description == describe() else None
+        self.encoder = CycleEncoder(added) if description == self._today else None
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -157,18 +169,33 @@ class CycleDecoder:
             return lambda data, at: classes[inner](data, at)
         if kind == "enum":
             return self._enum(inner)
+        if kind == "samples":
+            return self._samples(inner)
         return {"tuple": self._tuple, "optional": self._optional, "mapping": self._mapping}[kind](inner)
+
+    def _samples(self, classes: Mapping[str, str]) -> Decode:
+        decoders = {kind: self._tuple(["class", name]) for kind, name in classes.items()}
+
+        def decode(data: bytes, at: int) -> tuple[Any, int]:
+            count, at = count_at(data, at)
+            samples = {}
+            for _ in range(count):
+                kind, at = decode_text(data, at)
+                samples[kind], at = decoders[kind](data, at)
+            return samples, at
+
+        return decode
 
     def _field(self, name: str, field: str, layout: Layout) -> Decode:
         shape = SHAPES.get(name, {}).get(field)
         return self._decoder(layout) if shape is None else array_of(shape, f"{name}.{field}")
 
     def _class_decoder(self, name: str) -> Decode:
-        kind = record_types().get(name, dict)
+        kind = self._types.get(name, dict)
         names = [field for field, _ in self._layouts[name]]
         if not names:
             raise ValueError(f"{name} has no fields")
-        _check_kinds(name, self._layouts[name])
+        _check_kinds(name, self._layouts[name], self._today)
         known = [f.name for f in dataclasses.fields(kind)] if dataclasses.is_dataclass(kind) else names
         unknown = [field for field in names if field not in known]
         self._notes += [f"field {name}.{field} is of another version and was skipped" for field in unknown]
@@ -215,7 +242,7 @@ class CycleDecoder:
 
     def _members(self, name: str) -> list[Any]:
         """What each code of an enumeration stands for."""
-        kind = record_types().get(name)
+        kind = self._types.get(name)
         table: list[Any] = list(self._enums[name])
         if kind is None or not issubclass(kind, enum.Enum):
             return table
@@ -271,13 +298,13 @@ class CycleDecoder:
         return decode
 
 
-def _check_kinds(name: str, fields: Sequence[tuple[str, Layout]]) -> None:
+def _check_kinds(name: str, fields: Sequence[tuple[str, Layout]], described: Mapping[str, Any]) -> None:
     """Hold the fields of a class that there is today against it: numbers are not read as something else.
 
     Raises:
         ValueError: a field of another kind. One that may be missing today may not have been then.
     """
-    today = dict(describe()["classes"].get(name, []))
+    today = dict(described["classes"].get(name, []))
     for field, layout in fields:
         if field in today and today[field] not in (layout, ["optional", layout]):
             raise ValueError(f"{name}.{field} is kept as {layout!r}, which is not {today[field]!r}")

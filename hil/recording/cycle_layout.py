@@ -2,7 +2,8 @@
 
 It travels with every recording, so that a reader of another version can still take what it knows.
 A layout is JSON: a primitive name (`int float bool str array any`), or a pair such as
-`["tuple", layout]`, `["optional", layout]`, `["mapping", layout]`, `["enum", name]`, `["class", name]`.
+`["tuple", layout]`, `["optional", layout]`, `["mapping", layout]`, `["enum", name]`, `["class", name]`, and
+`["samples", {kind: class name}]` for the samples of kinds of devices that other packages add.
 """
 
 from __future__ import annotations
@@ -12,13 +13,15 @@ import enum
 import struct
 import typing
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache
 from typing import Any
 
 import numpy as np
 
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.signals import CycleRecord
+from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.signals import CycleRecord, Inputs
 
 FORMAT = 1
 MAGIC = b"HIL\x01"
@@ -94,21 +97,63 @@ def _collect(hint: Any, found: dict[str, Any]) -> None:
         _collect(inner, found)
 
 
-@lru_cache(maxsize=1)
-def record_types() -> dict[str, Any]:
-    """Dataclasses and enumerations that make up a cycle record, by name."""
+@cache
+def record_types(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
+    """Dataclasses and enumerations that make up a cycle record, by name.
+
+    Args:
+        added: kinds of other packages whose samples it may hold.
+
+    Raises:
+        ConfigError: a kind's sample has the name of another class.
+    """
     found: dict[str, Any] = {}
     _collect(CycleRecord, found)
+    for kind in added:
+        name = kind.sample.__name__
+        if found.get(name, kind.sample) is not kind.sample:
+            raise ConfigError(
+                f"samples of the kind {kind.name} ({kind.package}) are called {name}, as others are",
+                remedy="give the class another name",
+            )
+        _collect(kind.sample, found)
     return found
 
 
-def describe() -> dict[str, Any]:
-    """Layout of a cycle record as JSON, stored in every recording."""
-    classes, enums = {}, {}
-    for name, kind in record_types().items():
+def describe(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
+    """Layout of a cycle record as JSON, stored in every recording.
+
+    Args:
+        added: kinds of other packages whose samples it may hold; they are named with their packages.
+    """
+    classes: dict[str, Any] = {}
+    enums = {}
+    for name, kind in record_types(added).items():
         if issubclass(kind, enum.Enum):
             enums[name] = [member.value for member in kind]
         else:
             hints = typing.get_type_hints(kind)
             classes[name] = [[f.name, layout_of(hints[f.name])] for f in dataclasses.fields(kind)]
-    return {"format": FORMAT, "root": CycleRecord.__name__, "classes": classes, "enums": enums}
+    samples = ["samples", {kind.name: kind.sample.__name__ for kind in added}]
+    classes[Inputs.__name__] = [
+        [name, samples if name == "added" else layout] for name, layout in classes[Inputs.__name__]
+    ]
+    packages = {"packages": {kind.name: kind.package for kind in added}} if added else {}
+    return {"format": FORMAT, "root": CycleRecord.__name__, "classes": classes, "enums": enums, **packages}
+
+
+def added_in(description: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
+    """The kinds of other packages whose samples a recording may hold.
+
+    Raises:
+        ConfigError: a package that it needs is not installed; it names all that are missing.
+    """
+    named: Mapping[str, str] = dict(description.get("packages", {}))
+    missing = [f"{name} ({package})" for name, package in named.items() if name not in kinds()]
+    if missing:
+        raise ConfigError(
+            f"the recording holds samples of devices that nothing here knows: {', '.join(missing)}",
+            expected="the package that adds each",
+            remedy="pip install " + " ".join(str(p).split()[0] for n, p in named.items() if n not in kinds()),
+        )
+    return tuple(kinds()[name] for name in named)

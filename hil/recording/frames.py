@@ -17,7 +17,7 @@ from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.geometry import Array, conjugated, multiplied, quat_from_yaw, rotated
 from hil.vocabulary.signals import WHEELS, CycleRecord, RobotState, Status, TrackerSample
 
-WALL, BODY, IMU, CAMERA, CAMERA_START, CAPTURE = "wall", "body", "imu", "tracker", "tracker_start", "mocap"
+WALL, BODY, CAMERA, CAMERA_START, CAPTURE = "wall", "body", "tracker", "tracker_start", "mocap"
 VIRTUAL, MONOTONIC = "virtual", "monotonic"
 
 _UPRIGHT = (1.0, 0.0, 0.0, 0.0)
@@ -51,9 +51,8 @@ def fixed_frames(header: Mapping[str, Any]) -> tuple[Frame, ...]:
     """Frames that never move: the capture system's, sensors and wheels as far as the header knows them."""
     found = [Frame(WALL, CAPTURE, (0.0, 0.0, 0.0), _UPRIGHT)]
     config = header.get("config", {})
-    for name in (IMU, CAMERA):
-        device = config.get(name)
-        if device is not None and "mount_position_m" in device:
+    for name, device in config.items():
+        if isinstance(device, Mapping) and "mount_position_m" in device:
             place, axes = tuple(device["mount_position_m"]), tuple(device["mount_rotation_wxyz"])
             found.append(Frame(BODY, name, place, axes))
     if "geometry" in header:

@@ -6,15 +6,19 @@ import json
 import logging
 import os
 from collections.abc import Mapping
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
+from typing import Any
 
+from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import describe
 from hil.recording.frames import FrameTree, recorded_offset
-from hil.recording.ros_messages import TOPICS, messages, octet_array, string, transforms
+from hil.recording.ros_messages import messages, topics_with, transforms
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
-from hil.vocabulary.signals import CycleRecord
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.signals import KINDS, CycleRecord
 
 LOG = logging.getLogger(__name__)
 
@@ -32,13 +36,26 @@ _QOS = {"/tf_static": _LATCHED}
 """Quality of service with which a topic is to be played: who listens later gets the last message, too."""
 
 
-@lru_cache(maxsize=1)
-def _definitions() -> dict[str, str]:
-    """Message definitions of the types in `TOPICS`, by type name."""
+@cache
+def _definition(kind: str) -> str:
+    """Definition of a message type.
+
+    Raises:
+        ConfigError: ROS 2 has no such type.
+    """
     from rosbags.typesys import Stores, get_typestore
 
-    store = get_typestore(Stores.ROS2_HUMBLE)
-    return {kind: store.generate_msgdef(kind, ros_version=2)[0] for kind in sorted(set(TOPICS.values()))}
+    try:
+        found: str = get_typestore(Stores.ROS2_HUMBLE).generate_msgdef(kind, ros_version=2)[0]
+    except Exception as error:
+        raise ConfigError(f"message type {kind!r} cannot be recorded ({error})") from error
+    return found
+
+
+def _recorded(header: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
+    """Kinds whose samples a recording holds: all of ours, and those of other packages that its bench has."""
+    present = header.get("config", {})
+    return tuple(kind for name, kind in kinds().items() if name in KINDS or name in present)
 
 
 class _WholeWrites:
@@ -89,15 +106,18 @@ class RecordingFile:
         OSError: it cannot be created.
     """
 
-    def __init__(self, path: Path, header: Mapping[str, object]) -> None:
+    def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
         from mcap.writer import CompressionType, Writer
 
         self._offset = recorded_offset(header)
         self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
         self._frames = FrameTree(header)
         self._file = _WholeWrites(path)
-        self._encoder = CycleEncoder()
-        self._sequence = dict.fromkeys(TOPICS, 0)
+        self._kinds = _recorded(header)
+        own = tuple(kind for kind in self._kinds if kind.name not in KINDS)
+        self._encoder = CycleEncoder(own)
+        topics = topics_with(self._kinds)
+        self._sequence = dict.fromkeys(topics, 0)
         self._flushed_ns: int | None = None
         self._safe_bytes = 0
         self.flushed = self.unflushed = 0
@@ -105,19 +125,19 @@ class RecordingFile:
         self._mcap.start(profile="ros2", library="hil")
         self._mcap.add_metadata(
             METADATA,
-            {"header": json.dumps(header, default=str), "layout": json.dumps(describe())},
+            {"header": json.dumps(header, default=str), "layout": json.dumps(describe(own))},
         )
         if self._offset is not None:
             self._mcap.add_metadata(CLOCK_AT_START, _texts(self._offset))
         schemas = {
-            kind: self._mcap.register_schema(kind, "ros2msg", text.encode())
-            for kind, text in _definitions().items()
+            kind: self._mcap.register_schema(kind, "ros2msg", _definition(kind).encode())
+            for kind in sorted(set(topics.values()))
         }
         self._channels = {
             topic: self._mcap.register_channel(
                 topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
             )
-            for topic, kind in TOPICS.items()
+            for topic, kind in topics.items()
         }
         self._safe_bytes = self._file.tell()
 
@@ -138,7 +158,7 @@ class RecordingFile:
         moving, t_ns = self._frames.moving(record), record.state.t_ns
         if moving:
             self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))
-        for topic, t_ns, data in messages(record, self._wall_ns):
+        for topic, t_ns, data in messages(record, self._kinds, self._wall_ns):
             self._add(topic, now_ns, t_ns, data)
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns

@@ -12,12 +12,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
+from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
-from hil.recording.ros_messages import octets_of, text_of
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.reading import json_object
 from hil.vocabulary.signals import CycleRecord
 
@@ -71,6 +71,10 @@ class RecordingReader:
                 try:
                     header = json_object(record.metadata["header"])
                     return header, CycleDecoder(json_object(record.metadata["layout"]))
+                except ConfigError as error:
+                    raise ConfigError(
+                        f"{self.path}: {error.message}", expected=error.expected, remedy=error.remedy
+                    ) from None
                 except (KeyError, ValueError) as error:
                     raise DataError(
                         str(self.path),

@@ -205,11 +205,8 @@ def _at_rest(cycle: int, start: RobotState) -> Inputs:
     t_ns = start.t_ns + cycle * _PERIOD_NS
     stamp, upright, still = Stamp(t_ns, t_ns, cycle), np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     place = np.array([start.pose_body_in_wall[0], start.pose_body_in_wall[1], 0.0])
-    return Inputs(
-        cycle,
-        t_ns,
-        servos=(ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8),),
-        imu=(ImuSample(stamp, upright, still, still, np.array([9.81, 0.0, 0.0]), (3, 3, 3, 3)),),
-        tracker=(TrackerSample(stamp, still, upright, still, still, 3),),
-        mocap=(MocapSample(stamp, place, upright, True, 0.0, 0.0),),
-    )
+    servos = ServoSample(stamp, np.zeros(8), np.zeros(8), np.zeros(8), (Status.OK,) * 8)
+    inertial = ImuSample(stamp, upright, still, still, np.array([9.81, 0.0, 0.0]), ())
+    camera = TrackerSample(stamp, still, upright, still, still, 3)
+    capture = MocapSample(stamp, place, upright, True, 0.0, 0.0)
+    return Inputs(cycle, t_ns, (servos,), (), (), (inertial,), (camera,), (capture,))

@@ -2,29 +2,37 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.interfaces import Actuators, Device, Sensor
-from hil.vocabulary.signals import EncoderSample, ImuSample, Inputs, MocapSample, TrackerSample
+from hil.vocabulary.signals import KINDS, Inputs
 
 
 @dataclass
 class Rig:
-    """The devices; one that the bench lacks is None."""
+    """The devices of a bench.
+
+    Attributes:
+        clock: the bench clock.
+        servos: what moves the robot; None where the bench has none.
+        sensors: the other devices by kind, in the order in which they are opened and drained.
+    """
 
     clock: Clock
     servos: Actuators | None = None
-    encoders: Sensor[EncoderSample] | None = None
-    imu: Sensor[ImuSample] | None = None
-    tracker: Sensor[TrackerSample] | None = None
-    mocap: Sensor[MocapSample] | None = None
+    sensors: Mapping[str, Sensor[Any]] = field(default_factory=dict)
+
+    def get(self, kind: str) -> Any:
+        """The device of a kind; None where the bench lacks it."""
+        return self.sensors.get(kind, self.servos if kind == "servos" else None)
 
     def devices(self) -> tuple[Device, ...]:
         """Present devices, servos last so that nothing moves before the sensors answer."""
-        names = [f.name for f in fields(self) if f.name not in ("clock", "servos")] + ["servos"]
-        return tuple(d for d in (getattr(self, n) for n in names) if d is not None)
+        return (*self.sensors.values(), *(() if self.servos is None else (self.servos,)))
 
     def open(self) -> None:
         """Open every device; on failure close those already open and raise the first error."""
@@ -46,15 +54,15 @@ class Rig:
     def read(self, cycle: int) -> Inputs:
         """Drain every device once, the others while the servos answer; `t_ns` is when the reading began."""
         t_ns = self.clock.now_ns()
+        known: dict[str, tuple[Any, ...]] = {}
+        added: dict[str, tuple[Any, ...]] = {}
         if self.servos:
             self.servos.ask()
-        encoders = self.encoders.read() if self.encoders else ()
-        imu = self.imu.read() if self.imu else ()
-        tracker = self.tracker.read() if self.tracker else ()
-        mocap = self.mocap.read() if self.mocap else ()
-        servos = self.servos.read() if self.servos else ()
-        health = self.servos.read_health() if self.servos else ()
-        return Inputs(cycle, t_ns, servos, health, encoders, imu, tracker, mocap)
+        for kind, sensor in self.sensors.items():
+            (known if kind in KINDS else added)[kind] = sensor.read()
+        if self.servos:
+            known["servos"], known["health"] = self.servos.read(), self.servos.read_health()
+        return Inputs(cycle, t_ns, added=added, **known)
 
     def actuators(self) -> Actuators:
         """The servos, or a `DeviceError` when the bench has none."""

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.signals import WHEELS, Event, Inputs, Status
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import Event, Inputs, Status
 
 _FORGOTTEN_NS = 1_000_000_000
-_ALL_OK = (Status.OK,) * 4
 _TOLD = {
     Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
     Status.IMPLAUSIBLE: "sends values that cannot be; not used",
@@ -30,6 +30,7 @@ class SampleWatch:
 
     def __init__(self, stale_s: Mapping[str, float]) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
+        self._channels = {kind.name: kind.labels for kind in kinds().values() if not kind.actuates}
         self.reset()
 
     def reset(self) -> None:
@@ -41,21 +42,24 @@ class SampleWatch:
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
-        for name, samples in (("imu", inputs.imu), ("tracker", inputs.tracker), ("mocap", inputs.mocap)):
+        for name, labels in self._channels.items():
             good = False
-            for sample in samples:
+            for sample in inputs.of(name):
                 if sample.status is Status.OK:
                     good = True
-                elif sample.status in _TOLD:
-                    self._tell(name, "", sample.status, t_ns, events)
+                elif not labels:
+                    self._look(name, "", sample.status, t_ns, events)
+                elif sample.status == (Status.OK,) * len(labels):
+                    good = True
+                else:
+                    for label, status in zip(labels, sample.status, strict=True):
+                        self._look(name, f"{label} ", status, t_ns, events)
             if name in self._stale_ns:
                 self._age(name, good, t_ns, events)
-        for angles in inputs.encoders:
-            if angles.status == _ALL_OK:
-                continue
-            for wheel, status in zip(WHEELS, angles.status, strict=True):
-                if status in _TOLD:
-                    self._tell("encoders", f"{wheel} ", status, t_ns, events)
+
+    def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
+        if status in _TOLD:
+            self._tell(name, part, status, t_ns, events)
 
     def _tell(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         key = (name + part, status)

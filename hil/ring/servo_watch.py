@@ -32,15 +32,15 @@ class ServoWatch:
     """Follows the servos of one run.
 
     Args:
-        stale_s: longest time without a complete read.
+        stale_s: longest time without a complete read; None where there are no servos to be heard of.
         ids: bus IDs in the order of `SERVOS`; empty when unknown.
 
     Attributes:
         asked_rad_s: (4,) wheel rates that were commanded last.
     """
 
-    def __init__(self, stale_s: float, ids: tuple[int, ...] = ()) -> None:
-        self._stale_ns = nanoseconds(stale_s)
+    def __init__(self, stale_s: float | None, ids: tuple[int, ...] = ()) -> None:
+        self._stale_ns = None if stale_s is None else nanoseconds(stale_s)
         self._names = tuple(f"{s} (ID {i})" for s, i in zip(SERVOS, ids, strict=True)) if ids else SERVOS
         self.reset()
 
@@ -68,6 +68,8 @@ class ServoWatch:
 
     def check_silence(self, inputs: Inputs, stop: Blame) -> None:
         """Whether all eight have answered together lately."""
+        if self._stale_ns is None:
+            return
         if self._complete_ns is None:
             self._complete_ns = inputs.t_ns
         for sample in inputs.servos:

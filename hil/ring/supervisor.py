@@ -9,7 +9,8 @@ on nothing else.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -28,12 +29,12 @@ _HOLD_SAMPLES = 3
 class SafetyLimits:
     """Limits of one bench; time-outs in s, angles in rad. `heading_limit_rad` counts on a wall only.
 
-    `servo_ids` are the bus IDs in the order of `SERVOS`, for messages; empty when unknown.
+    `stale_s` is the time without a good sample after which a kind of device counts as silent, for those
+    whose silence matters; `servo_ids` are the bus IDs in the order of `SERVOS`, for messages, empty when
+    unknown.
     """
 
-    servo_stale_s: float = 0.1
-    imu_stale_s: float = 0.5
-    tracker_stale_s: float = 2.0
+    stale_s: Mapping[str, float] = field(default_factory=lambda: {"servos": 0.1})
     wheel_rate_limit_rad_s: float = 4.9
     steering_limit_rad: float = 2.0944
     heading_limit_rad: float = math.radians(15.0)
@@ -74,7 +75,6 @@ class Supervisor:
 
     Args:
         limits: of the bench.
-        watched: devices that it has.
         checks: of sensors against each other.
     """
 
@@ -82,14 +82,12 @@ class Supervisor:
         self,
         limits: SafetyLimits,
         *,
-        watched: tuple[str, ...] = ("servos",),
         checks: Checks | None = None,
     ) -> None:
         self.limits, self.checks = limits, checks if checks is not None else Checks()
-        self._watched = watched
-        self._servos = ServoWatch(limits.servo_stale_s, limits.servo_ids)
-        patience_s = {"imu": limits.imu_stale_s, "tracker": limits.tracker_stale_s}
-        self._samples = SampleWatch({name: s for name, s in patience_s.items() if name in watched})
+        stale_s = dict(limits.stale_s)
+        self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
+        self._samples = SampleWatch(stale_s)
         self.reset()
 
     def reset(self) -> None:
@@ -142,8 +140,7 @@ class Supervisor:
         self._causes = {}
         self._check_hold(inputs)
         self._servos.judge(inputs, events, self._blame)
-        if "servos" in self._watched:
-            self._servos.check_silence(inputs, self._blame)
+        self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
         if measurements is not None:
             self._compare(inputs, measurements, events)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Any
 
 from hil.vocabulary.geometry import Array
@@ -120,14 +120,15 @@ class EncoderSample:
 
 @dataclass(frozen=True)
 class ImuSample:
-    """BNO055 burst in the sensor's (axis-remapped) frame.
+    """Rates, gravity and attitude of an inertial unit, in the sensor's own frame.
 
     Attributes:
         quaternion_wxyz: shape (4,), sensor in its gravity-levelled reference frame.
         gyro_rad_s: shape (3,).
         linear_acceleration_m_s2: shape (3,), without gravity.
         gravity_m_s2: shape (3,), points **up** (specific force at rest), sensor frame.
-        calibration: (system, gyro, accelerometer, magnetometer), each 0..3.
+        calibration: (system, gyro, accelerometer, magnetometer), each 0..3, of a sensor that says so; else
+            empty.
     """
 
     stamp: Stamp
@@ -135,13 +136,13 @@ class ImuSample:
     gyro_rad_s: Array
     linear_acceleration_m_s2: Array
     gravity_m_s2: Array
-    calibration: tuple[int, int, int, int]
+    calibration: tuple[int, ...]
     status: Status = Status.OK
 
 
 @dataclass(frozen=True)
 class TrackerSample:
-    """T265 pose in robot axes (x forward, y left, z up of the camera), camera in its start frame.
+    """Pose of a tracking camera in robot axes (x forward, y left, z up of the camera), in its start frame.
 
     The mount on the robot is not applied here; `hil.ring.alignment` does that.
     """
@@ -170,7 +171,11 @@ class MocapSample:
 
 @dataclass(frozen=True)
 class Inputs:
-    """Everything that the devices delivered since the previous cycle, oldest first per device."""
+    """Everything that the devices delivered since the previous cycle, oldest first per device.
+
+    The fields after `health` and `servos` are the kinds of devices that this package knows, by their names
+    (`KINDS`). `added` holds the samples of kinds that other packages add, by kind (`hil.vocabulary.kinds`).
+    """
 
     cycle: int
     t_ns: int
@@ -180,6 +185,24 @@ class Inputs:
     imu: tuple[ImuSample, ...] = ()
     tracker: tuple[TrackerSample, ...] = ()
     mocap: tuple[MocapSample, ...] = ()
+    added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
+
+    def of(self, kind: str) -> tuple[Any, ...]:
+        """Samples of a kind by its name; none of a kind that delivered nothing."""
+        if kind in KINDS:
+            samples: tuple[Any, ...] = getattr(self, kind)
+            return samples
+        return self.added.get(kind, ())
+
+
+def worst(sample: Any) -> Status:
+    """OK where all of a sample can be used, else the first reason why not."""
+    states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+    return next((s for s in states if s is not Status.OK), Status.OK)
+
+
+KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
+"""Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 
 
 @dataclass(frozen=True)

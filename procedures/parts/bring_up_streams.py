@@ -8,11 +8,11 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from hil.config.bench import BenchConfig
-from hil.procedures.parts.samples import Series, camera, encoders, inertial, poses, wheels
+from hil.procedures.parts.samples import Series, arrivals, camera, encoders, inertial, poses, wheels
 from hil.ring.motion import Motion
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import kinds
 
-TRACKER_HZ = 200.0
 _BLOCKS = 24
 
 
@@ -47,17 +47,16 @@ def series_of(device: str, motion: Motion, config: BenchConfig) -> Series:
         return encoders(motion, config)
     if device == "imu":
         return inertial(motion)
-    return camera(motion) if device == "tracker" else poses(motion, device)
+    if device == "tracker":
+        return camera(motion)
+    return poses(motion, device) if device == "mocap" else arrivals(motion, device)
 
 
 def due(device: str, series: Series, duration_s: float, config: BenchConfig) -> float:
-    """How many samples a device should have delivered."""
-    if device in ("servos", "imu"):
-        return duration_s * config.loop.rate_hz
-    if device == "encoders" and config.encoders is not None:
-        return duration_s * config.encoders.rate_hz
-    if device == "tracker":
-        return duration_s * TRACKER_HZ
+    """How many samples a device should have delivered; by their own period where its owner chose the rate."""
+    rate_hz = kinds()[device].rate_hz(config.devices()[device], config.loop.rate_hz)
+    if not np.isnan(rate_hz):
+        return duration_s * rate_hz
     period_s = float(np.median(np.diff(series.t_s))) if len(series) > 2 else duration_s
     return duration_s / period_s
 

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import Annotated
+
+from pydantic import AfterValidator
 
 from hil.procedure import Context
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import kinds
 
-Device = Literal["servos", "encoders", "imu", "tracker", "mocap"]
-DEVICES: tuple[Device, ...] = ("servos", "encoders", "imu", "tracker", "mocap")
+
+def _known(name: str) -> str:
+    if name not in kinds():
+        raise ValueError("expected some of " + ", ".join(kinds()))
+    return name
+
+
+Device = Annotated[str, AfterValidator(_known)]
+"""Name of a kind of device."""
 
 
 def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
@@ -19,10 +29,10 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
         ConfigError: the bench lacks one that is wanted.
     """
     config = ctx.source.config
-    lacking = [name for name in wanted if getattr(config, name) is None]
+    lacking = [name for name in wanted if name not in config.devices()]
     if lacking:
         raise ConfigError(
             f"this run looks at {', '.join(lacking)}, which the bench {config.name!r} lacks",
             remedy="add the section(s) to the bench file, or say --set devices=... without them",
         )
-    return {name: None for name in DEVICES if name not in wanted}
+    return {name: None for name in kinds() if name not in wanted}

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.config.bench import BenchConfig
+from hil.config.encoders import EncodersConfig
 from hil.ring.motion import Motion
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, wrap_array
-from hil.vocabulary.signals import Stamp, Status
+from hil.vocabulary.signals import Stamp, Status, worst
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,24 @@ def _series(motion: Motion, rows: Iterable[tuple[Stamp, bool, Array]], width: in
     stamps = [stamp for stamp, _ in used]
     first_ns = next((s.device_ns for s in stamps if s.device_ns is not None), 0)
     device = [np.nan if s.device_ns is None else (s.device_ns - first_ns) / NS_PER_S for s in stamps]
-    values = np.array([row for _, row in used], dtype=np.float64).reshape(-1, width)
+    values = np.array([row for _, row in used], dtype=np.float64).reshape(len(used), width)
     return Series(
         np.array([(s.t_ns - origin_ns) / NS_PER_S for s in stamps], dtype=np.float64),
         np.array([(s.host_ns - origin_ns) / NS_PER_S for s in stamps], dtype=np.float64),
         np.array(device, dtype=np.float64), values, len(every),
+    )  # fmt: skip
+
+
+def arrivals(motion: Motion, kind: str) -> Series:
+    """When samples of any kind of device came, without their values, (n, 0)."""
+    return _series(
+        motion,
+        (
+            (s.stamp, worst(s) is Status.OK, np.empty(0))
+            for r in motion.records
+            for s in r.inputs.of(kind)
+        ),
+        0,
     )  # fmt: skip
 
 
@@ -91,8 +105,9 @@ def wheels(motion: Motion) -> Series:
 
 def encoders(motion: Motion, config: BenchConfig) -> Series:
     """Steering by the external encoders, bench signs and zeros applied, (n, 4); NaN per unusable axis."""
-    assert config.encoders is not None
-    sign, zero = np.array(config.encoders.sign, dtype=np.float64), np.array(config.encoders.zero_rad)
+    table = config.of(EncodersConfig)
+    assert table is not None
+    sign, zero = np.array(table.sign, dtype=np.float64), np.array(table.zero_rad)
     return _series(
         motion,
         (

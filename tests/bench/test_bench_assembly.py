@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
 

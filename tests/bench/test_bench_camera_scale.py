@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.config.bench import load_bench, validate
+from hil.config.loading import load_bench, validate
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
 

@@ -9,7 +9,7 @@ import tomli_w
 import hil
 from hil.bench.doctor import examine
 from hil.calibration.artefact import CalibrationFile, save_calibration
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.live.playback import open_recording
 from hil.recording.mcap_writer import McapRecorder
 from hil.robot.kinematics import WheelGeometry

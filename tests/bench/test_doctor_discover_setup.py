@@ -11,7 +11,7 @@ from hil.bench.discover import discover
 from hil.bench.doctor import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.fakes.world import VirtualClock
 
 SETTLE_S = 0.6
@@ -146,8 +146,8 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     )  # fmt: skip
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
-    port = connected.connections.values["servos"]["port"]
-    assert told in discover(VirtualClock(world), ports=[port], buses=[]).to_toml()
+    port = connected.connections["servos"].values["port"]
+    assert told in discover(VirtualClock(world), ports=[port]).to_toml()
     connected.close()
 
 

@@ -9,9 +9,9 @@ import pytest
 
 import hil
 from hil.bench.doctor import examine
-from hil.bench.drivers import Connections, make_rig
+from hil.bench.drivers import make_rig
 from hil.bench.emulation import build_world, connect_in_process
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.drivers.serial_url import latency_timer
 from hil.drivers.servos import scan, set_up
 from hil.fakes.world import VirtualClock
@@ -113,7 +113,7 @@ def test_a_servo_can_be_found_and_set_up_behind_it():
     config = load_bench("emulated", overrides=SERVOS_ONLY | {"servos.usb_latency_s": 0.016})
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
-    port, clock = connected.connections.values["servos"]["port"], VirtualClock(world)
+    port, clock = connected.connections["servos"].values["port"], VirtualClock(world)
     clock.sleep_until_ns(300_000_000)
     found = scan(port, clock, bauds=(3_000_000,))
     assert [s.operating_mode for s in found] == [1] * 4 + [3] * 4
@@ -127,7 +127,7 @@ def test_a_reply_is_not_slow_behind_a_good_one():
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     clock = VirtualClock(world)
-    rig = make_rig(config, clock, Connections(connected.connections.values))
+    rig = make_rig(config, clock, connected.connections)
     rig.servos.open()
     reply = next(f for f in rig.servos.diagnose() if f.check == "reply time")
     rig.servos.close()

@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 import hil
 from hil.cli import main, start
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, UsageError
 

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 from hil.bench import check_faults
 from hil.cli import COMMANDS, main
 from hil.cli.live import _text
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.vocabulary.errors import FaultNotSupportedError
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -6,9 +6,9 @@ On hardware nothing moves but the wheels of the tests marked so; lift the robot,
 
 import pytest
 
-from hil.config.bench import DEVICES
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, source_of
+from hil.vocabulary.kinds import kinds
 
 SEED = 3
 PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02}
@@ -41,10 +41,10 @@ def bench(backend, request):
     opened.close()
 
 
-@pytest.fixture(params=DEVICES)
+@pytest.fixture(params=tuple(kinds()))
 def device(request, bench):
     """One opened device after the other; a device that the bench lacks is skipped by name."""
-    found = getattr(bench.rig, request.param)
+    found = bench.rig.get(request.param)
     if found is None:
         pytest.skip(f"bench {bench.config.name} has no {request.param}")
     found.open()

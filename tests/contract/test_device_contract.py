@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.config.bench import DEVICES
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import Status
 
 ARRAYS = {
@@ -55,11 +55,11 @@ def already(bench):
     return {}
 
 
-@pytest.fixture(params=DEVICES)
+@pytest.fixture(params=tuple(kinds()))
 def watched(request, bench, collect, already):
     """A device that was opened, read for a while and closed: its samples, and when it was read."""
     name = request.param
-    found = getattr(bench.rig, name)
+    found = bench.rig.get(name)
     if found is None:
         pytest.skip(f"bench {bench.config.name} has no {name}")
     if name not in already:

@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.ring.alignment import Alignment, AlignmentParameters, Mount
+from hil.ring.alignment import Alignment, AlignmentParameters
+from hil.ring.poses import Mount
 from hil.ring.supervisor import SafetyLimits, Supervisor
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
@@ -30,6 +31,8 @@ from hil.vocabulary.signals import (
 )
 
 STAMP = Stamp(0, 0, 0)
+
+IMU, TRACKER = {"imu": 0.5}, {"tracker": 2.0}
 
 
 def servo_sample(position, status=(Status.OK,) * 8, alert=(0,) * 8):
@@ -107,7 +110,7 @@ def test_alignment_wants_four_wheels():
 
 
 def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
-    supervisor = Supervisor(SafetyLimits(servo_stale_s=0.1))
+    supervisor = Supervisor(SafetyLimits())
     silent = servo_sample(np.full(8, np.nan), (Status.TIMEOUT,) * 8)
     supervisor.check(Inputs(0, 0, servos=(servo_sample(np.zeros(8)),)))
     supervisor.check(Inputs(1, 90_000_000, servos=(silent,)))
@@ -118,7 +121,7 @@ def test_a_servo_that_stays_silent_stops_the_robot_but_one_gap_does_not():
 
 
 def test_a_silent_imu_is_told_once_and_its_return_too():
-    supervisor = Supervisor(SafetyLimits(imu_stale_s=0.5), watched=("imu",))
+    supervisor = Supervisor(SafetyLimits(stale_s=IMU))
     events = [supervisor.check(Inputs(k, k * 100_000_000)) for k in range(12)]
     assert [len(e) for e in events] == [0] * 6 + [1] + [0] * 5
     good = ImuSample(STAMP, np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3), (3, 3, 3, 3))
@@ -163,7 +166,7 @@ def imu_inputs(cycle, force, status=Status.OK):
 
 
 def test_a_robot_that_feels_no_weight_has_lost_its_hold():
-    supervisor = Supervisor(SafetyLimits(), watched=("imu",))
+    supervisor = Supervisor(SafetyLimits(stale_s=IMU))
     for cycle in range(20):
         supervisor.check(imu_inputs(cycle, 9.0 + cycle % 3))
     supervisor.check(imu_inputs(20, 0.2))
@@ -178,7 +181,7 @@ def test_a_robot_that_feels_no_weight_has_lost_its_hold():
 
 
 def test_a_robot_faster_than_it_can_drive_is_sliding():
-    supervisor = Supervisor(SafetyLimits(), watched=("tracker",))
+    supervisor = Supervisor(SafetyLimits(stale_s=TRACKER))
 
     def seen(cycle, speed):
         stamp = Stamp(cycle * 10_000_000, cycle * 10_000_000, cycle)
@@ -204,7 +207,7 @@ def seen_at(cycle, speed):
 
 @pytest.mark.parametrize(("speed", "slides"), [(0.499, False), (0.5, False), (0.501, True)])
 def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
-    supervisor = Supervisor(SafetyLimits(body_speed_limit_m_s=0.5), watched=("tracker",))
+    supervisor = Supervisor(SafetyLimits(body_speed_limit_m_s=0.5, stale_s=TRACKER))
     stop = None
     for cycle in range(3):
         try:
@@ -216,7 +219,7 @@ def test_the_slide_limit_is_where_it_is_said_to_be(speed, slides):
 
 
 def test_only_speed_without_a_break_and_of_good_samples_is_a_slide():
-    supervisor = Supervisor(SafetyLimits(), watched=("tracker",))
+    supervisor = Supervisor(SafetyLimits(stale_s=TRACKER))
     for cycle in range(40):
         fast = seen_at(cycle, 0.9 if cycle % 3 else 0.1)
         supervisor.check(Inputs(cycle, cycle * 10_000_000, tracker=(fast,)))
@@ -234,7 +237,7 @@ def with_everything(cycle, *, light=False, speed=0.0, alert=0):
 
 
 def test_what_comes_together_is_named_together_the_gravest_first():
-    supervisor = Supervisor(SafetyLimits(), watched=("imu", "tracker", "servos"))
+    supervisor = Supervisor(SafetyLimits(stale_s={"servos": 0.1, **IMU, **TRACKER}))
     for cycle in range(2):
         supervisor.check(with_everything(cycle, light=True, speed=0.9))
     with pytest.raises(SafetyStop) as stop:
@@ -244,7 +247,7 @@ def test_what_comes_together_is_named_together_the_gravest_first():
 
 
 def test_what_follows_a_stop_is_named_once_and_raises_nothing():
-    supervisor = Supervisor(SafetyLimits(), watched=("imu", "tracker", "servos"))
+    supervisor = Supervisor(SafetyLimits(stale_s={"servos": 0.1, **IMU, **TRACKER}))
     supervisor.check(with_everything(0))
     with pytest.raises(SafetyStop, match="hardware_error"):
         supervisor.check(with_everything(1, alert=0x20))
@@ -301,7 +304,7 @@ def test_the_floor_has_no_heading_limit():
 
 @pytest.mark.parametrize(("force", "lost"), [(4.99, True), (5.01, False)])
 def test_the_adhesion_limit_is_where_it_is_said_to_be(force, lost):
-    supervisor = Supervisor(SafetyLimits(adhesion_limit_m_s2=5.0), watched=("imu",))
+    supervisor = Supervisor(SafetyLimits(adhesion_limit_m_s2=5.0, stale_s=IMU))
     told = [supervisor.causes(imu_inputs(k, force)) for k in range(3)]
     assert bool(told[2]) is lost
 

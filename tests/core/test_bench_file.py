@@ -2,7 +2,8 @@
 
 import pytest
 
-from hil.config.bench import BenchConfig, load_bench
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
 from hil.vocabulary.errors import ConfigError
 
 GOOD = """

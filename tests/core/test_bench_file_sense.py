@@ -5,7 +5,7 @@ import math
 import pytest
 
 import hil
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.procedure.bench_source import BenchSource
 from hil.vocabulary.errors import ConfigError

@@ -6,8 +6,8 @@ import pytest
 
 import hil
 from hil.bench.settings import motion_limits, safety_limits
-from hil.config.bench import load_bench
 from hil.config.environment import SURFACES
+from hil.config.loading import load_bench
 from hil.fakes.plant import surfaces
 from hil.vocabulary.errors import ConfigError
 

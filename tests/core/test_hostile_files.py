@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from hil.calibration.artefact import read_calibration
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.fakes.timeline import read_faults
 from hil.procedure.journal import NAME, read_journal

@@ -1,10 +1,19 @@
-"""Drivers and fakes are reached through the bench: no other package imports them, for whatever reason."""
+"""Kinds of devices are named in one place, and drivers and fakes are reached through the registry."""
 
 import ast
 from pathlib import Path
 
+from hil.vocabulary.signals import KINDS
+
 ROOT = Path(__file__).resolve().parents[2]
 DEVICES = ("hil.drivers", "hil.fakes")
+VOCABULARY = Path("hil/vocabulary/signals.py")
+
+
+def sources():
+    found = [*(ROOT / "hil").rglob("*.py")]
+    assert len(found) > 200
+    return found
 
 
 def imported(path):
@@ -16,20 +25,30 @@ def imported(path):
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def package(path):
-    """`hil.PACKAGE` of a source file."""
-    *parts, _ = path.relative_to(ROOT).with_suffix("").parts
-    return ".".join(parts[:2])
+def named(path):
+    """Kinds of devices that a file names: as a text, an attribute, an argument or a field."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant):
+            yield node.value
+        elif isinstance(node, ast.Attribute):
+            yield node.attr
+        elif isinstance(node, ast.keyword):
+            yield node.arg
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            yield node.target.id
 
 
-def test_only_the_bench_knows_drivers_and_fakes():
-    files = [*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py")]
+def test_only_the_registry_and_the_bench_know_drivers_and_fakes():
     guilty = [
         f"{path.relative_to(ROOT)} imports {name}"
-        for path in files
-        if package(path) not in ("hil.bench", *DEVICES)
+        for path in sources()
+        if ".".join(path.relative_to(ROOT).parts[:2]) not in ("hil.bench", "hil.devices", *DEVICES)
         for name in imported(path)
         if f"{name}.".startswith(tuple(f"{d}." for d in DEVICES))
     ]
-    assert len(files) > 200
     assert guilty == []
+
+
+def test_one_module_names_four_kinds_of_devices():
+    many = {str(path.relative_to(ROOT)): sorted(set(named(path)) & set(KINDS)) for path in sources()}
+    assert [name for name, kinds in many.items() if len(kinds) >= 4] == [str(VOCABULARY)]

@@ -141,7 +141,7 @@ class Busy(Sink):
 
 def make(silent_after_ns=NEVER_NS, sinks=lambda clock: ()):
     clock = VirtualClock(World(StillPlant()))
-    rig = Rig(clock, servos=Servos(clock, silent_after_ns), mocap=Mocap(clock))
+    rig = Rig(clock, servos=Servos(clock, silent_after_ns), sensors={"mocap": Mocap(clock)})
     brain = Brain(
         Supervisor(SafetyLimits()), Alignment(AlignmentParameters()), Standing(), Forward(),
         lambda t_s: Reference(t_s, np.zeros(3), np.zeros(3), np.zeros(3)), {"shadow": Standing()},
@@ -196,12 +196,12 @@ def test_an_error_in_the_callers_code_still_holds_the_robot():
 
 def test_a_rig_that_cannot_open_whole_closes_what_it_opened():
     clock = MonotonicClock()
-    rig = Rig(clock, servos=Servos(clock), mocap=Mocap(clock))
+    rig = Rig(clock, servos=Servos(clock), sensors={"mocap": Mocap(clock)})
     rig.open()
     assert rig.servos.opened
     rig.close()
     assert not rig.servos.opened
-    rig.mocap.broken = True
+    rig.get("mocap").broken = True
     with pytest.raises(DeviceError, match="no answer"):
         rig.open()
     assert not rig.servos.opened

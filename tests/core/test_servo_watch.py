@@ -108,7 +108,7 @@ def test_a_leap_is_told_and_then_stops_the_robot(joint, step_rad):
 
 
 def test_the_fastest_motor_does_not_leap_nor_does_one_that_was_away():
-    watch = supervisor(servo_stale_s=1.0)
+    watch = supervisor(stale_s={"servos": 1.0})
     for k in range(40):
         wrong = {2: Status.TIMEOUT} if 10 <= k < 30 else None
         assert watch.check(cycle(k, np.full(8, 0.065 * k), wrong=wrong)) == ()

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.procedure.scripts import load_procedure
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -11,7 +11,7 @@ from natnet import NatNetClient
 import hil
 from hil.bench.emulation import build_world
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap import NatNetFace, NatNetServer
 
@@ -113,7 +113,7 @@ def test_a_bench_reads_an_emulated_server_whose_ports_it_names(bench_file, realt
         bench = hil.open_bench(file, realtime=realtime)
         stack.callback(bench.close)
         bench.begin()
-        mocap = bench.rig.mocap
+        mocap = bench.rig.get("mocap")
         mocap.open()
         stack.callback(mocap.close)
         seen = []

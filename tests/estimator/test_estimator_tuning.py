@@ -8,8 +8,8 @@ import pytest
 from estimator_drives import drive
 
 from hil.cli.tune import command
-from hil.config.bench import load_bench
 from hil.config.estimator import EstimatorConfig
+from hil.config.loading import load_bench
 from hil.estimator.tuning import TruthRun, score, tunable, tune, with_values
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError, UsageError

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import serial
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
@@ -122,7 +122,7 @@ def imu_bench():
         plan = FaultPlan([parse_fault(spec) for spec in faults])
         plant = plant if plant is not None else TurningPlant()
         world = World(plant, seed=seed, faults=plan)
-        config = ImuConfig(**{"port": "chip://imu", "backend": "emulated", **(config or {})})
+        config = Bno055Config(**{"port": "chip://imu", "backend": "emulated", **(config or {})})
         chip = Bno055Chip(
             world,
             options=options or ImuTruthOptions(),

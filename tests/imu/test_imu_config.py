@@ -4,25 +4,25 @@ import pytest
 from pydantic import ValidationError
 
 from hil.config.encoders import EncodersConfig
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.fakes.imu.sensors import matrix, product, quaternion_of, remap, transpose
 
 PRESETS = [(0x21, 4), (0x24, 0), (0x24, 6), (0x21, 2), (0x24, 3), (0x21, 1), (0x21, 7), (0x24, 5)]
 
 
 def test_defaults_are_the_robot_of_the_paper():
-    assert ImuConfig().mount_position_m == (0.0655, 0.0, 0.098)
+    assert Bno055Config().mount_position_m == (0.0655, 0.0, 0.098)
     assert EncodersConfig().dbc_path.exists()
 
 
 @pytest.mark.parametrize(
     ("model", "values", "what"),
     [
-        (ImuConfig, {"speed": 1}, "Extra inputs"),
-        (ImuConfig, {"axis_map": 0x25}, "not a permutation"),
-        (ImuConfig, {"axis_map": 0x64}, "not a permutation"),
-        (ImuConfig, {"mount_rotation_wxyz": (1, 1, 0, 0)}, "norm 1.41"),
-        (ImuConfig, {"fusion_mode": "euler"}, "Input should be"),
+        (Bno055Config, {"speed": 1}, "Extra inputs"),
+        (Bno055Config, {"axis_map": 0x25}, "not a permutation"),
+        (Bno055Config, {"axis_map": 0x64}, "not a permutation"),
+        (Bno055Config, {"mount_rotation_wxyz": (1, 1, 0, 0)}, "norm 1.41"),
+        (Bno055Config, {"fusion_mode": "euler"}, "Input should be"),
         (EncodersConfig, {"speed": 1}, "Extra inputs"),
         (EncodersConfig, {"sign": (1, 1, 2, 1)}, "only 1 and -1"),
         (EncodersConfig, {"signals": ("A", "A", "B", "C")}, "four different"),

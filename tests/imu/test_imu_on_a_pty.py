@@ -8,7 +8,7 @@ import tty
 import pytest
 import serial
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.server import EmulationServer
@@ -65,7 +65,7 @@ def served(turning_plant):
 
 def test_the_driver_reads_at_100_hz(served):
     clock = MonotonicClock()
-    driver = Bno055Imu(ImuConfig(port=served, reply_timeout_s=0.05), clock)
+    driver = Bno055Imu(Bno055Config(port=served, reply_timeout_s=0.05), clock)
     driver.open()
     samples, t_ns = [], clock.now_ns()
     for _ in range(60):
@@ -83,7 +83,7 @@ def test_a_second_client_is_refused(served):
         serial.Serial(served, 115_200, exclusive=True),
         pytest.raises(DeviceError, match="close the other program"),
     ):
-        Bno055Imu(ImuConfig(port=served), MonotonicClock()).open()
+        Bno055Imu(Bno055Config(port=served), MonotonicClock()).open()
 
 
 def test_a_plain_pyserial_script_talks_to_the_chip(served):

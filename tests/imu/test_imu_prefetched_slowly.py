@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.imu import Bno055Chip
 from hil.fakes.serial_line import SerialLine
@@ -19,7 +19,7 @@ def fast_cycles(turning_plant):
     world = World(turning_plant(rate_rad_s=0.5))
     line = SerialLine(world, Bno055Chip(world, overrun_probability=0.0), name="slow", latency_s=0.001).open()
     clock = VirtualClock(world)
-    driver = Bno055Imu(ImuConfig(port="hil://slow", backend="emulated", prefetch=True), clock)
+    driver = Bno055Imu(Bno055Config(port="hil://slow", backend="emulated", prefetch=True), clock)
     driver.open()
     found, took_ns = [], []
     for _ in range(400):

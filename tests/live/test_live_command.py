@@ -16,7 +16,7 @@ import pytest
 import tomli_w
 
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.recording.mcap_reader import read_cycles
 
 SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 import pytest
 
 from hil.calibration.artefact import CalibrationFile, save_calibration
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin import selfcheck
 from hil.pytest_plugin.selfcheck import idle_for, oldest_s, too_late

@@ -10,7 +10,7 @@ from hil.bench import open_bench
 from hil.calibration.artefact import CalibrationFile, read_calibration, save_calibration
 from hil.calibration.versions import Shelf, made_for
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.procedure import BenchSource
 from hil.vocabulary.errors import ConfigError
 

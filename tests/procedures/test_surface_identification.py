@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.bench import open_bench
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.fakes.plant_api import JointCommand
 from hil.procedure import BenchSource
 from hil.procedure.dry_run import dry_run

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from procedure_runs import assert_covered, part, run, true_world
 
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.fakes.tracker import T265
 from hil.procedures.parts.samples import Series
 from hil.procedures.parts.tracker_hand_eye import Truth, intervals, solve

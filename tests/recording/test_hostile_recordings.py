@@ -14,14 +14,14 @@ from mcap.records import Channel, Chunk, DataEnd, Footer, Header, Message, Metad
 from mcap_cases import driving_record
 
 from hil.cli import main
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.live.playback import open_recording, verify_recording
+from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
 from hil.recording.cycle_layout import COUNT, MAGIC, describe
 from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
-from hil.recording.ros_messages import octet_array, string
 from hil.recording.runs import RunStart, read_runs
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.signals import CycleRecord, RobotState

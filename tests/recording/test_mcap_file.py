@@ -18,8 +18,9 @@ from rosbags.typesys import Stores, get_typestore
 from hil.recording.compare import first_difference
 from hil.recording.mcap_reader import Note, RecordingReader, read_cycles, read_header
 from hil.recording.mcap_writer import McapRecorder
-from hil.recording.ros_messages import TOPICS
+from hil.recording.ros_messages import topics_with
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.kinds import kinds
 
 HEADER = {"seed": 7, "config": {"name": "test", "rate_hz": 100.0}, "versions": {"hil": "0"}}
 
@@ -80,7 +81,9 @@ def test_the_official_reader_opens_it(recording):
         reader = make_reader(stream, validate_crcs=True)
         assert reader.get_header().profile == "ros2"
         summary = reader.get_summary()
-        assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == TOPICS
+        assert {c.topic: summary.schemas[c.schema_id].name for c in summary.channels.values()} == topics_with(
+            tuple(kinds().values())
+        )
         assert summary.statistics.chunk_count >= 4
         counts = {}
         for schema, channel, _ in reader.iter_messages():

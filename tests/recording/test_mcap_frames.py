@@ -14,7 +14,7 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.recording.frames import describe_clock
 from hil.recording.mcap_reader import read_cycles, read_wall_offsets
 from hil.recording.mcap_writer import McapRecorder

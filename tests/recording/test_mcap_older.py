@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import hil
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.config.recorded import changed_since, recorded_bench
 from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder

@@ -9,7 +9,7 @@ import pytest
 from mcap_cases import driving_record
 
 from hil.bench.blueprint import Blueprint
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
 from hil.replay.page import write_replay_page

@@ -10,20 +10,16 @@ from mcap_cases import driving_record
 from rosbags.typesys import Stores, get_typestore
 
 from hil.bench.blueprint import Blueprint
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
+from hil.recording.cdr import octet_array, octets_of, string, text_of
 from hil.recording.frames import FrameTree
-from hil.recording.ros_messages import (
-    TOPICS,
-    messages,
-    octet_array,
-    octets_of,
-    string,
-    text_of,
-    transforms,
-)
+from hil.recording.ros_messages import messages, topics_with, transforms
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS
 
+KINDS = tuple(kinds().values())
+TOPICS = topics_with(KINDS)
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 HEADER = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
 
@@ -35,7 +31,7 @@ def test_rosbags_reads_and_reproduces_every_byte(k):
         ("/tf_static", 0, transforms(0, frames.fixed)),
         ("/tf", 0, transforms(0, frames.moving(driving_record(k)))),
     ]
-    for topic, _, data in [*messages(driving_record(k)), *mixed]:
+    for topic, _, data in [*messages(driving_record(k), KINDS), *mixed]:
         message = STORE.deserialize_cdr(data, TOPICS[topic])
         assert bytes(STORE.serialize_cdr(message, TOPICS[topic])) == data
         seen.add(topic)
@@ -43,7 +39,7 @@ def test_rosbags_reads_and_reproduces_every_byte(k):
 
 
 def by_topic(k):
-    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(driving_record(k))}
+    return {t: STORE.deserialize_cdr(data, TOPICS[t]) for t, _, data in messages(driving_record(k), KINDS)}
 
 
 def test_values_arrive_where_ros_expects_them():

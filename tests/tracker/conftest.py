@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.config.tracker import TrackerConfig
+from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.plant_api import PlantState
@@ -68,7 +68,7 @@ def tracker_bench():
     def build(*faults, plant=None, config=None, options=IDEAL, seed=1, **camera_options):
         plant = plant if plant is not None else TravellingPlant()
         world = World(plant, seed=seed, faults=FaultPlan([parse_fault(spec) for spec in faults]))
-        settings = TrackerConfig(**{"backend": "emulated", **(config or {})})
+        settings = T265Config(**{"backend": "emulated", **(config or {})})
         camera = T265(
             world,
             options=options,

@@ -8,7 +8,7 @@ import threading
 import numpy as np
 import pytest
 
-from hil.config.tracker import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD, TrackerConfig
+from hil.config.tracker import FEED_HEAD, FEED_MAGIC, FEED_SUBSCRIBE, INFO_RECORD, POSE_RECORD, T265Config
 from hil.drivers.tracker import FeedPipeline, T265Tracker
 from hil.fakes.server import EmulationServer
 from hil.fakes.tracker import TrackerFace
@@ -40,7 +40,7 @@ def collect(driver, clock, duration_s):
 
 def feed_config(face, **more):
     endpoint = {key: face.endpoint()[key] for key in ("host", "port")}
-    return TrackerConfig(endpoint=endpoint, **more)
+    return T265Config(endpoint=endpoint, **more)
 
 
 def test_the_driver_follows_a_feed(tracker_bench):
@@ -94,7 +94,7 @@ def test_a_feed_serves_several_clients_and_forgets_the_silent(tracker_bench):
 def test_nobody_at_the_other_end_is_a_device_error(tracker_bench):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind(("127.0.0.1", 0))
-        config = TrackerConfig(endpoint={"port": silent.getsockname()[1]})
+        config = T265Config(endpoint={"port": silent.getsockname()[1]})
         with pytest.raises(DeviceError, match="no emulated camera answers"):
             T265Tracker(config, MonotonicClock()).open()
 
@@ -177,7 +177,7 @@ def test_the_same_driver_runs_on_librealsenses_software_device(tracker_bench, re
     bench = tracker_bench()
     device = SoftwareT265(bench.camera)
     clock = MonotonicClock()
-    driver = T265Tracker(TrackerConfig(), clock, pipeline=device.pipeline(), library=realsense)
+    driver = T265Tracker(T265Config(), clock, pipeline=device.pipeline(), library=realsense)
     with serving(bench.world, {}):
         driver.open()
         samples = collect(driver, clock, 1.0)
@@ -195,7 +195,7 @@ def test_the_same_driver_runs_on_librealsenses_software_device(tracker_bench, re
 
 def test_without_a_camera_the_library_says_so(realsense):
     with pytest.raises(DeviceError, match=r"2\.53\.1"):
-        T265Tracker(TrackerConfig(connect_timeout_s=0.5), MonotonicClock()).open()
+        T265Tracker(T265Config(connect_timeout_s=0.5), MonotonicClock()).open()
 
 
 def test_without_the_extra_the_software_device_names_it(tracker_bench, monkeypatch):

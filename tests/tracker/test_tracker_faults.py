@@ -5,7 +5,7 @@ import sys
 import numpy as np
 import pytest
 
-from hil.config.tracker import TrackerConfig
+from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.faults import parse_fault
 from hil.fakes.tracker import SUPPORTED_FAULTS, TrackerTruthOptions
@@ -201,7 +201,7 @@ def test_a_pipeline_misused_complains_as_the_library_does(tracker_bench):
         pipeline.stop()
     bench.driver.open()
     with pytest.raises(RuntimeError, match="before stop"):
-        bench.driver._running.start(TrackerConfig(), print)
+        bench.driver._running.start(T265Config(), print)
 
 
 def test_no_pose_at_all_is_a_time_out_at_open(tracker_bench):
@@ -219,7 +219,7 @@ def test_use_while_closed_is_a_device_error(tracker_bench):
 def test_a_missing_library_names_the_extra(monkeypatch):
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
     with pytest.raises(DeviceError, match=r"t265.*2\.53\.1") as caught:
-        T265Tracker(TrackerConfig(), MonotonicClock()).open()
+        T265Tracker(T265Config(), MonotonicClock()).open()
     assert caught.value.exit_code == 3
 
 
@@ -258,7 +258,7 @@ class Broken(Strange):
 def test_frames_without_pose_are_counted_and_a_failing_stop_is_quiet(tracker_bench):
     bench = tracker_bench()
     pipeline = Mumbling(bench.camera)
-    driver = T265Tracker(TrackerConfig(), bench.clock, pipeline=pipeline)
+    driver = T265Tracker(T265Config(), bench.clock, pipeline=pipeline)
     driver.open()
     for frame in (Strange(), Broken(), Strange()):
         pipeline.callback(frame)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hil.fakes.tracker import TrackerTruthOptions
-from hil.ring.alignment import Alignment, AlignmentParameters, Mount
+from hil.ring.alignment import Alignment, AlignmentParameters
+from hil.ring.poses import Mount
 from hil.vocabulary.geometry import between, quat_from_rotvec, quat_rotate, yaw_of_quat
 from hil.vocabulary.signals import Inputs, Status
 

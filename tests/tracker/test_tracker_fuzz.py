@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.config.tracker import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD, TrackerConfig
+from hil.config.tracker import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD, T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.feed import FeedDevice, FeedFrame
 from hil.fakes.world import VirtualClock, World
@@ -61,7 +61,7 @@ def good_pose(number):
 @given(poses=st.lists(st.tuples(POSES, st.integers(0, 300_000_000)), max_size=12))
 def test_poses_of_any_content_give_samples_or_a_device_error(poses):
     clock, pipeline = VirtualClock(World(Standing())), Scripted()
-    driver = T265Tracker(TrackerConfig(fail_after_s=1.0), clock, pipeline=pipeline)
+    driver = T265Tracker(T265Config(fail_after_s=1.0), clock, pipeline=pipeline)
     driver.open()
     for data, pause_ns in poses:
         pipeline.put(FeedFrame(POSE_RECORD.unpack(data)))
@@ -113,7 +113,7 @@ def stranger():
 
 def tracker_at(address, **values):
     endpoint = {"host": address[0], "port": address[1]}
-    return T265Tracker(TrackerConfig(endpoint=endpoint, open_timeout_s=1.0, **values), MonotonicClock())
+    return T265Tracker(T265Config(endpoint=endpoint, open_timeout_s=1.0, **values), MonotonicClock())
 
 
 @pytest.mark.parametrize(
@@ -136,7 +136,7 @@ def test_a_server_that_is_no_t265_is_a_device_error(stranger, answers):
 def test_a_finite_value_that_no_camera_can_mean_is_implausible(place, value):
     """Position, velocity, quaternion and turn rate alike; the poses beside it are used."""
     clock, pipeline = VirtualClock(World(Standing())), Scripted()
-    driver = T265Tracker(TrackerConfig(), clock, pipeline=pipeline)
+    driver = T265Tracker(T265Config(), clock, pipeline=pipeline)
     driver.open()
     record = list(POSE_RECORD.unpack(good_pose(2)))
     record[4 + place] = value

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from hil.bench.discover import discover
-from hil.config.tracker import TrackerConfig
+from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.drivers.tracker.library import PlainLibrary, StreamRequest
 from hil.vocabulary.errors import DeviceError
@@ -78,7 +78,7 @@ def with_library(tracker_bench, monkeypatch):
         library = StandIn(bench, **options)
         monkeypatch.setitem(sys.modules, "pyrealsense2", library)
         bench.clock.sleep_until_ns(1_000_000)
-        return bench, library, T265Tracker(TrackerConfig(**(config or {})), bench.clock)
+        return bench, library, T265Tracker(T265Config(**(config or {})), bench.clock)
 
     return build
 
@@ -140,7 +140,7 @@ def usb(folder, *devices):
 def asked(bench, sysfs):
     said = []
     nowhere = ["hil://nowhere"]
-    return discover(bench.clock, ports=nowhere, buses=[], sysfs=sysfs, say=said.append), said
+    return discover(bench.clock, ports=nowhere, sysfs=sysfs, say=said.append), said
 
 
 @pytest.mark.parametrize("ids", [("03e7", "2150"), ("8087", "0b37")])

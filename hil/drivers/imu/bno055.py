@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.imu import burst
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.chip import MODES, OPR_MODE, REMEDY, Chip
@@ -42,7 +42,7 @@ class Bno055Imu(Sensor[ImuSample]):
         name: device name in errors and logs.
     """
 
-    def __init__(self, config: ImuConfig, clock: Clock, name: str = "imu") -> None:
+    def __init__(self, config: Bno055Config, clock: Clock, name: str = "imu") -> None:
         self.name = name
         self._config, self._clock = config, clock
         self._link: Link | None = None

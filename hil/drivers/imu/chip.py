@@ -6,7 +6,7 @@ All of it happens in CONFIG mode, which the chip is brought into and out of here
 
 from __future__ import annotations
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.imu.calibration import SIZE as CALIBRATION_SIZE
 from hil.drivers.imu.calibration import ImuCalibration
 from hil.drivers.imu.link import ExchangeError, Link
@@ -39,7 +39,7 @@ class Chip:
     """
 
     def __init__(
-        self, link: Link, config: ImuConfig, clock: Clock, device: str, calibration: ImuCalibration | None
+        self, link: Link, config: Bno055Config, clock: Clock, device: str, calibration: ImuCalibration | None
     ) -> None:
         self._link, self._config, self._clock, self._device = link, config, clock, device
         self._calibration = calibration

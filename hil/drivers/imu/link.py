@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from hil.config.imu import ImuConfig
+from hil.config.imu import Bno055Config
 from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.signals import Status
@@ -44,7 +44,7 @@ class Link:
         asked_ns: when the latest request was handed to the port.
     """
 
-    def __init__(self, config: ImuConfig, clock: Clock, name: str) -> None:
+    def __init__(self, config: Bno055Config, clock: Clock, name: str) -> None:
         self._clock, self._name, self.port_name = clock, name, config.port
         self._gap_ns = nanoseconds(config.retry_gap_s)
         self._dirty = True

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.tracker import TrackerConfig
+from hil.config.tracker import T265Config
 from hil.drivers.device_clock import DeviceClock
 from hil.drivers.jumps import JumpTest
 from hil.drivers.stuck import StuckTest
@@ -69,7 +69,7 @@ class T265Tracker(Sensor[TrackerSample]):
 
     def __init__(
         self,
-        config: TrackerConfig,
+        config: T265Config,
         clock: Clock,
         name: str = "tracker",
         pipeline: Pipeline | None = None,

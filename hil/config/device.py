@@ -1,0 +1,61 @@
+"""What every table of a device in the bench file has."""
+
+from __future__ import annotations
+
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from hil.config.sections import Strict
+from hil.config.values import UnitQuaternion, Within
+
+Position = tuple[float, float, float]
+
+
+class DeviceConfig(Strict):
+    """Base of the devices' tables; a model adds `model: Literal["its name"] = "its name"` and its own keys.
+
+    Attributes:
+        model: which model it is, within its kind.
+        backend: `real`, or `emulated` for a device that the bench emulates.
+    """
+
+    PATHS: ClassVar[tuple[str, ...]] = ()
+    """Keys that hold paths: a relative one starts at the bench file's folder."""
+    CHOSEN_BY_EMULATOR: ClassVar[tuple[str, ...]] = ()
+    """Keys that say where an emulated device is served: free places for one that only this process asks."""
+
+    backend: Literal["real", "emulated"] = "real"
+
+
+class MountedConfig(DeviceConfig):
+    """Of a device whose place on the robot counts.
+
+    Attributes:
+        mount_position_m, mount_rotation_wxyz: its frame in the body.
+    """
+
+    mount_position_m: Position = (0.0, 0.0, 0.0)
+    mount_rotation_wxyz: UnitQuaternion = (1.0, 0.0, 0.0, 0.0)
+
+
+class ImuConfig(MountedConfig):
+    """Of an inertial unit of any model: what alignment and estimator need of it."""
+
+
+class TrackerConfig(MountedConfig):
+    """Of a tracking camera of any model: what alignment and estimator need of it.
+
+    Attributes:
+        scale: distance that the camera reports over the true distance; the alignment divides by it.
+        scale_sigma: standard uncertainty of `scale` where it was measured (`tracker_extrinsics`): the
+            estimator's prior for the scale error that is left, unless `estimator.tracker.scale_sigma` is
+            given, too.
+        latency_s: smallest time from exposure to the host, which no host clock can see.
+    """
+
+    latency_s: float = Field(0.020, ge=0, le=0.5)
+    scale: Annotated[float, Within(0.8, 1.25, "a camera that is further off is broken")] = 1.0
+    scale_sigma: (
+        Annotated[float, Within(1e-6, 0.2, "a scale less known than that was not measured")] | None
+    ) = None

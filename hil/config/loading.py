@@ -1,0 +1,204 @@
+"""How a `bench.toml` is found, read, overridden and checked.
+
+Strict: unknown keys are errors, and every problem is reported at once with its dotted path.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from importlib import resources
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from hil.config.bench import BenchConfig, bench_model
+from hil.config.consistency import contradictions
+from hil.config.older import lifted, told_where_now
+from hil.vocabulary.errors import ConfigError, did_you_mean
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.reading import read_toml, toml_tables
+
+_PATHS = ("calibration", "emulation.replay")
+
+
+def profile_names() -> tuple[str, ...]:
+    """Names of the shipped profiles."""
+    folder = resources.files("hil.config.profiles")
+    return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
+    """Tables and printable origin of a bench file: a path, or the name of a shipped profile."""
+    path = Path(source)
+    if path.suffix == ".toml" or path.exists():
+        return read_toml(path, remedy="give a bench.toml or a profile name"), str(path)
+    if str(source) in profile_names():
+        origin = f"profile {source}"
+        text = resources.files("hil.config.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
+        return toml_tables(text, origin), origin
+    raise ConfigError(
+        f"bench {str(source)!r} is neither a file nor a shipped profile",
+        expected="a path to a .toml file or one of " + ", ".join(profile_names()),
+        remedy=did_you_mean(str(source), profile_names()),
+    )
+
+
+def _overlay(tree: dict[str, Any], dotted: str, value: object) -> None:
+    *path, leaf = dotted.split(".")
+    for key in path:
+        nested = tree.setdefault(key, {})
+        if not isinstance(nested, dict):
+            raise ConfigError(f"override {dotted}: {key} is a value, not a table")
+        tree = nested
+    tree[leaf] = value
+
+
+def load_bench(
+    source: str | Path | BenchConfig = "emulated",
+    *,
+    emulate: str | tuple[str, ...] | None = None,
+    overrides: Mapping[str, object] | None = None,
+) -> BenchConfig:
+    """Read and check a bench configuration.
+
+    Args:
+        source: path, profile name, or a model that is already built.
+        emulate: `all` or device names whose backend is switched to emulated.
+        overrides: dotted key -> value, applied before validation.
+
+    Raises:
+        ConfigError: listing every problem with its dotted path.
+    """
+    if isinstance(source, BenchConfig):
+        tree, origin = source.model_dump(by_alias=True, exclude_unset=True), source.name
+    else:
+        tree, origin = find_bench(source)
+        if origin == str(source):
+            _anchor(tree, Path(source).parent)
+    for dotted, value in (overrides or {}).items():
+        _overlay(tree, dotted, value)
+    _anchor(tree, Path.cwd())
+    for name in _to_emulate(tree, emulate):
+        tree[name]["backend"] = "emulated"
+    return validate(tree, origin)
+
+
+def _anchor(tree: dict[str, Any], folder: Path) -> None:
+    """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
+    of_devices = (f"{k.name}.{path}" for k in kinds().values() for m in k.models for path in m.config.PATHS)
+    for dotted in dict.fromkeys((*_PATHS, *of_devices)):
+        *tables, key = dotted.split(".")
+        table: Any = tree
+        for name in tables:
+            table = table.get(name) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            table[key] = str(folder / table[key])
+
+
+def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) -> tuple[str, ...]:
+    if emulate is None:
+        return ()
+    names = tuple(emulate.split(",")) if isinstance(emulate, str) else emulate
+    present = tuple(n for n in kinds() if isinstance(tree.get(n), dict))
+    if names == ("all",):
+        return present
+    for name in names:
+        if name not in present:
+            raise ConfigError(
+                f"--emulate {name}: the bench has no such device",
+                expected="all or some of " + ", ".join(present),
+                remedy=did_you_mean(name, present),
+            )
+    return names
+
+
+def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
+    """Model of a parsed file; raises `ConfigError` with all problems."""
+    problems = list(told_where_now(tree))
+    present = lifted(tree)
+    config: BenchConfig | None
+    try:
+        config = bench_model().model_validate(present)
+    except ValidationError as error:
+        problems += explained(error)
+        config = _what_is_right(present, [_place(item["loc"]) for item in error.errors()])
+    if config is not None:
+        problems += [f"{path}: {text}" for path, text in contradictions(config)]
+        if not problems:
+            return config
+    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _what_is_right(tree: dict[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:
+    """The configuration without its wrong values, to look at the others; None if nothing is left of it."""
+    rest = copy.deepcopy(tree)
+    for *tables, key in wrong:
+        table: Any = rest
+        for name in tables:
+            inner = table.get(name) if isinstance(table, dict) else None
+            if not isinstance(inner, dict):
+                key = name
+                break
+            table = inner
+        if isinstance(table, dict):
+            table.pop(key, None)
+    try:
+        return bench_model().model_validate(rest)
+    except ValidationError:
+        return None
+
+
+def explained(error: ValidationError) -> list[str]:
+    """Every problem of an error: its dotted path, and what is wrong there."""
+    return [
+        f"{'.'.join(str(part) for part in _place(item['loc'])) or 'file'}: {_reason(item)}"
+        for item in error.errors()
+    ]
+
+
+def _place(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
+    """Names of the keys on the way to a problem, without the model that pydantic puts among them."""
+    kind = kinds().get(str(loc[0])) if loc else None
+    if kind is None or len(kind.models) == 1 or len(loc) == 1:
+        return loc
+    return (loc[0], *loc[2:]) if loc[1] in [m.name for m in kind.models] else loc
+
+
+def _keys(tables: Sequence[int | str]) -> tuple[str, ...]:
+    """Names of the keys in a table of the file, given by the names on the way to it."""
+    models: list[Any] = [bench_model()]
+    for name in tables:
+        annotations = [m.model_fields[name].annotation for m in models if name in m.model_fields]
+        models = [m for annotation in annotations for m in _models_in(annotation)]
+    return tuple(field.alias or name for m in models for name, field in m.model_fields.items())
+
+
+def _models_in(annotation: Any) -> list[Any]:
+    """Models that a type may mean."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for inner in get_args(annotation) for model in _models_in(inner)]
+
+
+def _reason(item: Any) -> str:
+    tables = _place(item["loc"])
+    if item["type"] == "extra_forbidden":
+        *above, key = tables
+        known = ", ".join(kinds())
+        near = did_you_mean(str(key), _keys(above))
+        table = not above and isinstance(item["input"], Mapping)
+        device = f"no device or table of that name (devices: {known}); install the package that adds it, or "
+        return f"unknown key; {near or (device if table else '') + 'remove it or check the spelling'}"
+    if item["type"] == "union_tag_invalid":
+        names = [m.name for m in kinds()[str(tables[0])].models]
+        tag = item["ctx"]["tag"]
+        return f"model {tag!r} is unknown; expected {' or '.join(names)}{_also(did_you_mean(tag, names))}"
+    if item["type"] == "missing":
+        return "missing"
+    return f"{item['msg']} (found {item['input']!r})"
+
+
+def _also(hint: str) -> str:
+    return f"; {hint}" if hint else ""

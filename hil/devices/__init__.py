@@ -1,0 +1,11 @@
+"""The registry's shipped half: one package per kind of device, in it one entry per model.
+
+A kind's package says what the bench knows of the kind (`KIND`) and lists its models. A model's entry says how
+it is configured, driven, emulated, found and examined. The drivers and emulated chips of the
+robot of arXiv 2509.04016 lie in `hil.drivers` and `hil.fakes`; a model that came later has them in its own
+folder here, as an installed package has them in its own.
+
+What such a package imports: `hil.vocabulary` (kinds, samples, seams, errors), `hil.config.device`,
+`hil.devices.emulated` (how an emulated device is connected), `hil.devices.looks` (what the doctor asks),
+`hil.drivers.serial_url` and `hil.fakes.wire` (bytes on a serial line, from either end).
+"""

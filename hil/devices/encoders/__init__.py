@@ -1,0 +1,38 @@
+"""External encoders on the four steering axes."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.devices.encoders.as5045 import AS5045
+from hil.devices.encoders.look import look
+from hil.recording.cdr import joints
+from hil.vocabulary.kinds import DeviceKind, Topic
+from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample
+
+__all__ = ["KIND", "encoder_state"]
+
+_NOTHING = np.empty(0)
+
+
+def encoder_state(sample: EncoderSample, wall_ns: int = 0) -> bytes:
+    """`sensor_msgs/JointState` of the external encoders' own angles, NaN where one cannot be used."""
+    return joints(sample.stamp.t_ns, SERVOS[4:], (sample.angle_rad, _NOTHING, _NOTHING), wall_ns)
+
+
+KIND = DeviceKind(
+    name="encoders",
+    noun="steering encoders",
+    sample=EncoderSample,
+    models=(AS5045,),
+    aliases=("can",),
+    endpoint="can",
+    labels=WHEELS,
+    rate_hz=lambda own, loop_hz: float(own.rate_hz),
+    age_s=0.01,
+    gap_s=0.05,
+    delivered=0.98,
+    own_clock=True,
+    topics=(Topic("/steering_encoders", "sensor_msgs/msg/JointState", encoder_state),),
+    look=look,
+)

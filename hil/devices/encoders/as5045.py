@@ -1,0 +1,96 @@
+"""Four AS5045 behind a microcontroller that sends them on CAN."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from hil.config.encoders import EncodersConfig
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.kinds import Connection, DeviceModel, Found, Search, opens
+from hil.vocabulary.signals import EncoderSample
+
+if TYPE_CHECKING:
+    from hil.devices.emulated import EmulatedDevice, Setting
+
+_OPEN_TIMEOUT_S = 0.5
+
+
+def _driver(config: EncodersConfig, clock: Clock) -> Sensor[EncoderSample]:
+    from hil.drivers.encoders import As5045Encoders
+
+    return As5045Encoders(config, clock)
+
+
+def _imperfections() -> type[Any]:
+    from hil.fakes.encoders import EncoderTruthOptions
+
+    return EncoderTruthOptions
+
+
+def _emulate(setting: Setting) -> EmulatedDevice:
+    from hil.devices.emulated import Face, Wired
+    from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
+    from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
+
+    config: EncodersConfig = setting.config
+    channel = CanChannel(setting.world, setting.name, bitrate=config.bitrate)
+    EncoderNode(
+        setting.world, channel, rate_hz=config.rate_hz, node_id=config.node_id, sign=config.sign,
+        zero_rad=config.zero_rad, options=setting.options(EncoderTruthOptions),
+    )  # fmt: skip
+
+    def connect() -> Connection:
+        opened = channel.open()
+        return Connection(
+            {"interface": "hil", "channel": opened.name, "options": {}}, close=opened.close
+        )  # fmt: skip
+
+    def serve() -> Face:
+        address = DEFAULT_GROUP if setting.standard_ports else f"239.74.163.{2 + os.getpid() % 250}"
+        return CanFace(channel, address=address, dbc=config.dbc_path)
+
+    return Wired(connect, serve)
+
+
+def _reach(endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
+    where = {key: endpoint[key] for key in ("interface", "channel", "bitrate")}
+    options = {key: value for key, value in endpoint.items() if key not in (*where, "dbc")}
+    if endpoint["interface"] == "udp_multicast":
+        options["hop_limit"] = 0
+    return {**where, "options": options}
+
+
+def _search(search: Search) -> Found | None:
+    """Listen on the CAN buses that were named, or that the system has."""
+    from hil.drivers.encoders import As5045Encoders
+
+    for config in search.given.get("encoders") or _detected_buses():
+        search.say(f"listening on {config.interface}:{config.channel}")
+        if opens(As5045Encoders(config, search.clock)):
+            return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+    return None
+
+
+def _detected_buses() -> Iterator[EncodersConfig]:
+    import can
+
+    for found in can.detect_available_configs(["socketcan"]):
+        yield EncodersConfig(
+            interface=str(found["interface"]), channel=str(found["channel"]), open_timeout_s=_OPEN_TIMEOUT_S
+        )
+
+
+AS5045 = DeviceModel(
+    kind="encoders",
+    name="as5045",
+    title="four AS5045 on a CAN node",
+    config=EncodersConfig,
+    driver=_driver,
+    emulate=_emulate,
+    imperfections=_imperfections,
+    search=_search,
+    reach=_reach,
+)

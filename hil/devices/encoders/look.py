@@ -1,0 +1,31 @@
+"""What the doctor asks of the steering encoders: the CAN link, and each axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from hil.config.encoders import EncodersConfig
+from hil.devices.looks import Watched, losses
+from hil.vocabulary.finding import Finding, Level
+from hil.vocabulary.signals import WHEELS
+
+
+def look(watched: Watched) -> Iterator[Finding]:
+    """Findings about encoders that were watched."""
+    config: EncodersConfig = watched.config
+    encoders = watched.device
+    link = Path("/sys/class/net") / config.channel / "operstate"
+    down = config.interface == "socketcan" and link.exists() and link.read_text().strip() == "down"
+    broken = encoders.bus_error or f"{config.channel} is down" * down
+    level: Level = "failure" if broken else "warning" if encoders.error_frames else "ok"
+    yield Finding(
+        "encoders", "CAN state", level, broken or f"{encoders.error_frames} error frames", "no error frames",
+        f"check bit rate ({config.bitrate}), termination (60 ohm) and wiring; "
+        f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
+    )  # fmt: skip
+    for i, wheel in enumerate(WHEELS):
+        statuses = (sample.status[i] for sample in watched.samples)
+        found = losses("encoders", statuses, watched.due, "check magnet distance and CAN wiring")
+        yield replace(found, check=f"{wheel} samples")

@@ -1,0 +1,47 @@
+"""Inertial units: rates, gravity and attitude."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.devices.imu.bno055 import BNO055
+from hil.devices.imu.look import look
+from hil.recording.cdr import NO_COVARIANCE, CdrWriter, raw, xyzw
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import DeviceKind, Topic, Witness
+from hil.vocabulary.signals import ImuSample, Status
+
+__all__ = ["KIND", "imu_message"]
+
+
+def imu_message(sample: ImuSample, wall_ns: int = 0) -> bytes:
+    """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
+    cdr = CdrWriter(wall_ns)
+    cdr.header(sample.stamp.t_ns, "imu")
+    force = np.asarray(sample.linear_acceleration_m_s2) + np.asarray(sample.gravity_m_s2)
+    cdr.doubles(
+        xyzw(sample.quaternion_wxyz), NO_COVARIANCE,
+        raw(sample.gyro_rad_s), NO_COVARIANCE,
+        raw(force), NO_COVARIANCE,
+    )  # fmt: skip
+    return cdr.bytes()
+
+
+def _gravity(sample: ImuSample) -> Array | None:
+    return sample.gravity_m_s2 if sample.status is Status.OK else None
+
+
+KIND = DeviceKind(
+    name="imu",
+    noun="IMU",
+    sample=ImuSample,
+    models=(BNO055,),
+    stale_s=lambda safety, own: safety.imu_stale_s,
+    rate_hz=lambda own, loop_hz: min(loop_hz, 100.0),
+    age_s=0.02,
+    gap_s=0.1,
+    delivered=0.95,
+    topics=(Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),),
+    witness=Witness(still=0.2, value=_gravity),
+    look=look,
+)

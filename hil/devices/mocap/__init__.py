@@ -1,0 +1,39 @@
+"""Motion capture: the pose of the robot's rigid body, seen from outside."""
+
+from __future__ import annotations
+
+import math
+
+from hil.devices.mocap.look import look
+from hil.devices.mocap.natnet import NATNET
+from hil.recording.cdr import pose_stamped
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import DeviceKind, Topic, Witness
+from hil.vocabulary.signals import MocapSample, Status
+
+__all__ = ["KIND"]
+
+
+def _pose(sample: MocapSample, wall_ns: int) -> bytes:
+    """`geometry_msgs/PoseStamped` in the capture frame."""
+    return pose_stamped(sample.stamp.t_ns, "mocap", sample.position_m, sample.quaternion_wxyz, wall_ns)
+
+
+def _place(sample: MocapSample) -> Array | None:
+    return sample.position_m if sample.status is Status.OK and sample.tracking_valid else None
+
+
+KIND = DeviceKind(
+    name="mocap",
+    noun="motion capture",
+    sample=MocapSample,
+    models=(NATNET,),
+    rate_hz=lambda own, loop_hz: math.nan,
+    age_s=0.05,
+    gap_s=0.5,
+    delivered=0.8,
+    own_clock=True,
+    topics=(Topic("/mocap/pose", "geometry_msgs/msg/PoseStamped", _pose),),
+    witness=Witness(still=0.0005, value=_place, is_place=True),
+    look=look,
+)

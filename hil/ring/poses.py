@@ -1,0 +1,120 @@
+"""Poses of the camera and of motion capture as poses of the body: mounts, scale, start frame, unwrapping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hil.vocabulary.geometry import Four, Three, conjugated, multiplied, rotated, wrap, yaw_of_quat
+from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
+
+_FARTHEST_M = 1000.0
+_USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
+
+
+@dataclass(frozen=True)
+class Mount:
+    """Pose of a sensor in the body: position (3,) m, quaternion of sensor axes in body axes."""
+
+    position_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
+
+
+AT_ORIGIN = Mount()
+"""Of a sensor at the body's origin, along its axes."""
+
+
+class Unwrapped:
+    """An angle that is followed over its turns."""
+
+    def __init__(self) -> None:
+        self._last_rad: float | None = None
+
+    def follow(self, angle_rad: float) -> float:
+        """The next value, within half a turn of the one before; NaN stays NaN and is not followed."""
+        if not math.isfinite(angle_rad):
+            return math.nan
+        last_rad = angle_rad if self._last_rad is None else self._last_rad
+        self._last_rad = last_rad + wrap(angle_rad - last_rad)
+        return self._last_rad
+
+
+class PoseAlignment:
+    """Turns pose samples into measurements of the body.
+
+    Args:
+        mount: of the camera.
+        scale: distance that the camera reports over the true distance.
+    """
+
+    def __init__(self, mount: Mount, scale: float) -> None:
+        self._mount, self._scale = mount, scale
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget unwrapping state and the camera's start frame."""
+        self._yaw = {"tracker": Unwrapped(), "mocap": Unwrapped()}
+        self._start: tuple[Three, Four] | None = None
+
+    def measure(self, inputs: Inputs) -> dict[str, tuple[PoseMeasurement, ...]]:
+        """Measurements by the names that they have in `Measurements`."""
+        camera = (self._tracker(s) for s in inputs.tracker)
+        return {
+            "tracker": tuple(m for m in camera if m is not None),
+            "mocap": tuple(self._mocap(s) for s in inputs.mocap),
+        }
+
+    def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
+        if sample.status not in _USABLE:
+            return None
+        px, py, pz = sample.position_m.tolist()
+        turned = sample.quaternion_wxyz.tolist()
+        if not (_is_near(px, py, pz) and _is_attitude(turned)):
+            return None
+        if self._start is None:
+            if sample.status is not Status.OK:
+                return None
+            self._start = ((px, py, pz), tuple(turned))
+        (sx, sy, sz), start_wxyz = self._start
+        back = conjugated(start_wxyz)
+        mount_m, mount_wxyz = self._mount.position_m, self._mount.rotation_wxyz
+        turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), conjugated(mount_wxyz)))
+        scale = self._scale
+        way = ((px - sx) / scale, (py - sy) / scale, (pz - sz) / scale)
+        moved = rotated(mount_wxyz, rotated(back, way))
+        lever = rotated(turn, mount_m)
+        yaw = self._yaw["tracker"].follow(yaw_of_quat(turn))
+        return PoseMeasurement(
+            stamp=sample.stamp,
+            source="tracker",
+            pose=np.array([mount_m[0] + moved[0] - lever[0], mount_m[1] + moved[1] - lever[1], yaw]),
+            quality=sample.confidence,
+            valid=sample.status is Status.OK,
+        )
+
+    def _mocap(self, sample: MocapSample) -> PoseMeasurement:
+        x, y = sample.position_m[:2].tolist()
+        valid = sample.status is Status.OK and sample.tracking_valid
+        valid = valid and _is_near(x, y) and _is_attitude(sample.quaternion_wxyz.tolist())
+        yaw = math.nan
+        if valid:
+            yaw = self._yaw["mocap"].follow(yaw_of_quat(sample.quaternion_wxyz))
+        return PoseMeasurement(
+            stamp=sample.stamp,
+            source="mocap",
+            pose=np.array([x, y, yaw]),
+            quality=3 if valid else 0,
+            valid=valid,
+        )
+
+
+def _is_near(*position_m: float) -> bool:
+    """Whether a position can be one: finite, and on any wall that there is."""
+    return all([abs(p) < _FARTHEST_M for p in position_m])
+
+
+def _is_attitude(quaternion_wxyz: list[float]) -> bool:
+    """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
+    return 0.9 < sum(q * q for q in quaternion_wxyz) < 1.1

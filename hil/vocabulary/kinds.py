@@ -1,0 +1,305 @@
+"""What a kind of device is, and which kinds and models there are: everything about devices goes by this.
+
+A kind (`imu`) is what the rest of the bench knows: its samples, how they are judged, recorded and drawn. A
+model of it (`bno055`) is a thing that one can buy: its table in the bench file, its driver, and what speaks
+like it where the bench emulates it. `model = "..."` in the bench file chooses.
+
+The shipped kinds are packages of `hil.devices`, named like the fields of `hil.vocabulary.signals.Inputs`.
+An installed package adds kinds, or models to a kind, by entry points of the group `hil.devices`, each of
+which names a `DeviceKind` or a `DeviceModel`.
+"""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import ConfigError, HilError
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Device
+from hil.vocabulary.signals import KINDS, Inputs
+
+GROUP = "hil.devices"
+_OURS = "hil.devices"
+
+Figures = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Connection:
+    """Where an emulated device in this process is to be found.
+
+    Attributes:
+        values: keys of its table in the bench file that say where (`port`, `channel`, ...).
+        parts: what stands in for objects of a vendor's library: keyword arguments of the driver.
+        close: frees what it occupies.
+    """
+
+    values: Mapping[str, Any] = field(default_factory=dict)
+    parts: Mapping[str, Any] = field(default_factory=dict)
+    close: Callable[[], None] = lambda: None
+
+
+class Found(NamedTuple):
+    """A device that discovery has found.
+
+    Attributes:
+        table: keys of its table in the bench file.
+        notes: what a person should know of it.
+        parts: what it consists of, for example each servo of a bus: dataclasses.
+    """
+
+    table: Mapping[str, Any]
+    notes: tuple[str, ...] = ()
+    parts: tuple[Any, ...] = ()
+
+
+@dataclass(frozen=True)
+class Search:
+    """What discovery may ask beside serial ports.
+
+    Attributes:
+        given: by kind, tables of devices that the user named.
+        clock: for time-outs.
+        say: receives progress.
+        sysfs: where the kernel tells of its devices.
+    """
+
+    given: Mapping[str, Sequence[Any]]
+    clock: Clock
+    say: Callable[[str], None]
+    sysfs: Path
+
+
+def opens(device: Device) -> bool:
+    """Whether a device opens; it is closed again."""
+    try:
+        device.open()
+    except HilError:
+        return False
+    device.close()
+    return True
+
+
+@dataclass(frozen=True)
+class DeviceModel:
+    """One model within a kind.
+
+    Attributes:
+        kind: name of the kind.
+        name: as `model = "..."` in the bench file says it.
+        title: as a person says it, for example `BNO055 on a serial port`.
+        config: its table in the bench file, a subclass of `hil.config.device.DeviceConfig`.
+        driver: makes the driver of (config, clock, **parts of a `Connection`), closed.
+        emulate: makes the emulated device of a `hil.devices.emulated.Setting`; None where there is none.
+        imperfections: gives the dataclass of what may be wrong with the emulated one: `[emulation.KIND]`.
+        ask: asks a serial port whether the model is there.
+        search: looks for it elsewhere.
+        ask_after: models with a smaller number are asked first: those that answer quickly.
+        look: what `hil doctor` says of it beside the kind's own look; as `DeviceKind.look`.
+        reach: keys of its table from the endpoint that `hil emulate` printed; the same keys when None.
+    """
+
+    kind: str
+    name: str
+    title: str
+    config: type[Any]
+    driver: Callable[..., Device]
+    emulate: Callable[[Any], Any] | None = None
+    imperfections: Callable[[], type[Any]] | None = None
+    ask: Callable[[str, Clock], Found | None] | None = None
+    search: Callable[[Search], Found | None] | None = None
+    ask_after: int = 5
+    look: Callable[[Any], Iterable[Finding]] | None = None
+    reach: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+
+
+class Topic(NamedTuple):
+    """A ROS 2 topic on which a kind's samples are recorded.
+
+    Attributes:
+        name, type: of the topic, for example `/imu/data` and `sensor_msgs/msg/Imu`.
+        encode: CDR bytes of (sample, wall-clock time at the bench clock's zero in ns).
+    """
+
+    name: str
+    type: str
+    encode: Callable[[Any, int], bytes]
+
+
+class Plot(NamedTuple):
+    """A plot of the monitor: its tab, title, and the entity that `DeviceKind.figures` gives it."""
+
+    tab: str
+    title: str
+    entity: str
+
+
+@dataclass(frozen=True)
+class Witness:
+    """How a kind's samples tell whether the robot moves.
+
+    Attributes:
+        still: by how much `value` may seem to change, within 0.2 s, while the robot rests.
+        value: (k,) from a sample; None where it cannot be used.
+        is_place: whether `value` is a position in m, which says how far the robot went.
+    """
+
+    still: float
+    value: Callable[[Any], Array | None]
+    is_place: bool = False
+
+
+@dataclass(frozen=True)
+class DeviceKind:
+    """What the bench knows of a kind of device.
+
+    Attributes:
+        name: of its table in the bench file, its field or key in `Inputs`, its faults and its topics.
+        noun: as sentences call it: `camera`.
+        sample: dataclass of its samples: a `stamp` and a `status` (one, or one for each channel), scalars
+            and arrays.
+        models: what there is of it; the first is meant where the bench file names none.
+        actuates: whether it moves the robot; such a kind is opened last and closed first.
+        aliases: further names that people give it.
+        endpoint: its name in what `hil emulate` prints, where that is not its own.
+        labels: names of the channels, where `status` has several.
+        stale_s: time without a good sample after which it counts as silent, of the tables (safety, own);
+            None for never.
+        rate_hz: samples per second of a healthy device, of (its table, loop rate); NaN where its owner
+            chooses.
+        age_s: how old its samples may be when they arrive, at rest.
+        gap_s: longest gap between good samples that is still healthy.
+        delivered: least share of the samples that have to be good.
+        own_clock: whether samples carry the device's own time.
+        topics: where its samples are recorded.
+        figures: what the monitor draws of a cycle: (entity, figures by name) for each plot.
+        plots: where the monitor draws them.
+        witness: how it tells whether the robot moves; None if it cannot.
+        look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
+        package: name and version of the package that it comes from.
+    """
+
+    name: str
+    noun: str
+    sample: type[Any]
+    models: tuple[DeviceModel, ...]
+    actuates: bool = False
+    aliases: tuple[str, ...] = ()
+    endpoint: str = ""
+    labels: tuple[str, ...] = ()
+    stale_s: Callable[[Any, Any], float | None] = lambda safety, own: None
+    rate_hz: Callable[[Any, float], float] = lambda own, loop_hz: loop_hz
+    age_s: float = 0.1
+    gap_s: float = 0.5
+    delivered: float = 0.9
+    own_clock: bool = False
+    topics: tuple[Topic, ...] = ()
+    figures: Callable[[Inputs], Iterator[tuple[str, Figures]]] = lambda inputs: iter(())
+    plots: tuple[Plot, ...] = ()
+    witness: Witness | None = None
+    look: Callable[[Any], Iterable[Finding]] | None = None
+    package: str = "hil"
+
+    def model(self, name: str) -> DeviceModel:
+        """A model by its name; raises `KeyError`."""
+        return next(m for m in self.models if m.name == name)
+
+    @property
+    def shown_as(self) -> str:
+        """Its name in what `hil emulate` prints."""
+        return self.endpoint or self.name
+
+
+@cache
+def kinds() -> Mapping[str, DeviceKind]:
+    """All kinds by name, in the order in which they are opened and read: the shipped ones first.
+
+    Raises:
+        ConfigError: an installed package adds something that cannot be used.
+    """
+    found: dict[str, DeviceKind] = {}
+    for name in KINDS:
+        found[name] = importlib.import_module(f"{_OURS}.{name}").KIND
+    for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.value, e.name)):
+        for item in _loaded(entry):
+            _add(found, item, entry)
+    return found
+
+
+def kind_of(name: str) -> DeviceKind | None:
+    """The kind of a name or alias; None where there is none."""
+    return next((k for k in kinds().values() if name in (k.name, *k.aliases)), None)
+
+
+def added() -> tuple[DeviceKind, ...]:
+    """The kinds that installed packages add."""
+    return tuple(kind for name, kind in kinds().items() if name not in KINDS)
+
+
+def _origin(entry: EntryPoint) -> str:
+    return "an unnamed package" if entry.dist is None else f"{entry.dist.name} {entry.dist.version}"
+
+
+def _loaded(entry: EntryPoint) -> tuple[DeviceKind | DeviceModel, ...]:
+    origin = _origin(entry)
+    try:
+        item = entry.load()
+    except Exception as error:
+        raise ConfigError(
+            f"device package {origin}: {entry.value} cannot be loaded ({type(error).__name__}: {error})",
+            expected="a DeviceKind or a DeviceModel of hil.vocabulary.kinds",
+            remedy=f"install what it needs or a version for this hil, or uninstall {origin.split()[0]}",
+        ) from error
+    items = item if isinstance(item, tuple) else (item,)
+    for one in items:
+        if not isinstance(one, (DeviceKind, DeviceModel)):
+            raise ConfigError(
+                f"device package {origin}: {entry.value} is a {type(one).__name__}",
+                expected="a DeviceKind or a DeviceModel of hil.vocabulary.kinds",
+            )
+    return items
+
+
+def _add(found: dict[str, DeviceKind], item: DeviceKind | DeviceModel, entry: EntryPoint) -> None:
+    """Add what a package brings; raises `ConfigError` for what is there already or cannot work."""
+    origin = _origin(entry)
+    models = item.models if isinstance(item, DeviceKind) else (item,)
+    for model in models:
+        if not callable(model.driver):
+            raise ConfigError(f"device package {origin}: model {model.name} of {model.kind} has no driver")
+        if getattr(model.config.model_fields.get("model"), "default", None) != model.name:
+            raise ConfigError(
+                f"device package {origin}: the table of model {model.name} has no key for its own name",
+                expected=f'model: Literal["{model.name}"] = "{model.name}" in {model.config.__name__}',
+            )
+    if isinstance(item, DeviceModel):
+        kind = found.get(item.kind)
+        if kind is None:
+            raise ConfigError(
+                f"device package {origin}: model {item.name} is of the kind {item.kind}, which there is not",
+                expected="one of " + ", ".join(found),
+            )
+        if any(m.name == item.name for m in kind.models):
+            raise ConfigError(f"device package {origin}: there is a model {item.name} of {kind.name} already")
+        found[kind.name] = replace(kind, models=(*kind.models, item))
+        return
+    taken = {name: k for k in found.values() for name in (k.name, *k.aliases)}
+    if item.name in taken:
+        raise ConfigError(
+            f"device package {origin}: the kind {item.name} is there already ({taken[item.name].package})",
+            remedy="uninstall one of the two packages",
+        )
+    if not item.name.isidentifier() or not models:
+        raise ConfigError(
+            f"device package {origin}: kind {item.name!r} with {len(models)} models",
+            expected="a name of letters, digits and _, and at least one model",
+        )
+    found[item.name] = replace(item, package=origin)
