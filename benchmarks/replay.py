@@ -22,9 +22,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import hil
-from hil.live.playback import open_recording, verify_recording, without_collector
 from hil.recording.mcap_writer import McapRecorder
-from hil.replay.replay import compare_run, table
+from hil.replay.comparison import compare_run, table
+from hil.replay.recordings import open_recording, without_collector
+from hil.replay.verification import verify_recording
 from hil.robot.trajectories import scan
 
 TARGET = 20.0

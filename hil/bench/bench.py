@@ -16,7 +16,6 @@ from hil.config.bench import BenchConfig
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.recording.frames import describe_clock
-from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import HELD, RUN, RunStart
 from hil.ring.loop import Brain, ControlLoop, LoopStatistics
 from hil.ring.motion import Motion
@@ -295,7 +294,7 @@ class Bench(Blueprint):
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The brain is reset to the start, now, and recorders are told: without that note nobody could
+        The brain is reset to the start, now, and the sinks are told: without that note nobody could
         repeat the run from its recording.
 
         Args:
@@ -318,10 +317,9 @@ class Bench(Blueprint):
         return loop
 
     def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Tell the recorders something that belongs between two cycles."""
+        """Tell the sinks something that belongs between two cycles."""
         for sink in self._sinks:
-            if isinstance(sink, McapRecorder):
-                sink.note(t_ns, kind, data)
+            sink.note(t_ns, kind, data)
 
     @property
     def on_wall(self) -> bool:

@@ -20,7 +20,7 @@ _PACKAGES = (
 def _compile() -> None:
     """Run everything that numba compiles for a moment."""
     from hil.bench import open_bench
-    from hil.replay.replay import smoothed
+    from hil.replay.comparison import smoothed
 
     for profile in ("emulated", "emulated_floor"):
         with open_bench(profile) as bench:

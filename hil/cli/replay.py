@@ -14,8 +14,8 @@ from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, Usag
 
 if TYPE_CHECKING:
     from hil.bench.blueprint import Blueprint
-    from hil.live.playback import OpenedRecording
     from hil.recording.runs import RecordedRun
+    from hil.replay.recordings import OpenedRecording
     from hil.ring.motion import Motion
 
 _KINDS = ("odometry", "ekf", "ukf", "smoother")
@@ -65,7 +65,7 @@ def command(
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2.
     """
-    from hil.live.playback import open_recording
+    from hil.replay.recordings import open_recording
 
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
     result: dict[str, Any] = {"recording": str(recording)}
@@ -93,7 +93,7 @@ def command(
 
 
 def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
-    from hil.live.playback import verify_recording
+    from hil.replay.verification import verify_recording
 
     told = verify_recording(opened, number)
     now, then = opened.bench.versions(), opened.header.get("versions", {})
@@ -109,8 +109,8 @@ def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:
 def _compared(
     opened: OpenedRecording, run: RecordedRun, kinds: tuple[str, ...]
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
-    from hil.live.playback import without_collector
-    from hil.replay.replay import compare_run, table
+    from hil.replay.comparison import compare_run, table
+    from hil.replay.recordings import without_collector
 
     with without_collector():
         motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)
@@ -121,8 +121,8 @@ def _show(bench: Blueprint, motions: dict[str, Motion], view: str | None) -> Non
     """Play the run to the monitor, the estimators as further paths."""
     if view is None:
         return
-    from hil.live.playback import beside
     from hil.monitor import RerunMonitor
+    from hil.replay.comparison import beside
 
     monitor = RerunMonitor(view, lossless=True, geometry=bench.geometry)
     for record in beside(motions):

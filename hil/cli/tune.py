@@ -74,7 +74,7 @@ def _read(
     paths: tuple[Path, ...], bench: str | None, calibration: Path | None
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
-    from hil.live.playback import open_recording
+    from hil.replay.recordings import open_recording
     from hil.ring.motion import Motion
 
     config, runs = None, []

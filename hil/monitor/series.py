@@ -14,7 +14,6 @@ from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.kinds import Figures, kinds
 from hil.vocabulary.signals import CycleRecord, Status
 
-_POSE_SUFFIXES = ("_x_m", "_y_m", "_theta_rad", "_xx_m2", "_xy_m2", "_yy_m2")
 _GROUPS = {
     "nis_mean": "estimator/mean_nis",
     "nis": "innovations/normalised",
@@ -130,29 +129,9 @@ def _named(names: Sequence[str], values: Array) -> Figures:
 def _diagnostics(record: CycleRecord) -> Iterator[tuple[str, Figures]]:
     groups: dict[str, dict[str, float]] = {}
     for name, value in record.state.diagnostics.items():
-        if name.endswith(_POSE_SUFFIXES):
-            continue
         group = next((g for prefix, g in _GROUPS.items() if name.startswith(prefix + "_")), _OTHER)
         groups.setdefault(group, {})[name] = float(value)
     yield from groups.items()
-
-
-def observer_poses(record: CycleRecord) -> dict[str, tuple[float, float]]:
-    """Positions of the estimators that run beside the loop, from the state's diagnostics, m."""
-    found = record.state.diagnostics
-    names = (key[: -len("_x_m")] for key in found if key.endswith("_x_m"))
-    return {n: (found[f"{n}_x_m"], found[f"{n}_y_m"]) for n in names if f"{n}_y_m" in found}
-
-
-def observer_covariances(record: CycleRecord) -> dict[str, Array]:
-    """Covariances (2, 2) of those positions in wall axes, m^2; of estimators that say theirs."""
-    found = record.state.diagnostics
-    entries = {n: [found.get(f"{n}_{k}_m2") for k in ("xx", "xy", "yy")] for n in observer_poses(record)}
-    return {
-        n: np.array([[xx, xy], [xy, yy]])
-        for n, (xx, xy, yy) in entries.items()
-        if xx is not None and xy is not None and yy is not None
-    }
 
 
 def conditions(record: CycleRecord) -> dict[str, str]:

@@ -20,8 +20,6 @@ from hil.monitor.series import (
     SeriesCollector,
     conditions,
     finite,
-    observer_covariances,
-    observer_poses,
 )
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
@@ -99,8 +97,8 @@ class RerunStream:
             if mocap.valid:
                 self._truth = mocap.pose
                 self._trail("truth", mocap.pose)
-        for name, position in observer_poses(record).items():
-            self._trail(name, np.array(position))
+        for name, state in record.observers.items():
+            self._trail(name, state.pose_body_in_wall)
         for event in record.events:
             self._tell(record, f"{event.source}: {event.message}", _LEVELS.get(event.level, "WARN"))
         for name, wrong in conditions(record).items():
@@ -233,11 +231,10 @@ class RerunStream:
 
     def _send_observer_ellipses(self, record: CycleRecord) -> None:
         """How sure the filters beside the loop are; odometry knows of no slip, its figure would mislead."""
-        positions = observer_poses(record)
-        for name, covariance in observer_covariances(record).items():
-            position = np.array(positions[name])
-            if name != "odometry" and finite(covariance) and finite(position):
-                ellipse = shapes.covariance_ellipse(position, covariance)
+        for name, state in record.observers.items():
+            pose, covariance = state.pose_body_in_wall, state.covariance
+            if name != "odometry" and finite(covariance[:2, :2]) and finite(pose):
+                ellipse = shapes.covariance_ellipse(pose, covariance)
                 self._strip(f"{name}/covariance_95", [ellipse], PATH_COLOURS.get(name, _OTHER_COLOUR), 0.75)
 
     def _send_trails(self) -> None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from hil.procedure.interrupts import Interrupts
 from hil.recording.mcap_writer import McapRecorder, OnFailure
 from hil.vocabulary.clock import nanoseconds, seconds
-from hil.vocabulary.errors import StepTimeoutError
+from hil.vocabulary.errors import HilError, StepTimeoutError
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
 
@@ -16,8 +16,6 @@ _GAP_NS = nanoseconds(10.0)
 
 class LoopGuard(Sink):
     """Ends the loop from within: when a step's time is over, or when a stop was asked for.
-
-    Unlike other sinks its `write` raises, on purpose: the loop holds the robot and lets the error out.
 
     Attributes:
         driven_ns: bench time that the loop has run, over all benches of the run.
@@ -43,14 +41,17 @@ class LoopGuard(Sink):
         return seconds(self.driven_ns)
 
     def write(self, record: CycleRecord) -> None:
-        """Count the time of one cycle; raises `StepTimeoutError` or `Aborted`."""
+        """Count the time of one cycle."""
         if self._last_ns is not None:
             self.driven_ns += min(max(0, record.start_ns - self._last_ns), _GAP_NS)
         self._last_ns = record.start_ns
-        self._interrupts.stop_here()
-        for what, limit_s, end_ns in self._limits:
-            if self.driven_ns > end_ns:
-                raise StepTimeoutError(what, limit_s)
+
+    def objection(self) -> HilError | None:
+        """`Aborted` or `StepTimeoutError`, which the loop stops the robot with."""
+        if self._interrupts.stopping is not None:
+            return self._interrupts.stopping
+        over = ((what, limit_s) for what, limit_s, end_ns in self._limits if self.driven_ns > end_ns)
+        return next((StepTimeoutError(what, limit_s) for what, limit_s in over), None)
 
     def close(self) -> None:
         """Forget the last bench's time axis."""

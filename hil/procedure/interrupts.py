@@ -40,10 +40,15 @@ class Interrupts:
         if self.asked_to_finish:
             raise Aborted(f"ended by {self._stop or 'SIGINT'} between two steps")
 
+    @property
+    def stopping(self) -> Aborted | None:
+        """What to end a step with where an immediate stop was asked for."""
+        return None if self._stop is None else Aborted(f"stopped at once by {self._stop}")
+
     def stop_here(self) -> None:
         """Within a step: raise `Aborted` if an immediate stop was asked for."""
-        if self._stop is not None:
-            raise Aborted(f"stopped at once by {self._stop}")
+        if self.stopping is not None:
+            raise self.stopping
 
     def handle(self, number: int, _frame: FrameType | None = None) -> None:
         """Take a signal."""

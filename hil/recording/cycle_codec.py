@@ -34,7 +34,7 @@ from hil.vocabulary.signals import CycleRecord
 Put = Callable[[bytes], None]
 Encode = Callable[[Put, Any], None]
 
-DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events")
+DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
 """Fields of a cycle record that the brain makes of its inputs; they follow `inputs` without a gap."""
 
 _FLAGS = (b"\x00", b"\x01")

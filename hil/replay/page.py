@@ -12,7 +12,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hil.estimator.consistency import nees
-from hil.replay.replay import consistency, errors
+from hil.replay.comparison import consistency, errors
 from hil.ring.motion import Motion
 from hil.vocabulary.files import write_text
 from hil.vocabulary.geometry import wrap_array

@@ -50,23 +50,11 @@ class Decision:
     setpoint: WheelSetpoint
     command: ServoSetpoint
     events: tuple[Event, ...]
+    observers: Mapping[str, RobotState]
 
 
 def _untimed(section: str) -> None:
     """Nobody measures how long the sections take."""
-
-
-def observed(name: str, state: RobotState) -> dict[str, float]:
-    """A further estimator's pose and the covariance of its position, as diagnostics of the state in the loop.
-
-    `NAME_x_m`, `NAME_y_m`, `NAME_theta_rad`; `NAME_xx_m2`, `NAME_xy_m2`, `NAME_yy_m2`.
-    """
-    (x_m, y_m, theta_rad), covariance = state.pose_body_in_wall.tolist(), state.covariance
-    return {
-        f"{name}_x_m": x_m, f"{name}_y_m": y_m, f"{name}_theta_rad": theta_rad,
-        f"{name}_xx_m2": covariance.item(0, 0), f"{name}_xy_m2": covariance.item(0, 1),
-        f"{name}_yy_m2": covariance.item(1, 1),
-    }  # fmt: skip
 
 
 class Brain:
@@ -74,8 +62,7 @@ class Brain:
 
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
-        observers: further estimators that run on the same measurements; what they say appears in the
-            state's diagnostics, see `observed`.
+        observers: further estimators that run on the same measurements; their states are recorded.
 
     Attributes:
         reference: of the latest cycle, also when that ended in a `SafetyStop`.
@@ -122,7 +109,8 @@ class Brain:
             self._t0_ns = inputs.t_ns
         measurements = self.alignment.measure(inputs)  # 3
         events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
-        state = self._estimate(measurements)  # 4
+        state = self.estimator.update(measurements)  # 4
+        others = {name: observer.update(measurements) for name, observer in self.observers.items()}
         lap("estimate")
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
@@ -132,16 +120,7 @@ class Brain:
         setpoint = self.supervisor.limit(setpoint)  # 7
         command = self.alignment.to_servos(setpoint)
         lap("control")
-        return Decision(measurements, state, reference, setpoint, command, events)
-
-    def _estimate(self, measurements: Measurements) -> RobotState:
-        state = self.estimator.update(measurements)
-        if not self.observers:
-            return state
-        extra = dict(state.diagnostics)
-        for name, observer in self.observers.items():
-            extra |= observed(name, observer.update(measurements))
-        return replace(state, diagnostics=extra)
+        return Decision(measurements, state, reference, setpoint, command, events, others)
 
     def _control(
         self, state: RobotState, reference: Reference | None, measurements: Measurements
@@ -224,7 +203,8 @@ class ControlLoop:
         timing = {**lap.timing_ns, "lateness": start_ns - deadline_ns, "sinks": self._sinks_ns}
         record = CycleRecord(
             self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
-            decision.reference, decision.setpoint, decision.command, decision.events, timing,
+            decision.reference, decision.setpoint, decision.command, decision.events, decision.observers,
+            timing,
         )  # fmt: skip
         for sink in self.sinks:  # 9
             sink.write(record)

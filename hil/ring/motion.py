@@ -80,8 +80,9 @@ class Motion:
         return np.array([r.state.diagnostics.get(name, np.nan) for r in self.records])
 
     def observer(self, name: str) -> Array:
-        """Poses of a further estimator that ran beside the one in the loop, shape (n, 3)."""
-        return np.column_stack([self.diagnostic(f"{name}_{k}") for k in ("x_m", "y_m", "theta_rad")])
+        """Poses of a further estimator that ran beside the one in the loop, (n, 3); NaN without it."""
+        states = [r.observers.get(name) for r in self.records]
+        return _rows([None if state is None else state.pose_body_in_wall for state in states], 3)
 
 
 def _rows(values: list[Array | None], width: int) -> Array:

@@ -135,6 +135,16 @@ class Sink(Protocol):
     def write(self, record: CycleRecord) -> None:
         """Take one record."""
 
+    def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
+        """Told what belongs between two cycles: how a run begins, how the robot was left. Never raises.
+
+        Args:
+            t_ns: bench time.
+            kind: what it is (`run`, `held`, ...).
+            data: plain values.
+        """
+        return
+
     def objection(self) -> HilError | None:
         """Why the loop must not go on; it asks before every cycle, stops the robot and raises this."""
         return None

@@ -318,7 +318,10 @@ class Event:
 
 @dataclass(frozen=True)
 class CycleRecord:
-    """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces."""
+    """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.
+
+    `observers` holds the states of estimators that run beside the one in the loop, by name.
+    """
 
     cycle: int
     deadline_ns: int
@@ -330,5 +333,6 @@ class CycleRecord:
     setpoint: WheelSetpoint
     command: ServoSetpoint
     events: tuple[Event, ...] = ()
+    observers: Mapping[str, RobotState] = field(default_factory=dict)
     timing_ns: Mapping[str, int] = field(default_factory=dict)
     truth: Mapping[str, Any] | None = None

@@ -10,8 +10,8 @@ import hil
 from hil.bench.doctor import examine
 from hil.calibration.artefact import CalibrationFile, save_calibration
 from hil.config.loading import load_bench
-from hil.live.playback import open_recording
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
 

@@ -85,7 +85,7 @@ def test_a_recording_of_another_robot_than_the_benchs_is_refused(monkeypatch, tm
     config = load_bench("emulated_floor")
     recorded = {**config.robot.model_dump(), "wheel_radius_m": [0.04] * 4}
     opened = SimpleNamespace(header={"config": {"robot": recorded}}, bench=SimpleNamespace(config=config))
-    monkeypatch.setattr("hil.live.playback.open_recording", lambda path, **options: opened)
+    monkeypatch.setattr("hil.replay.recordings.open_recording", lambda path, **options: opened)
     with pytest.raises(ConfigError, match=r"robot.wheel_radius_m: \[0.04, .* there, \[0.0254") as error:
         command.main(["run.mcap", "--bench", "emulated_floor"], standalone_mode=False)
     assert "another robot" in str(error.value)

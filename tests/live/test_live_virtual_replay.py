@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import hil
-from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import DataError, SafetyStop, UsageError
 

@@ -12,9 +12,8 @@ import pytest
 
 from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
-from hil.monitor.series import Series, SeriesCollector, conditions, observer_covariances, observer_poses
+from hil.monitor.series import Series, SeriesCollector, conditions
 from hil.monitor.sink import split_targets
-from hil.ring.loop import observed
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.signals import (
     SERVOS,
@@ -58,15 +57,12 @@ def shown(k: int) -> CycleRecord:
             (WheelMeasurement(stamp, np.zeros(4), np.ones(4), np.zeros(4), (True,) * 4),),
             mocap=(PoseMeasurement(stamp, "mocap", pose, 3, True),),
         ),
-        RobotState(
-            t_ns, pose, np.zeros(3), np.eye(6) * 1e-4,
-            {"nis_wheels": 2.0, "odometry_x_m": 0.1, "odometry_y_m": 0.2, "odometry_theta_rad": 0.0},
-        ),
+        RobotState(t_ns, pose, np.zeros(3), np.eye(6) * 1e-4, {"nis_wheels": 2.0}),
         Reference(t_ns / 1e9, pose + np.array([0.01, 0.0, 0.0]), np.zeros(3), np.zeros(3)),
         WheelSetpoint(np.zeros(4), np.zeros(4)),
         ServoSetpoint(np.zeros(4), np.zeros(4)),
         (Event(t_ns, "error", "imu", "stale"),) if k == 7 else (),
-        {"read": 500_000, "decide": 250_000},
+        timing_ns={"read": 500_000, "decide": 250_000},
     )  # fmt: skip
 
 
@@ -139,11 +135,6 @@ def test_conditions_name_the_servo_and_what_is_wrong():
     assert conditions(alike)["servos"] == "timeout"
 
 
-def test_observers_become_paths():
-    assert observer_poses(shown(0)) == {"odometry": (0.1, 0.2)}
-    assert observer_covariances(shown(0)) == {}
-
-
 def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
     """With an unscented filter beside the loop."""
     record = shown(k)
@@ -151,17 +142,7 @@ def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
         record.state.t_ns, np.array([0.3, 0.4, 0.0]), np.zeros(3), np.diag([sigma_m**2, 4e-4, 0, 0, 0, 0])
     )
     odometry = replace(ukf, pose_body_in_wall=np.array([0.1, 0.2, 0.0]))
-    told = observed("ukf", ukf) | observed("odometry", odometry) | {"nis_wheels": 2.0}
-    return replace(record, state=replace(record.state, diagnostics=told))
-
-
-def test_observers_say_how_sure_they_are():
-    record = beside(3)
-    assert observer_poses(record) == {"ukf": (0.3, 0.4), "odometry": (0.1, 0.2)}
-    np.testing.assert_array_equal(observer_covariances(record)["ukf"], np.diag([0.01**2, 4e-4]))
-    collector = SeriesCollector()
-    collector.add(record)
-    assert not any("m2" in name for _, series in collector.take() for name in series.names)
+    return replace(record, observers={"ukf": ukf, "odometry": odometry})
 
 
 @needs_rerun
@@ -172,6 +153,8 @@ def test_every_filter_beside_the_loop_has_its_ellipse(tmp_path):
         monitor.write(beside(k, math.nan if k < 5 else 0.01))
     monitor.close()
     data = path.read_bytes()
+    assert b"path/ukf" in data
+    assert b"path/odometry" in data
     assert b"ukf/covariance_95" in data
     assert b"odometry/covariance_95" not in data
 

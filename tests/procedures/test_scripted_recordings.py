@@ -5,9 +5,10 @@ from procedure_runs import run
 
 import hil
 from hil.controller.joint_script import JointScript, Stretch
-from hil.live.playback import open_recording, verify_run
 from hil.procedures.parts.scripted import play
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_run
 from hil.vocabulary.errors import UsageError
 
 pytestmark = pytest.mark.timeout(600)  # the first process to start may compile the estimators

@@ -15,7 +15,6 @@ from mcap_cases import driving_record
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.live.playback import open_recording, verify_recording
 from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
@@ -23,6 +22,8 @@ from hil.recording.cycle_layout import COUNT, MAGIC, describe
 from hil.recording.mcap_file import METADATA
 from hil.recording.mcap_reader import Note, RecordingReader
 from hil.recording.runs import RunStart, read_runs
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_recording
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.signals import CycleRecord, RobotState
 

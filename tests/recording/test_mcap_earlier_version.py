@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hil.live.playback import open_recording, verify_recording
 from hil.recording.export import tabulate
 from hil.recording.mcap_reader import read_cycles, read_header, read_wall_offsets
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_recording
 
 RECORDING = Path(__file__).with_name("data") / "recorded_by_0_1_0.mcap"
 
@@ -23,3 +24,12 @@ def test_what_was_observed_repeats_bit_for_bit():
     """Run 0: odometry, nothing commanded. Filters and control laws may improve and then decide otherwise."""
     (told,) = verify_recording(open_recording(RECORDING), 0)
     assert (told["cycles"], told["difference"]) == (21, None)
+
+
+def test_observers_that_were_kept_among_the_diagnostics_repeat():
+    path = RECORDING.with_name("observers_among_diagnostics.mcap")
+    (first, *_) = read_cycles(path)
+    assert first.observers == {}
+    assert np.isfinite(first.state.diagnostics["odometry_x_m"])
+    (told,) = verify_recording(open_recording(path))
+    assert (told["cycles"], told["difference"]) == (15, None)

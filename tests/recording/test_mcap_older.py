@@ -9,8 +9,9 @@ import pytest
 import hil
 from hil.config.loading import load_bench
 from hil.config.recorded import changed_since, recorded_bench
-from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
 
 HERE = Path(__file__).parent

@@ -12,19 +12,9 @@ from hil.bench.blueprint import Blueprint
 from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
+from hil.replay.comparison import KINDS, compare, compare_run, consistency, errors, table
 from hil.replay.page import write_replay_page
-from hil.replay.replay import (
-    ESTIMATION,
-    KINDS,
-    RecordedReferences,
-    compare,
-    compare_run,
-    consistency,
-    errors,
-    table,
-    verify,
-    verify_cycle,
-)
+from hil.replay.verification import ESTIMATION, RecordedReferences, verify, verify_cycle
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain
 from hil.ring.supervisor import SafetyLimits, Supervisor

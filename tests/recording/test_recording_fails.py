@@ -9,9 +9,10 @@ import pytest
 from mcap_cases import driving_record
 
 import hil
-from hil.live.playback import open_recording, verify_recording
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_recording
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import EXIT_ABORTED, RecordingError
 from hil.vocabulary.interfaces import Sink

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,20 +19,13 @@ from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
-from hil.controller.joint_script import SCRIPT, JointScript
-from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import read_header
 from hil.recording.rosbag import read_bag, read_topic_map
-from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
+from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import read_recordings
-from hil.replay.replay import FIELDS, RecordedReferences, verify_cycle
-from hil.ring.loop import Brain, observed
-from hil.ring.motion import Motion
 from hil.robot.kinematics import WheelGeometry
-from hil.robot.trajectories import Trajectory
 from hil.vocabulary.errors import DataError, HilError, UsageError
-from hil.vocabulary.signals import CycleRecord
 
 _FOREIGN_BENCH = "emulated_floor"
 
@@ -147,109 +140,6 @@ def _bench(
     return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0)))
 
 
-def rebuild(bench: Blueprint, start: RunStart, records: Sequence[CycleRecord] = ()) -> Brain:
-    """The brain of a recorded run.
-
-    References that came from outside (velocity commands) are taken from the records; all others are
-    computed again from the trajectory.
-
-    Raises:
-        UsageError: the note on how the run began describes no brain of this version.
-    """
-    trajectory: Trajectory | JointScript | None = None
-    if start.controller == SCRIPT and start.trajectory is not None:
-        trajectory = JointScript.from_mapping(start.trajectory)
-    elif start.trajectory is not None:
-        trajectory = Trajectory.from_mapping(start.trajectory)
-    brain = bench.make_brain(
-        trajectory, controller=start.controller, feedback=start.feedback, observers=start.observers
-    )
-    if start.trajectory is not None and start.trajectory.get("references") == "recorded":
-        brain.reference_at = RecordedReferences(records)
-    return brain
-
-
-class RunCheck:
-    """Whether a run repeats bit for bit, told cycle by cycle, so that none has to be kept.
-
-    Args:
-        bench: of its making.
-        start: how it began, None where the recording does not say.
-
-    Attributes:
-        told: `cycles`, `verified` (field names), `references` (`computed`, `recorded` or `none`) and
-            `difference`: the first one in words, None without.
-    """
-
-    def __init__(self, bench: Blueprint, start: RunStart | None) -> None:
-        self.told: dict[str, Any] = {
-            "cycles": 0, "verified": [], "references": "none", "difference": None
-        }  # fmt: skip
-        self._latest: int | None = None
-        if start is None:
-            self.told["difference"] = "the recording does not say how this run began"
-            return
-        self._brain = rebuild(bench, start)
-        self._given = self._brain.reference_at if _are_recorded(self._brain) else None
-        if self._brain.reference_at is not None:
-            self.told["references"] = "computed" if self._given is None else "recorded"
-        self.told["verified"] = list(FIELDS)
-        self._brain.reset(start.state)
-
-    def take(self, record: CycleRecord | StoredCycle) -> None:
-        """Hold the next cycle against what the brain makes of it; after a difference only count."""
-        self.told["cycles"] += 1
-        if self.told["difference"] is not None:
-            return
-        if self._latest is not None and record.cycle != self._latest + 1:
-            self.told["difference"] = f"cycle {record.cycle}: the cycles before it were not recorded"
-            return
-        self._latest = record.cycle
-        if isinstance(self._given, RecordedReferences):
-            self._given.add(record.record if isinstance(record, StoredCycle) else record)
-        found = verify_cycle(record, self._brain)
-        if found is not None:
-            self.told["difference"] = f"cycle {found.cycle}: {found.field}"
-
-
-def _are_recorded(brain: Brain) -> bool:
-    return isinstance(brain.reference_at, RecordedReferences)
-
-
-def verify_run(bench: Blueprint, run: RecordedRun) -> dict[str, Any]:
-    """Whether a run repeats bit for bit; see `RunCheck.told`."""
-    check = RunCheck(bench, run.start)
-    with without_collector():
-        for record in run.records:
-            check.take(record)
-    return check.told
-
-
-def verify_recording(opened: OpenedRecording, number: int | None = None) -> list[dict[str, Any]]:
-    """Whether every run of a recording repeats, or one by its number; see `RunCheck.told`.
-
-    A recording of ours is read, decided upon and let go of in one pass, whatever its length.
-
-    Raises:
-        DataError: there are no cycles; `UsageError`: no run of that number.
-    """
-    if opened.foreign:
-        runs = opened.runs if number is None else [opened.run(number)]
-        return [verify_run(opened.bench, run) for run in runs]
-    told, check, latest, count = [], None, -1, 0
-    with without_collector():
-        for k, start, record in read_stored_cycles(opened.path, opened.problems):
-            count = k + 1
-            if number is not None and k != number:
-                continue
-            if check is None or k != latest:
-                check, latest = RunCheck(opened.bench, start), k
-                told.append(check.told)
-            check.take(record)
-    opened.must_hold(count, number)
-    return told
-
-
 @contextmanager
 def without_collector() -> Iterator[None]:
     """Records hold no cycles of references: looking for garbage among them takes a fifth of the time.
@@ -266,13 +156,3 @@ def without_collector() -> Iterator[None]:
             gc.unfreeze()
         if was_enabled:
             gc.enable()
-
-
-def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:
-    """Records of the first motion, with the estimates of all the others as observers."""
-    first, *others = motions.items()
-    for k, record in enumerate(first[1].records):
-        extra = dict(record.state.diagnostics)
-        for name, motion in others:
-            extra |= observed(name, motion.records[k].state)
-        yield replace(record, state=replace(record.state, diagnostics=extra))

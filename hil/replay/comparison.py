@@ -1,115 +1,29 @@
-"""Feeds a recording's inputs back through the brain: exact verification, and other estimators.
+"""Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
 
-`verify` holds every estimate, setpoint and event against the recorded one, bit for bit; `compare`
-runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency` hold
-them against motion capture and against what they say of themselves.
+`compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
+hold them against motion capture and against what they say of themselves.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.consistency import autocorrelation, nees
-from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import DECIDED
-from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.runs import RecordedRun
-from hil.ring.loop import OUTSIDE, Brain
 from hil.ring.motion import Motion
 from hil.robot.kinematics import WheelGeometry
-from hil.vocabulary.errors import DataError, SafetyStop
+from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
+from hil.vocabulary.signals import CycleRecord, RobotState
 
-FIELDS = DECIDED
-ESTIMATION = ("measurements", "state", "reference", "events")
 KINDS = ("odometry", "ekf", "ukf", "smoother")
-
-
-@dataclass(frozen=True)
-class Mismatch:
-    """First place in which a replay differs from its recording."""
-
-    cycle: int
-    field: str
-
-
-class RecordedReferences:
-    """The recorded references in their order: stands in for a trajectory that cannot be built again."""
-
-    def __init__(self, records: Iterable[CycleRecord] = ()) -> None:
-        self._references = deque(r.reference for r in records)
-
-    def add(self, record: CycleRecord) -> None:
-        """Take the reference of a further cycle."""
-        self._references.append(record.reference)
-
-    def __call__(self, t_s: float) -> Reference:
-        """Reference of the next cycle."""
-        reference = self._references.popleft()
-        if reference is None:
-            raise ValueError(f"the recording has no reference at {t_s:.3f} s")
-        return reference
-
-
-def verify(
-    records: Iterable[CycleRecord], brain: Brain, start: RobotState, fields: tuple[str, ...] = FIELDS
-) -> Mismatch | None:
-    """Whether a brain decides on the recorded inputs exactly what was recorded.
-
-    Args:
-        records: one run from its first cycle.
-        brain: put together as for the run.
-        start: state that the run was started from.
-        fields: what to hold against the recording; `ESTIMATION` for a brain without the controller.
-
-    Returns:
-        The first difference, or None if every bit agrees.
-    """
-    brain.reset(start)
-    return next(filter(None, (verify_cycle(record, brain, fields) for record in records)), None)
-
-
-def verify_cycle(
-    cycle: CycleRecord | StoredCycle, brain: Brain, fields: tuple[str, ...] = FIELDS
-) -> Mismatch | None:
-    """Let a brain decide on one recorded cycle, the next of its run; its first difference.
-
-    A stored cycle is held against the decision as bytes; it is only read where they differ.
-    """
-    if cycle.inputs == Inputs(cycle.cycle, cycle.inputs.t_ns) and _from_outside(_read(cycle)):
-        return None
-    try:
-        decision = brain.decide(cycle.inputs)
-    except SafetyStop as stop:
-        record = _read(cycle)
-        if [e.message for e in record.events] == [str(stop)]:
-            return None
-        return Mismatch(cycle.cycle, f"events: replay stopped the robot: {stop}")
-    if isinstance(cycle, StoredCycle):
-        if fields == FIELDS and cycle.holds(decision):
-            return None
-        cycle = cycle.record
-    recorded = {name: getattr(cycle, name) for name in fields}
-    found = first_difference(recorded, {name: getattr(decision, name) for name in fields})
-    return None if found is None else Mismatch(cycle.cycle, found)
-
-
-def _read(cycle: CycleRecord | StoredCycle) -> CycleRecord:
-    return cycle.record if isinstance(cycle, StoredCycle) else cycle
-
-
-def _from_outside(record: CycleRecord) -> bool:
-    """Whether a record only says that something other than the brain ended the run."""
-    return [e.source for e in record.events] == [OUTSIDE]
 
 
 def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
@@ -122,7 +36,7 @@ def _with_state(r: CycleRecord, state: RobotState) -> CycleRecord:
     """As `dataclasses.replace`, which takes four times as long."""
     return CycleRecord(
         r.cycle, r.deadline_ns, r.start_ns, r.inputs, r.measurements, state, r.reference, r.setpoint,
-        r.command, r.events, r.timing_ns, r.truth,
+        r.command, r.events, r.observers, r.timing_ns, r.truth,
     )  # fmt: skip
 
 
@@ -237,3 +151,10 @@ def compare(
     for name, estimator in estimators.items():
         motions[name] = estimate(records, estimator, start)
     return motions
+
+
+def beside(motions: Mapping[str, Motion]) -> Iterator[CycleRecord]:
+    """Records of the first motion, with the estimates of all the others as observers."""
+    first, *others = motions.items()
+    for k, record in enumerate(first[1].records):
+        yield replace(record, observers={name: motion.records[k].state for name, motion in others})
