@@ -139,9 +139,12 @@ def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
     """With an unscented filter beside the loop."""
     record = shown(k)
     ukf = RobotState(
-        record.state.t_ns, np.array([0.3, 0.4, 0.0]), np.zeros(3), np.diag([sigma_m**2, 4e-4, 0, 0, 0, 0])
+        record.state.t_ns,
+        np.array([0.3 + 0.01 * k, 0.4, 0.0]),
+        np.zeros(3),
+        np.diag([sigma_m**2, 4e-4, 0, 0, 0, 0]),
     )
-    odometry = replace(ukf, pose_body_in_wall=np.array([0.1, 0.2, 0.0]))
+    odometry = replace(ukf, pose_body_in_wall=np.array([0.1 + 0.01 * k, 0.2, 0.0]))
     return replace(record, observers={"ukf": ukf, "odometry": odometry})
 
 
