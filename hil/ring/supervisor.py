@@ -100,7 +100,6 @@ class Supervisor:
             self.checks.steering.reset()
         self._weightless = self._sliding = 0
         self._causes: dict[str, str] = {}
-        self._named: set[str] = set()
 
     def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
         """Judge one cycle.
@@ -117,22 +116,8 @@ class Supervisor:
         """
         events = self._judge(inputs, measurements)
         if self._causes:
-            self._named |= self._causes.keys()
             raise _stop_for(self._causes)
         return events
-
-    def causes(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
-        """Go on judging after a stop, without raising: the robot is held, and somebody should know why.
-
-        Returns:
-            What `check` would have told, and an error for every condition that was not named before.
-        """
-        self._servos.asked_rad_s = [0.0] * 4
-        events = self._judge(inputs, measurements)
-        news = {reason: said for reason, said in self._causes.items() if reason not in self._named}
-        self._named |= news.keys()
-        errors = (Event(inputs.t_ns, "error", "supervisor", f"{k}: {v}") for k, v in news.items())
-        return (*events, *errors)
 
     def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
@@ -201,7 +186,6 @@ class Supervisor:
             if error_m > self.limits.tracking_error_limit_m:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
         if found:
-            self._named |= found.keys()
             raise _stop_for(found)
 
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
