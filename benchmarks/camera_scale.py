@@ -23,10 +23,10 @@ from hil.bench import open_bench
 from hil.config.loading import load_bench
 from hil.fakes.world import random_stream
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.fragment import NAME
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
-from hil.procedures.parts.fragment import NAME
-from hil.procedures.parts.tracking import stand, tracking_errors
+from hil.procedure.tracking import stand, tracking_errors
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 

@@ -18,6 +18,10 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.devices import Device, only
+from hil.procedure.fragment import write_fragment
+from hil.procedure.samples import inertial, poses
+from hil.procedure.tracking import stand
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
     SteerJogs,
@@ -28,10 +32,6 @@ from hil.procedures.parts.bring_up_jogs import (
 )
 from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
-from hil.procedures.parts.devices import Device, only
-from hil.procedures.parts.fragment import write_fragment
-from hil.procedures.parts.samples import inertial, poses
-from hil.procedures.parts.tracking import stand
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import Array

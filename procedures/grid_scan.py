@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.tracking import (
+from hil.procedure.tracking import (
     coverage_figure,
     error_figure,
     refuse_what_cannot_be_followed,

@@ -22,11 +22,11 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.imu import Bno055Config
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.fragment import write_fragment
+from hil.procedure.fragment import write_fragment
+from hil.procedure.samples import inertial, poses
+from hil.procedure.tracking import stand
 from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
 from hil.procedures.parts.imu_report import draw_allan, draw_headings
-from hil.procedures.parts.samples import inertial, poses
-from hil.procedures.parts.tracking import stand
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.geometry import Array, quat_from_yaw, quat_multiply, wrap_array

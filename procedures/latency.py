@@ -23,7 +23,10 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.controller.allocation import ModuleLimits, optimize
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.devices import only
+from hil.procedure.devices import only
+from hil.procedure.samples import Series, encoders, inertial, poses, wheels
+from hil.procedure.scripted import Stretch, play
+from hil.procedure.tracking import stand
 from hil.procedures.parts.latency_fit import (
     Command,
     Delay,
@@ -34,9 +37,6 @@ from hil.procedures.parts.latency_fit import (
     sent_s,
 )
 from hil.procedures.parts.latency_report import draw_chain, draw_signals, table
-from hil.procedures.parts.samples import Series, encoders, inertial, poses, wheels
-from hil.procedures.parts.scripted import Stretch, play
-from hil.procedures.parts.tracking import stand
 from hil.ring.motion import Motion
 from hil.robot.kinematics import forward, inverse
 from hil.vocabulary.geometry import Array

@@ -17,11 +17,11 @@ from hil.bench import Bench
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.fragment import write_fragment
-from hil.procedures.parts.samples import encoders, wheels
-from hil.procedures.parts.scripted import Stretch, play
+from hil.procedure.fragment import write_fragment
+from hil.procedure.samples import encoders, wheels
+from hil.procedure.scripted import Stretch, play
+from hil.procedure.tracking import stand
 from hil.procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
-from hil.procedures.parts.tracking import stand
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.errors import DeviceError

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.tracking import stand
 from hil.procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
-from hil.procedures.parts.tracking import stand
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.errors import ConfigError, SafetyStop
 

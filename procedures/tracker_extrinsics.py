@@ -17,8 +17,9 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.fragment import write_fragment
-from hil.procedures.parts.samples import Series, camera, poses
+from hil.procedure.fragment import write_fragment
+from hil.procedure.samples import Series, camera, poses
+from hil.procedure.tracking import stand
 from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
@@ -31,7 +32,6 @@ from hil.procedures.parts.tracker_hand_eye import (
     shifted,
     solve,
 )
-from hil.procedures.parts.tracking import stand
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line

@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.tracking import (
+from hil.procedure.tracking import (
     error_figure,
     path_figure,
     refuse_what_cannot_be_followed,

@@ -14,8 +14,8 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.procedures.parts.samples import Series, encoders, poses, wheels
-from hil.procedures.parts.scripted import Stretch, play
+from hil.procedure.samples import Series, encoders, poses, wheels
+from hil.procedure.scripted import Stretch, play
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WHEELS
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import theilslopes
 
 from hil.config.bench import BenchConfig
-from hil.procedures.parts.samples import Series, arrivals, camera, encoders, inertial, poses, wheels
+from hil.procedure.samples import Series, arrivals, camera, encoders, inertial, poses, wheels
 from hil.ring.motion import Motion
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import kinds

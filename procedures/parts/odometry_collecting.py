@@ -13,8 +13,8 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.procedure import BenchSource, Context
-from hil.procedures.parts.scripted import Stretch, play
-from hil.procedures.parts.tracking import stand
+from hil.procedure.scripted import Stretch, play
+from hil.procedure.tracking import stand
 from hil.procedures.parts.workers import worker_pool
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.ring.motion import Motion

@@ -19,7 +19,7 @@ import numpy as np
 
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
-from hil.procedures.parts.samples import poses, wheels
+from hil.procedure.samples import poses, wheels
 from hil.ring.motion import Motion
 from hil.vocabulary.geometry import Array, rotation2, wrap_array
 

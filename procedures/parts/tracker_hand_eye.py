@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
-from hil.procedures.parts.samples import Series
+from hil.procedure.samples import Series
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
 

@@ -5,7 +5,7 @@ from procedure_runs import run
 
 import hil
 from hil.controller.joint_script import JointScript, Stretch
-from hil.procedures.parts.scripted import play
+from hil.procedure.scripted import play
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_run

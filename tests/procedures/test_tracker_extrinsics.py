@@ -9,7 +9,7 @@ from procedure_runs import assert_covered, part, run, true_world
 
 from hil.config.loading import load_bench
 from hil.fakes.tracker import T265
-from hil.procedures.parts.samples import Series
+from hil.procedure.samples import Series
 from hil.procedures.parts.tracker_hand_eye import Truth, intervals, solve
 from hil.vocabulary.geometry import quat_from_rotvec, quat_multiply
 

@@ -10,8 +10,8 @@ from hil.procedure.bench_source import BenchSource
 from hil.procedure.measurements import Verdict
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
+from hil.procedure.tracking import tracking_errors
 from hil.procedures import grid_scan, wall_tracking
-from hil.procedures.parts.tracking import tracking_errors
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.geometry import wrap_array
