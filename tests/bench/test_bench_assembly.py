@@ -77,9 +77,7 @@ def test_true_imperfections_come_from_the_configuration():
     normal = camera_end()
     adversary = camera_end(**{"emulation.tracker": {"scale_sigma": 0.2}})
     assert log_hash(normal) != log_hash(adversary)
-    with pytest.raises(
-        ConfigError, match=r"emulation\.tracker\.scale_sigmma: unknown; did you mean scale_sigma"
-    ):
+    with pytest.raises(ConfigError, match=r"emulation\.tracker\.scale_sigmma: unknown; did you mean scale_sigma"):
         hil.open_bench("emulated", overrides={"emulation.tracker": {"scale_sigmma": 0.2}})
     with pytest.raises(ConfigError, match=r"emulation\.imu\."):
         hil.open_bench("emulated", overrides={"emulation.imu": {"position_m": "left"}})
