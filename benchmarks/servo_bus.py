@@ -26,7 +26,7 @@ from dynamixel_sdk import GroupSyncRead, GroupSyncWrite, PacketHandler, PortHand
 
 from hil.config.robot import RobotConfig
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import XH430Servos
+from hil.drivers.servos import DynamixelServos
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.plant import make_plant
 from hil.fakes.serial_line import SerialLine
@@ -86,7 +86,7 @@ def emulator(*faults: str) -> Iterator[str]:
 def our_cycle(port: str, fast: bool) -> Iterator[Cycle]:
     """Read and command of the driver."""
     config = ServosConfig(port=port, baud=BAUD, fast_sync_read=fast, fail_after_s=60.0, watchdog_s=0.0)
-    driver = XH430Servos(config, MonotonicClock())
+    driver = DynamixelServos(config, MonotonicClock())
     driver.open()
     setpoint = ServoSetpoint(np.zeros(4), np.zeros(4))
 

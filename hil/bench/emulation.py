@@ -9,6 +9,8 @@ from dataclasses import dataclass, field
 from hil.bench.drivers import model_of
 from hil.bench.repeating import repeating_robot
 from hil.config.bench import BenchConfig
+from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
+from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
 from hil.fakes.faults import Fault, FaultPlan, describe
 from hil.fakes.plant import make_plant
@@ -45,6 +47,7 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         surface=environment.surface,
         tilt_rad=environment.tilt_rad,
         start_pose=environment.start_pose,
+        servos=_servo_model(config),
         rng=random_stream(seed, "plant"),
         randomise_truth=emulation.randomise_truth,
         geometry_share=emulation.geometry_share,
@@ -52,6 +55,12 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
         by_hand=environment.tilt_rad > 0.0,
     )
     return World(plant, seed=seed, faults=plan)
+
+
+def _servo_model(config: BenchConfig) -> ServoModel:
+    """Whose motors drive and steer the emulated robot."""
+    servos = config.of(ServosConfig)
+    return servo_model((servos and servos.model_number) or DEFAULT_MODEL)
 
 
 def emulated(

@@ -49,11 +49,12 @@ class Tyres(BaseModel):
 class MadeFor(BaseModel):
     """The servos that a calibration belongs to, wheel order FL, BL, BR, FR; empty for not recorded.
 
-    Signs and zeros count: calibrated steering angles are measured from them.
+    Signs and zeros count: calibrated steering angles are measured from them. `servo_model` is None where the
+    bench file names none.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    servo_model: int
+    servo_model: int | None = None
     drive_ids: FourNumbers
     steer_ids: FourNumbers
     drive_sign: FourNumbers

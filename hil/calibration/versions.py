@@ -200,6 +200,8 @@ def _other_servos(there: MadeFor | None, here: MadeFor | None) -> list[str]:
                 "steer_ids": "servos.steer_ids"}  # fmt: skip
     problems = []
     for name in MadeFor.model_fields:
+        if getattr(there, name) is None or getattr(here, name) is None:
+            continue
         a, b = np.atleast_1d(getattr(there, name)), np.atleast_1d(getattr(here, name))
         if not np.allclose(a, b, rtol=0.0, atol=_SAME_RAD):
             key = sections.get(name, f"alignment.{name}")

@@ -49,4 +49,6 @@ def _pair(text: str) -> tuple[str, int]:
     try:
         return name, int(value, 0)
     except ValueError:
-        raise UsageError(f"--register {text!r}", expected="NAME=INTEGER, see hil/config/xh430.toml") from None
+        raise UsageError(
+            f"--register {text!r}", expected="NAME=INTEGER, see hil/config/servo_models"
+        ) from None

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hil.config.environment import SURFACES
+from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 
@@ -78,6 +79,14 @@ def _of_servos(config: BenchConfig) -> Iterator[Problem]:
                 f"{asked:g} is beyond servos.{limit} = {clipped:g}, to which the servos would be clipped in "
                 "silence",
             )
+    model = servo_model(servos.model_number or DEFAULT_MODEL)
+    low_v, high_v = model.pack_v
+    if not low_v <= config.robot.supply_v <= high_v:
+        yield (
+            "robot.supply_v",
+            f"{config.robot.supply_v:g} V is not for {model.name} servos (servos.model_number), which take "
+            f"{low_v:g} to {high_v:g} V; {model.recommended_v:g} V is recommended",
+        )
     if servos.watchdog_s and config.loop.rate_hz * servos.watchdog_s < _CYCLES_PER_WATCHDOG:
         yield (
             "loop.rate_hz",

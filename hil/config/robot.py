@@ -52,7 +52,7 @@ class RobotConfig(BaseModel):
     propeller_y_m: Positive = 0.19
     propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
     creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
-    supply_v: Annotated[float, Field(ge=9.5, le=16)] = 11.1
+    supply_v: Annotated[float, Field(ge=9.5, le=30)] = 11.1
 
     def hold_limit_rad(self) -> float | None:
         """Largest heading at which the robot holds on a wall of friction 0.45 (melamine, assumed).

@@ -1,25 +1,21 @@
-"""Configuration of the eight XH430 servos on their bus (`[servos]` of the bench file)."""
+"""Configuration of the eight servos on their bus (`[servos]` of the bench file)."""
 
 from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hil.config.device import DeviceConfig
-from hil.config.values import Patience, WheelRate, Within
-from hil.config.xh430 import (
+from hil.config.servo_models import ServoModel, model_text, models_text, servo_models
+from hil.config.servo_models.codes import (
     BAUD_CODES,
     CURRENT_POSITION,
     EXTENDED,
-    MODEL_NUMBER,
-    MODELS,
     POSITION,
-    TABLE,
     WATCHDOG_STEP_S,
-    model_text,
-    models_text,
 )
+from hil.config.values import Patience, WheelRate, Within
 
 Ids = tuple[int, int, int, int]
 
@@ -52,8 +48,9 @@ class ServosConfig(DeviceConfig):
         watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: when nobody talks to them for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
         health_period_s: how often voltage, temperature, torque and watchdog are looked at.
-        model_number: of all eight servos: 1010 (XH430-W210) or 1000 (XH430-W350). The units of any other
-            model, the XH430-V210 and -V350 too, are not known here, and it is refused.
+        model_number: of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210), 1040
+            (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the number that they
+            tell decides, and all eight must agree; emulated ones are then XH430-W210.
         min_firmware: oldest firmware that the servos may have.
         velocity_limit_rad_s: wheel rate goals are clipped to it.
         steer_limit_rad: steering goals are clipped to +- it about the servo's centre (2048 counts).
@@ -77,7 +74,7 @@ class ServosConfig(DeviceConfig):
     fail_after_s: Patience = 2.0
     watchdog_s: float = Field(0.08, ge=0, le=2.54)
     health_period_s: Patience = 1.0
-    model_number: int = MODEL_NUMBER
+    model_number: int | None = None
     min_firmware: int = Field(38, ge=0, le=255)
     velocity_limit_rad_s: WheelRate = 4.9
     steer_limit_rad: Annotated[float, Within(0.01, 12.5664, "two turns wind up any cable")] = 2.0944
@@ -109,10 +106,10 @@ class ServosConfig(DeviceConfig):
 
     @field_validator("model_number")
     @classmethod
-    def _known_model(cls, value: int) -> int:
-        if value not in MODELS:
+    def _known_model(cls, value: int | None) -> int | None:
+        if value is not None and value not in servo_models():
             raise ValueError(
-                f"the units of model {model_text(value)} are not known; expected {models_text()}"
+                f"there is no control table for model {model_text(value)}; expected {models_text()}"
             )
         return value
 
@@ -126,17 +123,15 @@ class ServosConfig(DeviceConfig):
 
     @field_validator("drive_registers", "steer_registers")
     @classmethod
-    def _ram_only(cls, value: dict[str, int]) -> dict[str, int]:
+    def _ram_only(cls, value: dict[str, int], info: ValidationInfo) -> dict[str, int]:
+        models = servo_models()
+        number = info.data.get("model_number")
+        possible = tuple(models.values()) if number is None else (models[number],)
         for name, raw in value.items():
-            register = TABLE.get(name)
-            if register is None or name.startswith("indirect"):
-                raise ValueError(f"{name} is not a register that can be set here; see hil/config/xh430.toml")
-            if register.eeprom:
-                raise ValueError(f"{name} is in the EEPROM: write it with `hil setup`")
-            if not register.writable or name in _OWNED:
-                raise ValueError(f"{name} is read-only or belongs to the driver")
-            if not register.permits(raw):
-                raise ValueError(f"{name} = {raw}, expected {register.range_text()}")
+            for model in possible:
+                problem = _ram_problem(model, name, raw)
+                if problem:
+                    raise ValueError(problem)
         return value
 
     @model_validator(mode="after")
@@ -146,3 +141,21 @@ class ServosConfig(DeviceConfig):
         if self.steer_mode == "position" and self.steer_limit_rad > 3.14:
             raise ValueError("steer_limit_rad beyond 3.14 needs steer_mode extended")
         return self
+
+
+def _ram_problem(model: ServoModel, name: str, raw: int) -> str:
+    """Why a bench may not have a register of a model written at open; empty where it may.
+
+    Args:
+        model: whose control table counts.
+        name: of the register.
+        raw: the count that it shall have.
+    """
+    register = model.table.get(name)
+    if register is None or name.startswith("indirect"):
+        return f"{name} is not a register that can be set here; see hil/config/servo_models"
+    if register.eeprom:
+        return f"{name} is in the EEPROM: write it with `hil setup`"
+    if not register.writable or name in _OWNED:
+        return f"{name} is read-only or belongs to the driver"
+    return "" if register.permits(raw) else f"{name} = {raw}, expected {register.range_text()}"

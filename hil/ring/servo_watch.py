@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.xh430 import hardware_error_text
+from hil.config.servo_models.codes import hardware_error_text
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.interfaces import Blame

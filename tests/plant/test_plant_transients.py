@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 from plant_driving import FLOOR, build, drive, settle
 
-from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT
+from hil.config.servo_models import servo_model
 from hil.fakes.servos.sensing import GRID_NS, Sensing
 
+SERVO = servo_model(1010)
 CRUISE_RAD_S, TOP_RAD_S = 1.966, 4.8
 RUNS = (1, 2, 3, 4, 6, 7, 8, 9)
 
@@ -72,7 +73,7 @@ def _recorded(path):
 
 def _emulated(phase, angle):
     plant = build(**FLOOR)
-    sensing = Sensing(plant, np.random.default_rng(phase))
+    sensing = Sensing(plant, np.random.default_rng(phase), (SERVO,) * 8)
     settle(plant, angle)
     for _ in range(100):
         sensing.tick()
@@ -83,8 +84,8 @@ def _emulated(phase, angle):
         plant.advance(begin_ns + k * GRID_NS)
         sensing.tick()
         if k % 4 == phase:
-            position = np.array(sensing.counts()[:4]) * RAD_PER_COUNT
-            velocity = np.array(sensing.velocity()[:4]) * RAD_S_PER_COUNT
+            position = np.array(sensing.counts()[:4]) * SERVO.rad_per_count
+            velocity = np.array(sensing.velocity()[:4]) * SERVO.rad_s_per_count
             rows.append((k * GRID_NS * 1e-9, position, velocity))
     t_s, position, velocity = zip(*rows, strict=True)
     return np.array(t_s), np.array(position), np.array(velocity)

@@ -96,8 +96,17 @@ OTHER = {
     "wheel position": ({"robot.wheel_x_m": [0.12, -0.12, -0.12, 0.12]}, "robot.wheel_x_m"),
     "servo IDs": ({"servos.steer_ids": [15, 16, 17, 18]}, "servos.steer_ids"),
     "steering zeros": ({"alignment.steer_zero_rad": [0.1, 0.0, 0.0, 0.0]}, "alignment.steer_zero_rad"),
+    "servo model": ({"servos.model_number": 1000}, "servos.model_number"),
     "signs": ({"alignment.drive_sign": [1, 1, -1, -1]}, "alignment.drive_sign"),
 }
+
+
+def test_a_calibration_fits_a_bench_that_leaves_the_servo_model_to_the_bus(shelf):
+    unnamed = load_bench("emulated_floor", overrides={"servos.model_number": None})
+    shelf.apply(shelf.add(made(0.0251)).file.version, unnamed)
+    shelf.apply(shelf.add(made(0.0252, config=unnamed)).file.version, CONFIG)
+    assert "servo_model" not in shelf.path.read_text()
+    assert radius(shelf.path) == 0.0252
 
 
 @pytest.mark.parametrize(("overrides", "words"), OTHER.values(), ids=OTHER.keys())

@@ -10,7 +10,7 @@ import serial
 from servo_wire import JointPlant, make_wire
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import XH430Servos
+from hil.drivers.servos import DynamixelServos
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, ServoBusOptions
@@ -59,7 +59,7 @@ def servo_bench():
         clock = VirtualClock(world)
         settings = {"port": "hil://servos", "backend": "emulated", **(config or {})}
         driver_config = ServosConfig(**settings)
-        driver = XH430Servos(driver_config, clock)
+        driver = DynamixelServos(driver_config, clock)
         if open_driver:
             driver.open()
         return SimpleNamespace(

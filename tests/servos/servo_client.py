@@ -1,6 +1,6 @@
 """A packet-level client of single servos by register name, for tests over the wire."""
 
-from hil.config.xh430 import TABLE
+from hil.config.servo_models import servo_model
 from hil.drivers.servos.packets import find_statuses, instruction
 
 PING, READ, WRITE, REG_WRITE, ACTION = 1, 2, 3, 4, 5
@@ -8,6 +8,9 @@ FACTORY, REBOOT, CLEAR, BACKUP = 6, 8, 0x10, 0x20
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
 ALL = 0xFE
+
+MODEL = servo_model(1010)
+TABLE, RAD_PER_COUNT, RAD_S_PER_COUNT = MODEL.table, MODEL.rad_per_count, MODEL.rad_s_per_count
 
 
 def word(value):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from servo_wire import JointPlant
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import XH430Servos, scan, set_up
+from hil.drivers.servos import DynamixelServos, scan, set_up
 from hil.drivers.servos.packets import GroupRead, find_statuses
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.servos import ServoBus, protocol
@@ -50,7 +50,7 @@ def babbling(answers, *, with_bus=False, **config):
     chip = Babbler(answers, ServoBus(world) if with_bus else None)
     line = SerialLine(world, chip).open()
     clock = VirtualClock(world)
-    driver = XH430Servos(ServosConfig(port="hil://servos", backend="emulated", **config), clock)
+    driver = DynamixelServos(ServosConfig(port="hil://servos", backend="emulated", **config), clock)
     try:
         yield chip, driver, clock
     finally:

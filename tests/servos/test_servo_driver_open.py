@@ -4,12 +4,12 @@ import re
 
 import numpy as np
 import pytest
-from servo_client import ALL, word
+from servo_client import ALL, TABLE, word
 
 from hil.cli.setup import command as setup
+from hil.config.servo_models.codes import BAUD_RATES
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import BAUD_RATES, TABLE
-from hil.drivers.servos import XH430Servos, set_up
+from hil.drivers.servos import DynamixelServos, set_up
 from hil.drivers.servos.packets import instruction
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -21,7 +21,7 @@ from hil.vocabulary.signals import ServoSetpoint, Status
     ["/dev/nonexistent", "/dev/null", "/", "hil://nobody", "nonsense://x", "socket://127.0.0.1:9", "a\0b"],
 )
 def test_a_port_that_cannot_be_opened_is_a_device_error(port):
-    driver = XH430Servos(ServosConfig(port=port), MonotonicClock())
+    driver = DynamixelServos(ServosConfig(port=port), MonotonicClock())
     with pytest.raises(DeviceError, match="port cannot be opened") as caught:
         driver.open()
     assert caught.value.device == "servos"
@@ -33,15 +33,15 @@ def test_a_port_that_cannot_be_opened_is_a_device_error(port):
 
 def test_a_port_without_permission_tells_how_to_get_it(denied_port):
     with pytest.raises(DeviceError, match="group dialout"):
-        XH430Servos(ServosConfig(port=denied_port), MonotonicClock()).open()
+        DynamixelServos(ServosConfig(port=denied_port), MonotonicClock()).open()
 
 
 def test_a_busy_port_says_so(servo_bench):
     bench = servo_bench()
     with pytest.raises(DeviceError, match="close the other program"):
-        XH430Servos(bench.config, bench.clock).open()
+        DynamixelServos(bench.config, bench.clock).open()
     bench.driver.close()
-    XH430Servos(bench.config, bench.clock).open()
+    DynamixelServos(bench.config, bench.clock).open()
 
 
 @pytest.mark.parametrize("baud", [b for b in BAUD_RATES.values() if b != 1_000_000])
@@ -76,25 +76,40 @@ def test_missing_and_wrong_servos_are_in_one_table(servo_bench):
     assert "hil discover" in text
 
 
-@pytest.mark.parametrize("model", [1040, 1050])
-def test_a_servo_whose_units_are_not_known_is_refused_by_name(servo_bench, model):
-    """It counts current in half the steps, and its supply is 24 V."""
+@pytest.mark.parametrize("config", [{}, {"model_number": 1010}])
+@pytest.mark.parametrize(("model", "name"), [(1060, "1060 (XL430-W250)"), (7, "7")])
+def test_a_servo_without_a_control_table_is_refused_by_name(servo_bench, model, name, config):
     with pytest.raises(DeviceError) as caught:
-        servo_bench(model_by_joint={3: model})
+        servo_bench(model_by_joint={3: model}, config=config)
     text = str(caught.value)
-    name = {1040: "XH430-V350", 1050: "XH430-V210"}[model]
-    assert f"drive_FR (ID 4): found model {model} ({name})" in text
-    assert "1000 (XH430-W350) or 1010 (XH430-W210)" in text
+    assert f"drive_FR (ID 4): found model {name}, firmware 46" in text
+    assert "exchange the servo: units and ranges are known of 1000 (XH430-W350), 1010 (XH430-W210)" in text
 
 
-def test_the_other_known_servo_is_taken_where_the_bench_file_says_so(servo_bench):
-    bench = servo_bench(model_by_joint=dict.fromkeys(range(8), 1000), config={"model_number": 1000})
-    assert bench.driver.identity()["model"] == "XH430-W350 (1000)"
+def test_eight_servos_without_a_control_table_are_refused(servo_bench):
+    with pytest.raises(
+        DeviceError, match=r"8 of 8 servos(.|\n)*1060 \(XL430-W250\)(.|\n)*eight of one model"
+    ):
+        servo_bench(model_by_joint=dict.fromkeys(range(8), 1060))
 
 
-def test_the_other_known_servo_is_told_how_to_be_taken(servo_bench):
-    with pytest.raises(DeviceError, match=r"set servos\.model_number = 1000"):
-        servo_bench(model_by_joint=dict.fromkeys(range(8), 1000))
+def test_servos_of_two_models_are_refused(servo_bench):
+    with pytest.raises(DeviceError) as caught:
+        servo_bench(model_by_joint={5: 1030})
+    assert "1 of 8 servos" in str(caught.value)
+    assert "steer_BL (ID 6): found model 1030 (XM430-W210)" in str(caught.value)
+    assert "all eight must be of one model, others are 1010 (XH430-W210)" in caught.value.remedy
+
+
+def test_another_model_than_the_bench_file_names_is_refused(servo_bench):
+    """The bench file can guard against an exchanged servo."""
+    with pytest.raises(DeviceError, match=r"expected model 1010(.|\n)*set servos\.model_number = 1000"):
+        servo_bench(model_number=1000, config={"model_number": 1010})
+
+
+def test_servos_too_old_for_the_bus_watchdog_are_refused(servo_bench):
+    with pytest.raises(DeviceError, match=r"firmware 37(.|\n)*update the firmware"):
+        servo_bench(firmware=37, config={"min_firmware": 0})
 
 
 def test_two_servos_with_one_id_are_recognised(servo_bench):

@@ -5,11 +5,10 @@ import struct
 
 import numpy as np
 import pytest
-from servo_client import ALL, READ, SYNC_WRITE, Client, word
+from servo_client import ALL, RAD_PER_COUNT, RAD_S_PER_COUNT, READ, SYNC_WRITE, Client, word
 from servo_wire import Wire
 
 from hil.config.robot import RobotConfig
-from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT
 from hil.drivers.servos.packets import find_statuses, instruction
 from hil.fakes.plant import make_plant
 from hil.fakes.servos import ServoBus, ServoBusOptions

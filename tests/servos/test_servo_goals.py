@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.packets import GoalWrite
+from hil.drivers.servos.registers import RegisterMap
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.signals import ServoSetpoint
 
@@ -25,7 +26,7 @@ def block(**registers):
 
 def goals(blocks=None, **config):
     write = GoalWrite(range(1, 9), 224)
-    return Goals(ServosConfig(**config), blocks or [block()] * 8, write, "servos"), write
+    return Goals(ServosConfig(**config), RegisterMap(MODEL), blocks or [block()] * 8, write, "servos"), write
 
 
 @pytest.mark.parametrize(

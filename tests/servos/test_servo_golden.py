@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from servo_client import RAD_PER_COUNT
 
-from hil.config.xh430 import RAD_PER_COUNT
 from hil.drivers.servos import packets
 from hil.drivers.servos.packets import GoalWrite, GroupRead, find_statuses, instruction
 from hil.fakes.servos import protocol

@@ -24,7 +24,7 @@ from servo_client import (
 )
 from servo_wire import make_wire
 
-from hil.config.xh430 import BAUD_RATES
+from hil.config.servo_models.codes import BAUD_RATES
 from hil.drivers.servos.packets import GroupRead, find_statuses, instruction
 from hil.fakes.plant_api import JointCommand
 from hil.fakes.servos import protocol

@@ -22,7 +22,7 @@ from dynamixel_sdk import (
 from servo_wire import JointPlant
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import XH430Servos, scan
+from hil.drivers.servos import DynamixelServos, scan
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer
@@ -172,7 +172,7 @@ def drive(driver, clock, setpoint, cycles):
 @pytest.mark.parametrize("baud", [1_000_000, 4_500_000])
 def test_the_driver_drives_across_the_terminal(served_bus, baud):
     served, clock = served_bus(baud=baud), MonotonicClock()
-    driver = XH430Servos(ServosConfig(port=served.port, baud=baud, reply_slack_s=0.05), clock)
+    driver = DynamixelServos(ServosConfig(port=served.port, baud=baud, reply_slack_s=0.05), clock)
     driver.open()
     try:
         driver.enable()
@@ -189,7 +189,7 @@ def test_the_driver_drives_across_the_terminal(served_bus, baud):
 
 def test_a_busy_terminal_is_told(served_bus):
     served, clock = served_bus(), MonotonicClock()
-    driver = XH430Servos(ServosConfig(port=served.port), clock)
+    driver = DynamixelServos(ServosConfig(port=served.port), clock)
     with (
         serial.Serial(served.port, 1_000_000, exclusive=True),
         pytest.raises(DeviceError, match="close the other program"),
@@ -205,7 +205,7 @@ def test_a_scan_across_the_terminal(served_bus):
 
 def test_an_emulator_that_dies_is_silence_then_an_error(served_bus):
     served, clock = served_bus(), MonotonicClock()
-    driver = XH430Servos(ServosConfig(port=served.port, fail_after_s=0.2, reply_slack_s=0.05), clock)
+    driver = DynamixelServos(ServosConfig(port=served.port, fail_after_s=0.2, reply_slack_s=0.05), clock)
     driver.open()
     try:
         served.face.close()

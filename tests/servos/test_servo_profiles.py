@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
-from servo_client import Client
+from servo_client import MODEL, RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE, Client
 
-from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
 from hil.fakes.servos.motion import RECTANGLE, STEP, TRAPEZOID, TRIANGLE, Trajectory
 
 DT_S = 0.004
@@ -25,7 +24,7 @@ def follow(trajectory, most_s=60.0):
 
 
 def resting(position=0.0):
-    trajectory = Trajectory()
+    trajectory = Trajectory(MODEL)
     trajectory.rest(position)
     return trajectory
 

@@ -3,7 +3,7 @@
 import pytest
 from servo_client import ACTION, BACKUP, CLEAR, FACTORY, PING, READ, REBOOT, REG_WRITE, WRITE, Client
 
-from hil.config.xh430 import BAUD_RATES
+from hil.config.servo_models.codes import BAUD_RATES
 from hil.drivers.servos.packets import find_statuses, instruction
 from hil.fakes.servos import protocol
 

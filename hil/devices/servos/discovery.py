@@ -6,7 +6,7 @@ import contextlib
 from collections.abc import Sequence
 from typing import Any
 
-from hil.config.xh430 import MODEL_NUMBER, MODELS, model_text, models_text
+from hil.config.servo_models import model_text, models_text, servo_models
 from hil.drivers.servos import FoundServo, scan
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import HilError
@@ -28,12 +28,12 @@ def _described(port: str, servos: Sequence[FoundServo]) -> Found:
     bauds, models = sorted({s.baud for s in servos}), sorted({s.model for s in servos})
     table: dict[str, Any] = {"port": port, "baud": bauds[0]}
     notes = []
-    if [m for m in models if m not in MODELS] or len(models) > 1:
+    if len(models) > 1 or models[0] not in servo_models():
         notes.append(
             f"servos of model {', '.join(map(model_text, models))} at {port}: "
             f"a bench needs eight of one model, {models_text()}"
         )
-    elif models != [MODEL_NUMBER]:
+    else:
         table["model_number"] = models[0]
     if len(bauds) > 1:
         notes.append(f"the servos at {port} have different baud rates {bauds}: use hil setup")

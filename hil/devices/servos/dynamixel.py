@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from hil.config.servo_models import DEFAULT_MODEL
 from hil.config.servos import ServosConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Actuators
@@ -14,9 +15,9 @@ if TYPE_CHECKING:
 
 
 def _driver(config: ServosConfig, clock: Clock) -> Actuators:
-    from hil.drivers.servos import XH430Servos
+    from hil.drivers.servos import DynamixelServos
 
-    return XH430Servos(config, clock)
+    return DynamixelServos(config, clock)
 
 
 def _imperfections() -> type[Any]:
@@ -30,8 +31,8 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     from hil.fakes.servos import ServoBus, ServoBusOptions
 
     config: ServosConfig = setting.config
-    models = dict.fromkeys(range(len(config.ids)), config.model_number)
-    options = setting.options(ServoBusOptions, ids=config.ids, baud=config.baud, model_by_joint=models)
+    known = {"ids": config.ids, "baud": config.baud, "model_number": config.model_number or DEFAULT_MODEL}
+    options = setting.options(ServoBusOptions, **known)
     told = {"baud": config.baud, "ids": list(config.ids)}
     return on_serial_line(
         setting, ServoBus(setting.world, options=options), latency_s=config.usb_latency_s, told=told

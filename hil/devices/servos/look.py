@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from hil.config.xh430 import hardware_error_text
+from hil.config.servo_models.codes import hardware_error_text
 from hil.devices.looks import Watched, losses
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import SERVOS, worst
 
-_LOW_SUPPLY_V, _HOT_C = 10.0, 70.0
+_HOT_C = 70.0
 
 
 def look(watched: Watched) -> Iterator[Finding]:
@@ -43,10 +43,11 @@ def _health(watched: Watched, servos: Any) -> Iterator[Finding]:
         yield Finding("servos", "health", "warning", "voltage and temperature were not answered")
         return
     volts, celsius = found[-1].voltage_v, found[-1].temperature_c
-    low, hot = np.nanmin(volts) < _LOW_SUPPLY_V, np.nanmax(celsius) > _HOT_C
+    low_v: float = servos.model.low_supply_v
+    low, hot = np.nanmin(volts) < low_v, np.nanmax(celsius) > _HOT_C
     yield Finding(
         "servos", "supply", "warning" if low else "ok", f"{np.nanmin(volts):.1f} to {np.nanmax(volts):.1f} V",
-        f"at least {_LOW_SUPPLY_V:g} V", "charge or replace the battery; check the wiring",
+        f"at least {low_v:g} V", "charge or replace the battery; check the wiring",
     )  # fmt: skip
     yield Finding(
         "servos", "temperature", "warning" if hot else "ok", f"up to {np.nanmax(celsius):.0f} C",

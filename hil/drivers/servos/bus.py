@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 _ATTEMPTS = 3
 _OLDEST_NS = 50_000_000
-_LONGEST_WAY_NS = 100_000_000
+_LONGEST_ROUND_TRIP_NS = 100_000_000
 _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
@@ -72,7 +72,7 @@ class Bus:
         self.traffic_ns = clock.now_ns()
         self._asked: _Asked | None = None
         self._ahead: Exchange | None = None
-        self._way_ns = _LONGEST_WAY_NS
+        self._round_trip_ns = _LONGEST_ROUND_TRIP_NS
 
     def close(self) -> None:
         """Let go of the port; never raises."""
@@ -200,15 +200,15 @@ class Bus:
         return Exchange(data, asked.sent_ns, received_ns, self._taken_ns(asked, len(data), received_ns))
 
     def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
-        """When the servos heard the request: after the wire, and half of what a way there and back costs.
+        """When the servos heard the request: after the wire, and half of what a round trip costs.
 
         That cost (a network, drivers) is the smallest seen: an answer may have waited to be fetched.
         """
         heard_ns = asked.sent_ns + round(self.port.wire_s(len(asked.group.request)) * NS_PER_S)
-        way_ns = max(0, received_ns - heard_ns - self.port.answer_ns(count))
+        round_trip_ns = max(0, received_ns - heard_ns - self.port.answer_ns(count))
         if count == asked.group.expected:
-            self._way_ns = way_ns = min(way_ns, self._way_ns)
-        return heard_ns + min(way_ns, self._way_ns) // 2
+            self._round_trip_ns = round_trip_ns = min(round_trip_ns, self._round_trip_ns)
+        return heard_ns + min(round_trip_ns, self._round_trip_ns) // 2
 
     def _more(self, group: GroupRead, data: bytes, deadline_ns: int) -> bytes:
         """Go on receiving when noise, an echo or stuffing has made the answer longer."""

@@ -5,12 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-from hil.config.xh430 import BAUD_CODES, BAUD_RATES, TABLE, Register
+from hil.config.servo_models import (
+    Register,
+    ServoModel,
+    model_text,
+    models_text,
+    servo_models,
+    shared_register,
+)
+from hil.config.servo_models.codes import BAUD_CODES, BAUD_RATES, RETURN_DELAY_STEP_S
 from hil.drivers.servos import packets
-from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.packets import find_statuses
 from hil.drivers.servos.port import ServoPort
+from hil.drivers.servos.registers import from_block
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.signals import Status
@@ -26,7 +34,14 @@ _USUAL = (1_000_000, 57_600, 3_000_000, 4_500_000, 2_000_000, 4_000_000, 115_200
 
 @dataclass(frozen=True)
 class FoundServo:
-    """A servo that answered a scan; `operating_mode` is -1 where it could not be read."""
+    """A servo that answered a scan.
+
+    Attributes:
+        servo_id, baud: where it answers.
+        model, firmware: model number and firmware that it tells.
+        operating_mode: -1 where it could not be read: no answer, or a model without a control table.
+        return_delay_s: 0 where it could not be read.
+    """
 
     servo_id: int
     baud: int
@@ -81,9 +96,20 @@ def _roll_call(bus: Bus, wanted: set[int], baud: int) -> list[FoundServo]:
     for servo_id, answer in find_statuses(data):
         if servo_id in wanted and answer.status is Status.OK and len(answer.data) == 3:
             model, firmware = answer.data[0] | answer.data[1] << 8, answer.data[2]
-            delay, _, mode = bus.read(servo_id, TABLE["return_delay_time"].address, 3).data or (0, 0, -1)
-            servos.append(FoundServo(servo_id, baud, model, firmware, mode, delay * 2e-6))
+            mode, delay = _mode_and_delay(bus, servo_id, servo_models().get(model))
+            servos.append(FoundServo(servo_id, baud, model, firmware, mode, delay * RETURN_DELAY_STEP_S))
     return servos
+
+
+def _mode_and_delay(bus: Bus, servo_id: int, model: ServoModel | None) -> tuple[int, int]:
+    """Operating mode and raw return delay, read in one go; (-1, 0) where they are not known."""
+    if model is None:
+        return -1, 0
+    delay, mode = model.table["return_delay_time"], model.table["operating_mode"]
+    data = bus.read(servo_id, delay.address, mode.end - delay.address).data
+    if not data:
+        return -1, 0
+    return mode.decode(data[mode.address - delay.address :]), delay.decode(data)
 
 
 def set_up(
@@ -98,6 +124,8 @@ def set_up(
 ) -> dict[str, tuple[int, int]]:
     """Write the EEPROM of one servo, register by register, each read back; never with torque on.
 
+    Which registers and values there are is told by the control table of the model that answers.
+
     Args:
         port: pyserial URL or device path.
         clock: the bench clock.
@@ -111,15 +139,17 @@ def set_up(
         (before, after) by name of every register that was asked for.
 
     Raises:
-        UsageError: an unknown register or a value outside its range; nothing has been written.
-        DeviceError: no servo, torque on, the new ID taken, or a value that did not stay.
+        UsageError: an unknown register, one that the servo's firmware lacks or a value outside its range;
+            nothing has been written.
+        DeviceError: no servo, a model without a control table, torque on, the new ID taken, or a value that
+            did not stay.
     """
     wanted = dict(registers or {})
     if new_id is not None:
         wanted["id"] = new_id
     if new_baud is not None:
         wanted["baud_rate"] = BAUD_CODES[_checked_baud(new_baud)]
-    _check_registers(wanted)
+    _check_for_any_model(wanted)
     line = ServoPort(port, _checked_baud(baud), clock, latency_s=_LATENCY_S, slack_s=_SLACK_S)
     line.open(_DEVICE)
     bus = Bus(line, clock, _DEVICE)
@@ -129,21 +159,58 @@ def set_up(
         bus.close()
 
 
-def _check_registers(wanted: Mapping[str, int]) -> None:
+def _check_for_any_model(wanted: Mapping[str, int]) -> None:
+    """Refuse what no model takes, before anything is opened."""
+    refusals = [_refusal(model, wanted) for model in servo_models().values()]
+    if refusals[0] is not None and None not in refusals:
+        raise refusals[0]
+
+
+def _refusal(model: ServoModel, wanted: Mapping[str, int], firmware: int | None = None) -> UsageError | None:
+    """Why a model does not take what is wanted, None where it does; `firmware` once a servo has told it."""
+    found = "" if firmware is None else f" for {model.name}"
     for name, raw in wanted.items():
-        register = TABLE.get(name)
+        register = model.table.get(name)
         if register is None or not register.eeprom or not register.writable:
-            known = ", ".join(r.name for r in TABLE.values() if r.eeprom and r.writable)
-            raise UsageError(f"{name} is not a register that can be set up", expected="one of " + known)
+            known = ", ".join(r.name for r in model.table.values() if r.eeprom and r.writable)
+            return UsageError(f"{name} is not a register that can be set up", expected="one of " + known)
         if not register.permits(raw):
-            raise UsageError(f"{name} = {raw}", expected=register.range_text())
+            return UsageError(f"{name} = {raw}", expected=register.range_text() + found)
+        if firmware is not None and firmware < register.firmware:
+            return UsageError(
+                f"{name}: the servo has firmware {firmware}",
+                expected=f"firmware {register.firmware} or later",
+                remedy="update the firmware with DYNAMIXEL Wizard",
+            )
+    return None
+
+
+def _model_of(servo_id: int, block: bytes, port: str) -> ServoModel:
+    """The model that a servo tells in its first registers."""
+    number = from_block(block, shared_register("model_number"))
+    model = servo_models().get(number)
+    if model is None:
+        raise DeviceError(
+            _DEVICE,
+            f"servo {servo_id} is of model {model_text(number)}, which has no control table here",
+            port=port,
+            expected=models_text(),
+            remedy="set it up with DYNAMIXEL Wizard, or exchange it",
+        )
+    return model
 
 
 def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[str, tuple[int, int]]:
-    found = bus.read(servo_id, 0, reg.TORQUE + 1)
+    torque = shared_register("torque_enable")
+    found = bus.read(servo_id, 0, torque.end)
     if found.status is not Status.OK:
         raise bus.failure(found, f"servo {servo_id} cannot be read")
-    if found.data[reg.TORQUE]:
+    model = _model_of(servo_id, found.data, bus.port.port_name)
+    table = model.table
+    refusal = _refusal(model, wanted, from_block(found.data, table["firmware_version"]))
+    if refusal is not None:
+        raise refusal
+    if from_block(found.data, torque):
         raise DeviceError(
             _DEVICE,
             f"servo {servo_id} has torque on",
@@ -160,12 +227,12 @@ def _write_eeprom(bus: Bus, servo_id: int, wanted: Mapping[str, int]) -> dict[st
             expected="a free ID",
             remedy="connect one servo at a time, or choose another ID",
         )
-    changes = {name: (reg.from_block(found.data, name), raw) for name, raw in wanted.items()}
+    changes = {name: (from_block(found.data, table[name]), raw) for name, raw in wanted.items()}
     for name in sorted(wanted, key=lambda n: (_LAST.index(n) + 1) if n in _LAST else 0):
         before, raw = changes[name]
         if before == raw:
             continue
-        register = TABLE[name]
+        register = table[name]
         if name in _LAST:
             _rename(bus, servo_id, register, raw)
             servo_id = raw if name == "id" else servo_id

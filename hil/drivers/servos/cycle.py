@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hil.config.servos import ServosConfig
-from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
+from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, RegisterMap
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.signals import Status
 
@@ -60,9 +60,6 @@ class _Kind:
     fields: np.dtype[np.void]
 
 
-_CYCLE = _Kind(reg.CYCLE_ADDRESS, reg.CYCLE_LENGTH, reg.CYCLE_FIELDS)
-_MAPPED = _Kind(reg.AUDIT_DATA, reg.FULL_FIELDS.itemsize, reg.FULL_FIELDS)
-_DIRECT = _Kind(reg.TORQUE, reg.DIRECT_FULL_LENGTH, reg.DIRECT_FULL_FIELDS)
 _NO_ALERT = (False,) * 8
 
 
@@ -76,12 +73,22 @@ class CycleReader:
     Args:
         bus: open bus.
         config: IDs and budgets.
+        registers: of the servos' model.
         clock: the bench clock.
         fast: use fast sync reads.
         mapped: full looks go through the map of indirect addresses.
     """
 
-    def __init__(self, bus: Bus, config: ServosConfig, clock: Clock, *, fast: bool, mapped: bool) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        config: ServosConfig,
+        registers: RegisterMap,
+        clock: Clock,
+        *,
+        fast: bool,
+        mapped: bool,
+    ) -> None:
         self._bus, self._ids, self._clock, self.fast = bus, config.ids, clock, fast
         self._budget_ns = nanoseconds(config.retry_budget_s)
         self._slack_ns = nanoseconds(config.reply_slack_s)
@@ -89,9 +96,14 @@ class CycleReader:
         self._order = list(_ALL)
         self._missed = [0] * 8
         self._dead: dict[int, int] = {}
-        self._full = _MAPPED if mapped else _DIRECT
+        self._cycle = _Kind(registers.cycle_address, registers.cycle_length, CYCLE_FIELDS)
+        self._full = (
+            _Kind(registers.audit_data, FULL_FIELDS.itemsize, FULL_FIELDS)
+            if mapped
+            else _Kind(registers.torque, registers.direct_full_length, registers.direct_full_fields)
+        )
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
-        self._kind, self._asked = _CYCLE, _ALL[:0]
+        self._kind, self._asked = self._cycle, _ALL[:0]
         self._thorough = False
 
     @property
@@ -105,7 +117,7 @@ class CycleReader:
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
         """Send the request of the next `read`, behind a packet that nobody answers."""
-        self._ask(self._full if full else _CYCLE, tuple(self._order), after)
+        self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
     def look(self) -> Reading:
         """A full look at everybody, those that have been given up too, in the time that it takes."""
@@ -159,8 +171,8 @@ class CycleReader:
         rows = group.quick(exchange.data, kind.fields)
         if rows is None or order != _ALL:
             return None
-        full = kind is not _CYCLE
-        if full and (rows["level"] != reg.FULL_LEVEL).any():
+        full = kind is not self._cycle
+        if full and (rows["level"] != FULL_LEVEL).any():
             return None
         if any(self._missed):
             self._missed = [0] * 8
@@ -246,15 +258,15 @@ class CycleReader:
     def _reading(
         self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
     ) -> Reading:
-        full = kind is not _CYCLE
-        registers = np.zeros(8, dtype=reg.FULL_FIELDS if full else reg.CYCLE_FIELDS)
+        full = kind is not self._cycle
+        registers = np.zeros(8, dtype=FULL_FIELDS if full else CYCLE_FIELDS)
         status, alert = [Status.TIMEOUT] * 8, [False] * 8
         for j, answer in answers.items():
             status[j] = answer.status
             if answer.status is not Status.OK:
                 continue
             row = np.frombuffer(answer.data, kind.fields)[0]
-            if full and row["level"] != reg.FULL_LEVEL:
+            if full and row["level"] != FULL_LEVEL:
                 status[j] = Status.RESET
                 continue
             for name in registers.dtype.names or ():

@@ -10,11 +10,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hil.config.servo_models.codes import POSITION
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import COUNTS_PER_TURN, POSITION, RAD_PER_COUNT, RAD_S_PER_COUNT, ZERO_COUNTS
-from hil.drivers.servos import registers as reg
 from hil.drivers.servos.identity import expected_mode
 from hil.drivers.servos.packets import GoalWrite
+from hil.drivers.servos.registers import RegisterMap
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.signals import ServoSetpoint
 
@@ -27,23 +27,32 @@ class Goals:
 
     Args:
         config: limits and mode of the bench.
-        blocks: registers of the eight servos as read at open; the wheels' goals begin at rest, the
-            steering's where it stands.
+        registers: of the servos' model.
+        blocks: what they held when they were read at open; the wheels' goals begin at rest, the steering's
+            where it stands.
         write: the packet that carries goals.
         device: name in errors.
     """
 
-    def __init__(self, config: ServosConfig, blocks: Sequence[bytes], write: GoalWrite, device: str) -> None:
+    def __init__(
+        self,
+        config: ServosConfig,
+        registers: RegisterMap,
+        blocks: Sequence[bytes],
+        write: GoalWrite,
+        device: str,
+    ) -> None:
         self._config, self._write, self._device = config, write, device
-        top = np.array([reg.from_block(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
-        top = np.minimum(top, int(config.velocity_limit_rad_s / RAD_S_PER_COUNT))
+        self._model, read = registers.model, registers.from_block
+        top = np.array([read(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
+        top = np.minimum(top, int(config.velocity_limit_rad_s / self._model.rad_s_per_count))
         self._one_turn = expected_mode(config, 4) == POSITION
         self._low = np.concatenate((-top, np.full(4, -_FARTHEST)))
         self._high = np.concatenate((top, np.full(4, _FARTHEST)))
         if self._one_turn:
-            self._low[4:] = [reg.from_block(b, "min_position_limit") for b in blocks[4:]]
-            self._high[4:] = [reg.from_block(b, "max_position_limit") for b in blocks[4:]]
-        steering = [reg.from_block(b, "present_position") for b in blocks[4:]]
+            self._low[4:] = [read(b, "min_position_limit") for b in blocks[4:]]
+            self._high[4:] = [read(b, "max_position_limit") for b in blocks[4:]]
+        steering = [read(b, "present_position") for b in blocks[4:]]
         self._raw = np.array([0, 0, 0, 0, *steering], dtype=np.int64)
 
     def packet(self) -> bytes:
@@ -55,17 +64,17 @@ class Goals:
 
         Args:
             setpoint: rad and rad/s.
-            offset: (8,) counts that the registers have lost (`TurnCounter.offset`).
+            offset: (8,) counts that the registers have lost (`MultiTurnCounter.offset`).
 
         Raises:
             UsageError: a goal is not a number.
         """
-        limit_rad = self._config.steer_limit_rad
+        limit_rad, model = self._config.steer_limit_rad, self._model
         steer = np.clip(setpoint.steer_position_rad, -limit_rad, limit_rad)
         goals = np.concatenate(
             (
-                setpoint.drive_velocity_rad_s / RAD_S_PER_COUNT,
-                steer / RAD_PER_COUNT + (ZERO_COUNTS - offset[4:]),
+                setpoint.drive_velocity_rad_s / model.rad_s_per_count,
+                steer / model.rad_per_count + (model.zero_counts - offset[4:]),
             )
         )
         if not np.isfinite(goals).all():
@@ -89,5 +98,5 @@ class Goals:
         """(8,) goals at which nothing moves, from the position registers (8,)."""
         present = registers[4:]
         if self._one_turn:
-            present = np.clip(present % COUNTS_PER_TURN, self._low[4:], self._high[4:])
+            present = np.clip(present % self._model.counts_per_turn, self._low[4:], self._high[4:])
         return np.concatenate((np.zeros(4, dtype=np.int64), present))

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
+from hil.config.servo_models import ServoModel
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import TABLE
 from hil.drivers.servos.cycle import Reading
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.signals import ServoHealth, Stamp, Status
-
-_VOLT = TABLE["present_input_voltage"].scale
 
 
 class HealthWatch:
     """Keeps the health of a full look every `health_period_s` until it is asked for."""
 
-    def __init__(self, config: ServosConfig, clock: Clock) -> None:
-        self._clock = clock
+    def __init__(self, config: ServosConfig, model: ServoModel, clock: Clock) -> None:
+        self._clock, self._volt = clock, model.table["present_input_voltage"].scale
         self._period_ns = nanoseconds(config.health_period_s)
         self._due_ns = clock.now_ns() + self._period_ns
         self._sequence = 0
@@ -41,7 +39,7 @@ class HealthWatch:
         self._kept = (
             ServoHealth(
                 Stamp(reading.taken_ns, reading.received_ns, self._sequence),
-                np.where(known, rows["voltage"] * _VOLT, np.nan),
+                np.where(known, rows["voltage"] * self._volt, np.nan),
                 np.where(known, rows["temperature"], np.nan),
                 reading.status,
             ),

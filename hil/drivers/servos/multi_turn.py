@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.xh430 import COUNTS_PER_TURN, RAD_PER_COUNT
+from hil.config.servo_models import ServoModel
 from hil.vocabulary.geometry import Array
 
-_TOP_COUNTS_S = 6.5 / RAD_PER_COUNT
 _MARGIN_COUNTS = 512
 _WORD = 1 << 32
 _COASTING_S = 0.1
@@ -19,14 +18,19 @@ _COASTING_S = 0.1
 Counts = np.ndarray
 
 
-class TurnCounter:
+class MultiTurnCounter:
     """Adds the turns that the registers of eight servos have lost.
+
+    Args:
+        model: of the servos: how they count, and how fast they turn at most.
 
     Attributes:
         offset: (8,) counts to add to a register.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, model: ServoModel) -> None:
+        self._turn_counts = model.counts_per_turn
+        self._top_counts_s = model.top_speed_rad_s / model.rad_per_count
         self.offset: Counts = np.zeros(8, dtype=np.int64)
         self._last: Counts = np.zeros(8, dtype=np.int64)
         self._last_ns = np.zeros(8, dtype=np.int64)
@@ -50,7 +54,7 @@ class TurnCounter:
         counts = raw + self.offset
         elapsed_s = (t_ns - self._last_ns) * 1e-9
         change = counts - self._last
-        impossible = np.abs(change) > _TOP_COUNTS_S * elapsed_s + _MARGIN_COUNTS
+        impossible = np.abs(change) > self._top_counts_s * elapsed_s + _MARGIN_COUNTS
         jumped = seen & self._known & (impossible | self._restarted)
         if jumped.any():
             counts = self._bridge(counts, change, jumped, elapsed_s)
@@ -64,7 +68,7 @@ class TurnCounter:
     def _bridge(self, counts: Counts, change: Counts, jumped: np.ndarray, elapsed_s: np.ndarray) -> Counts:
         excess = change - self._speed * np.minimum(elapsed_s, _COASTING_S)
         words = np.rint(excess / _WORD).astype(np.int64) * _WORD
-        turns = np.rint((excess - words) / COUNTS_PER_TURN).astype(np.int64) * COUNTS_PER_TURN
+        turns = np.rint((excess - words) / self._turn_counts).astype(np.int64) * self._turn_counts
         lost = np.where(jumped, words + turns, 0)
         self.offset = self.offset - lost
         bridged: Counts = counts - lost

@@ -10,26 +10,39 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 
+from hil.config.servo_models import shared_register
+from hil.config.servo_models.codes import hardware_error_text
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import hardware_error_text
 from hil.drivers.servos import packets
-from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.cycle import Reading
 from hil.drivers.servos.packets import GoalWrite, GroupRead
+from hil.drivers.servos.registers import AUDIT_LENGTH, FULL_LEVEL, RegisterMap
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import SERVOS, Status
 
 _LOG = logging.getLogger(__name__)
 
-_FULL_LEVEL = 2
 _ATTEMPTS = 3
 _ATTEMPTS_ON = 12
 """A computer that is busy starting programs may be deaf for a quarter of a second."""
 
 
+def acknowledge_all(bus: Bus, ids: Sequence[int]) -> None:
+    """Have servos of any model answer reads and writes, whatever Status Return Level they were left with."""
+    level = bytes((FULL_LEVEL,))
+    bus.send(packets.sync_write(shared_register("status_return_level").address, 1, [(i, level) for i in ids]))
+
+
 class Upkeep:
     """Knows what RAM should hold, and makes it so.
+
+    Args:
+        bus: open bus.
+        config: IDs, registers and watchdog of the bench.
+        registers: of the servos' model.
+        device: name in errors and logs.
+        fast: use fast sync reads.
 
     Attributes:
         mapped: whether goals go through indirect data (one sync write) or by bulk write.
@@ -37,25 +50,21 @@ class Upkeep:
         hardware_error: (8,) Hardware Error Status as last read.
     """
 
-    def __init__(self, bus: Bus, config: ServosConfig, device: str, *, fast: bool) -> None:
+    def __init__(
+        self, bus: Bus, config: ServosConfig, registers: RegisterMap, device: str, *, fast: bool
+    ) -> None:
         self._bus, self._config, self._device, self._fast = bus, config, device, fast
-        self._ids = config.ids
-        self._goal_addresses = [reg.GOAL_VELOCITY] * 4 + [reg.GOAL_POSITION] * 4
-        self._registers = [reg.encoded(config.drive_registers)] * 4 + [
-            reg.encoded(config.steer_registers)
-        ] * 4
+        self._ids, self._map = config.ids, registers
+        self._goal_addresses = [registers.goal_velocity] * 4 + [registers.goal_position] * 4
+        drive, steer = registers.encoded(config.drive_registers), registers.encoded(config.steer_registers)
+        self._registers = [drive] * 4 + [steer] * 4
         self.mapped = True
         self.torque = False
         self.hardware_error = [0] * 8
 
     def goal_write(self) -> GoalWrite:
         """The cheapest write that serves drives and steers."""
-        return GoalWrite(self._ids, reg.GOAL_DATA if self.mapped else self._goal_addresses)
-
-    def acknowledge_all(self) -> None:
-        """Have every servo answer reads and writes, whatever Status Return Level it was left with."""
-        level = bytes((_FULL_LEVEL,))
-        self._bus.send(packets.sync_write(reg.RETURN_LEVEL, 1, [(i, level) for i in self._ids]))
+        return GoalWrite(self._ids, self._map.goal_data if self.mapped else self._goal_addresses)
 
     def prepare(self, blocks: Sequence[bytes]) -> None:
         """Write RAM at open; a robot that is held by torque stays held.
@@ -63,27 +72,27 @@ class Upkeep:
         Raises:
             DeviceError: a servo refused or did not acknowledge.
         """
-        torque = [reg.from_block(b, "torque_enable") for b in blocks]
-        self.hardware_error = [reg.from_block(b, "hardware_error_status") for b in blocks]
+        torque = [self._map.from_block(b, "torque_enable") for b in blocks]
+        self.hardware_error = [self._map.from_block(b, "hardware_error_status") for b in blocks]
         self.mapped = self._map_goals(torque)
         for joint, servo_id in enumerate(self._ids):
-            self._bus.demand(servo_id, reg.WATCHDOG, b"\x00", "bus watchdog")
+            self._bus.demand(servo_id, self._map.watchdog, b"\x00", "bus watchdog")
             if joint < 4:
-                self._bus.demand(servo_id, reg.GOAL_VELOCITY, bytes(4), "zero goal velocity")
+                self._bus.demand(servo_id, self._map.goal_velocity, bytes(4), "zero goal velocity")
             for address, data in self._registers[joint]:
                 self._bus.demand(servo_id, address, data, f"register at {address}")
 
     def _map_goals(self, torque: Sequence[int]) -> bool:
         """Set indirect addresses 1..7, which a servo with torque on does not allow."""
         for joint, servo_id in enumerate(self._ids):
-            wanted = reg.indirect_map(self._goal_addresses[joint])
-            answer = self._bus.read(servo_id, reg.INDIRECT_ADDRESS, len(wanted))
+            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            answer = self._bus.read(servo_id, self._map.indirect_address, len(wanted))
             if answer.data == wanted:
                 continue
             if torque[joint]:
                 _LOG.warning("%s: %s has torque on and no goal map: bulk writes", self._device, SERVOS[joint])
                 return False
-            self._bus.demand(servo_id, reg.INDIRECT_ADDRESS, wanted, "indirect addresses")
+            self._bus.demand(servo_id, self._map.indirect_address, wanted, "indirect addresses")
         return True
 
     def switch_on(self, hold: bytes, ids: Sequence[int]) -> None:
@@ -100,8 +109,8 @@ class Upkeep:
         self.torque = True
         for _ in range(_ATTEMPTS_ON):
             self._bus.send(hold)
-            self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, count) for i in self._ids]))
-            self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x01") for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.watchdog, 1, [(i, count) for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in self._ids]))
             state = self.audit(ids)
             off = [SERVOS[j] for j, (torque, _) in state.items() if not torque]
             off += [f"{name} (no answer)" for j, name in enumerate(SERVOS) if j not in state]
@@ -123,8 +132,8 @@ class Upkeep:
         """
         self.torque = False
         for _ in range(_ATTEMPTS):
-            self._bus.send(packets.sync_write(reg.TORQUE, 1, [(i, b"\x00") for i in self._ids]))
-            self._bus.send(packets.sync_write(reg.WATCHDOG, 1, [(i, b"\x00") for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x00") for i in self._ids]))
+            self._bus.send(packets.sync_write(self._map.watchdog, 1, [(i, b"\x00") for i in self._ids]))
             state = self.audit(ids)
             left = [SERVOS[j] for j, (torque, _) in state.items() if torque]
             asked = [self._ids.index(i) for i in ids]
@@ -146,8 +155,11 @@ class Upkeep:
         """
         if not ids:
             return {}
+        where = self._map
         address, length = (
-            (reg.AUDIT_DATA, reg.AUDIT_LENGTH) if self.mapped else (reg.DIRECT_AUDIT, reg.DIRECT_AUDIT_LENGTH)
+            (where.audit_data, AUDIT_LENGTH)
+            if self.mapped
+            else (where.direct_audit, where.direct_audit_length)
         )
         group = GroupRead(ids, address, length, fast=self._fast)
         delays = 1 if self._fast else len(ids)
@@ -158,7 +170,7 @@ class Upkeep:
         for servo_id, answer in answers.items():
             if answer.status is Status.OK:
                 joint = self._ids.index(servo_id)
-                torque, watchdog, self.hardware_error[joint] = reg.audit_values(answer.data)
+                torque, watchdog, self.hardware_error[joint] = where.audit_values(answer.data)
                 state[joint] = (torque, watchdog)
         return state
 
@@ -231,8 +243,8 @@ class Upkeep:
         """Write map and registers again into a servo that has restarted; torque and watchdog stay off."""
         servo_id = self._ids[joint]
         if self.mapped:
-            wanted = reg.indirect_map(self._goal_addresses[joint])
-            self._bus.send(packets.sync_write(reg.INDIRECT_ADDRESS, len(wanted), [(servo_id, wanted)]))
+            wanted = self._map.indirect_map(self._goal_addresses[joint])
+            self._bus.send(packets.sync_write(self._map.indirect_address, len(wanted), [(servo_id, wanted)]))
         for address, data in self._registers[joint]:
             self._bus.send(packets.sync_write(address, len(data), [(servo_id, data)]))
 
@@ -241,16 +253,16 @@ class Upkeep:
         servo_id = self._ids[joint]
         data = (goal & 0xFFFFFFFF).to_bytes(4, "little")
         for address, value in (
-            (reg.WATCHDOG, b"\x00"),
+            (self._map.watchdog, b"\x00"),
             (self._goal_addresses[joint], data),
-            (reg.WATCHDOG, bytes((self._config.watchdog_count,))),
-            (reg.TORQUE, b"\x01"),
+            (self._map.watchdog, bytes((self._config.watchdog_count,))),
+            (self._map.torque, b"\x01"),
         ):
             self._bus.send(packets.sync_write(address, len(value), [(servo_id, value)]))
 
     def read_hardware_error(self, joint: int) -> int:
         """Hardware Error Status of one servo; what was known before if it does not answer."""
-        answer = self._bus.read(self._ids[joint], reg.HARDWARE_ERROR, 1, attempts=1)
+        answer = self._bus.read(self._ids[joint], self._map.hardware_error, 1, attempts=1)
         if answer.status is Status.OK:
             self.hardware_error[joint] = answer.data[0]
         return self.hardware_error[joint]

@@ -7,16 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hil.config.xh430 import (
-    A_PER_COUNT,
-    RAD_PER_COUNT,
-    RAD_S_PER_COUNT,
-    ZERO_COUNTS,
-    hardware_error_text,
-)
-from hil.drivers.servos import registers as reg
+from hil.config.servo_models.codes import hardware_error_text
 from hil.drivers.servos.cycle import ALL_OK, Reading
-from hil.drivers.servos.multi_turn import TurnCounter
+from hil.drivers.servos.multi_turn import MultiTurnCounter
+from hil.drivers.servos.registers import RegisterMap
 from hil.drivers.servos.restoring import Upkeep
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.geometry import Array
@@ -26,14 +20,14 @@ _LOG = logging.getLogger(__name__)
 
 _NO_ALERT: tuple[int, ...] = (0,) * 8
 _ALL_SEEN = np.ones(8, dtype=bool)
-_SPEED_COUNTS = RAD_S_PER_COUNT / RAD_PER_COUNT
 
 
 class Samples:
     """Makes samples out of readings, and remembers what they have in common.
 
     Args:
-        blocks: registers of the eight servos as read at open.
+        registers: of the servos' model.
+        blocks: what they held when they were read at open.
         upkeep: knows the hardware errors.
         clock: for the time at which a sample had arrived.
         device: name in logs.
@@ -43,10 +37,16 @@ class Samples:
         doubtful: whether the latest sample wants a closer look: a servo has started over, or is back.
     """
 
-    def __init__(self, blocks: Sequence[bytes], upkeep: Upkeep, clock: Clock, device: str) -> None:
+    def __init__(
+        self, registers: RegisterMap, blocks: Sequence[bytes], upkeep: Upkeep, clock: Clock, device: str
+    ) -> None:
         self._upkeep, self._clock, self._device = upkeep, clock, device
-        self.turns, self.doubtful = TurnCounter(), False
-        self._registers = np.array([reg.from_block(b, "present_position") for b in blocks], dtype=np.int64)
+        model, read = registers.model, registers.from_block
+        self._zero_counts, self._rad = model.zero_counts, model.rad_per_count
+        self._rad_s, self._ampere = model.rad_s_per_count, model.a_per_count
+        self._speed_counts = model.rad_s_per_count / model.rad_per_count
+        self.turns, self.doubtful = MultiTurnCounter(model), False
+        self._registers = np.array([read(b, "present_position") for b in blocks], dtype=np.int64)
         self._alert = [0] * 8
         self._sequence = 0
 
@@ -66,8 +66,8 @@ class Samples:
         self._sequence += 1
         stamp = Stamp(t_ns=reading.taken_ns, host_ns=self._clock.now_ns(), seq=self._sequence)
         rows = reading.registers
-        velocity = rows["velocity"] * RAD_S_PER_COUNT
-        current = rows["current"] * A_PER_COUNT
+        velocity = rows["velocity"] * self._rad_s
+        current = rows["current"] * self._ampere
         position, jumped = self._follow(reading)
         status, alert = reading.status, _NO_ALERT
         self.doubtful = bool(reading.revived)
@@ -87,9 +87,9 @@ class Samples:
         """Positions (8,) rad that count on, and which servos have started over."""
         self._registers = self.registers(reading)
         raw = reading.registers["position"].astype(np.int64)
-        speed = reading.registers["velocity"] * _SPEED_COUNTS
+        speed = reading.registers["velocity"] * self._speed_counts
         counts, jumped = self.turns.follow(raw, speed, _seen(reading), reading.taken_ns)
-        return (counts - ZERO_COUNTS) * RAD_PER_COUNT, jumped
+        return (counts - self._zero_counts) * self._rad, jumped
 
     def _judge(
         self, reading: Reading, restarted: tuple[int, ...], jumped: np.ndarray

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hil.config.servo_models.codes import hardware_error_text
 from hil.config.servos import ServosConfig
-from hil.config.xh430 import hardware_error_text
 from hil.drivers.servos.cycle import ALL_OK
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError

@@ -11,11 +11,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.config.robot import RobotConfig
+from hil.config.servo_models import ServoModel
 from hil.fakes.plant.surfaces import Surface
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
 _STEERING_SIGMA_RAD = math.radians(1.0)
+_VELOCITY_P_V_S_RAD, _VELOCITY_I_V_RAD, _POSITION_P_V_RAD = 0.41, 60.0, 100.0
+_TUNED_AT_V = 12.0
+"""Recommended voltage of the servos whose recorded stops the gains were tuned to."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +48,7 @@ class JointParameters:
     """Motor, gear and firmware gains of the eight servos, at the output; drives, then steers.
 
     Attributes:
-        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,), ROBOTIS e-manual.
+        torque_constant_n_m_a, back_emf_v_s_rad, resistance_ohm: (8,) of the servo model (ROBOTIS e-Manual).
         inertia_kg_m2: (8,) rotor and gear.
         coulomb_n_m, viscous_n_m_s: (8,) gear friction; together they give the data sheet's no-load rows.
         velocity_p_v_s_rad, velocity_i_v_rad: velocity loop, tuned to the recorded stops.
@@ -59,9 +63,9 @@ class JointParameters:
     coulomb_n_m: Array
     viscous_n_m_s: Array
     play_rad: Array
-    velocity_p_v_s_rad: float = 0.41
-    velocity_i_v_rad: float = 60.0
-    position_p_v_rad: float = 100.0
+    velocity_p_v_s_rad: float
+    velocity_i_v_rad: float
+    position_p_v_rad: float
 
 
 @dataclass(frozen=True)
@@ -98,21 +102,28 @@ class TrueParameters:
         return WheelGeometry(self.wheel_x_m, self.wheel_y_m, self.wheel_radius_m, -self.steering_offset_rad)
 
 
-def nominal_joints() -> JointParameters:
-    """XH430-W210 servos (ROBOTIS e-manual); friction and inertia are assumptions."""
+def nominal_joints(servos: ServoModel) -> JointParameters:
+    """Eight servos of one model; gear friction is an assumption, alike for all models.
+
+    The firmware's gains are of duty cycle: in volts they go with the supply that the model is made for.
+    """
+    motor, volts = servos.motor, servos.recommended_v / _TUNED_AT_V
     return JointParameters(
-        torque_constant_n_m_a=np.full(8, 1.92),
-        back_emf_v_s_rad=np.full(8, 2.12),
-        resistance_ohm=np.full(8, 9.23),
-        inertia_kg_m2=np.full(8, 4.5e-3),
+        torque_constant_n_m_a=np.full(8, motor.torque_constant_n_m_a),
+        back_emf_v_s_rad=np.full(8, motor.back_emf_v_s_rad),
+        resistance_ohm=np.full(8, motor.resistance_ohm),
+        inertia_kg_m2=np.full(8, motor.inertia_kg_m2),
         coulomb_n_m=np.array([0.04] * 4 + [0.03] * 4),
         viscous_n_m_s=np.full(8, 0.023),
         play_rad=np.full(4, math.radians(0.125)),
+        velocity_p_v_s_rad=_VELOCITY_P_V_S_RAD * volts,
+        velocity_i_v_rad=_VELOCITY_I_V_RAD * volts,
+        position_p_v_rad=_POSITION_P_V_RAD * volts,
     )
 
 
 def nominal_parameters(
-    robot: RobotConfig, surface: Surface, tilt_rad: float, gravity_m_s2: float
+    robot: RobotConfig, surface: Surface, tilt_rad: float, gravity_m_s2: float, servos: ServoModel
 ) -> TrueParameters:
     """Truth that equals the configuration."""
     thrust_n = robot.thrust_compensation * robot.mass_kg * gravity_m_s2 * math.sin(tilt_rad)
@@ -131,7 +142,7 @@ def nominal_parameters(
         propeller_height_m=robot.propeller_height_m,
         supply_v=robot.supply_v,
         contact=ContactParameters(surface.friction, surface.creep_along, surface.creep_across),
-        joints=nominal_joints(),
+        joints=nominal_joints(servos),
     )
 
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 
 from hil.config.robot import RobotConfig
+from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant import kernel as k
 from hil.fakes.plant.compiled import choose_advance
@@ -249,6 +250,7 @@ def make_plant(
     surface: str | Surface = "melamine",
     tilt_rad: float = math.pi / 2.0,
     start_pose: ArrayLike = (0.0, 0.0, 0.0),
+    servos: ServoModel | None = None,
     rng: np.random.Generator,
     randomise_truth: bool = True,
     geometry_share: float = 1.0,
@@ -264,6 +266,7 @@ def make_plant(
         surface: preset (`floor`, `concrete`, `melamine`, `patchy`) or one of your own.
         tilt_rad: 0 floor to pi/2 wall and beyond; the fan is off on `floor`.
         start_pose: (3,) in the wall frame.
+        servos: whose motors drive and steer it; XH430-W210 where it is left out.
         rng: source of the truth's deviations from nominal.
         randomise_truth: whether the truth deviates at all.
         geometry_share: see `hil.fakes.plant.parameters.draw`.
@@ -276,7 +279,8 @@ def make_plant(
         UsageError: unknown surface or impossible pose.
     """
     ground = find_surface(surface) if isinstance(surface, str) else surface
-    truth = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2)
+    model = servo_model(DEFAULT_MODEL) if servos is None else servos
+    truth = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
     if randomise_truth:
         truth = draw(truth, robot.propeller_y_m, rng, geometry_share)
     return WallRobot(

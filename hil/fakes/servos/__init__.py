@@ -1,4 +1,4 @@
-"""The emulated servo bus: eight XH430 with their firmware, timing and faults."""
+"""The emulated servo bus: eight servos with their firmware, timing and faults."""
 
 from hil.fakes.servos.bus import ServoBus
 from hil.fakes.servos.faulty import BUS_FAULTS, SERVO_FAULTS

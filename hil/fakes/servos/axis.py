@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 
-from hil.config.xh430 import (
-    A_PER_COUNT,
+from hil.config.servo_models.codes import (
     CURRENT,
     CURRENT_POSITION,
     EXTENDED,
     POSITION,
     PWM,
-    RAD_S_PER_COUNT,
     VELOCITY,
 )
 from hil.fakes.plant_api import JointCommand, Plant
@@ -24,7 +22,6 @@ from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
 
 OFF = JointCommand()
-FULL_PWM = 885
 _WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED = 1, 4
 _REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
@@ -51,8 +48,9 @@ class Axis:
 
     def __init__(self, joint: int, plant: Plant, table: ControlTable, zero: int) -> None:
         self._joint, self._plant, self._table = joint, plant, table
-        self.position = PositionRegister(zero)
-        self.trajectory = Trajectory()
+        self._model = table.model
+        self.position = PositionRegister(table.model, zero)
+        self.trajectory = Trajectory(table.model)
         self.torque = self.tripped = False
         self.mode = VELOCITY
         self._timed = False
@@ -133,18 +131,19 @@ class Axis:
         if not self.torque:
             self._plant.command(self._joint, OFF)
             return
-        get, mode, sign = self._table.get, self.mode, self.position.sign
-        duty = get("goal_pwm") / FULL_PWM
+        get, mode, sign, model = self._table.get, self.mode, self.position.sign, self._model
+        duty = get("goal_pwm") / model.full_pwm
         if mode == VELOCITY:
-            goal = sign * self.trajectory.velocity * RAD_S_PER_COUNT
+            goal = sign * self.trajectory.velocity * model.rad_s_per_count
             command = JointCommand("velocity", goal, pwm_limit=abs(duty))
         elif mode == CURRENT:
-            command = JointCommand("current", 0.0 if stopped else sign * get("goal_current") * A_PER_COUNT)
+            goal = 0.0 if stopped else sign * get("goal_current") * model.a_per_count
+            command = JointCommand("current", goal)
         elif mode == PWM:
             command = JointCommand("pwm", 0.0 if stopped else sign * duty)
         else:
             goal = self.position.joint_rad(self.trajectory.position)
-            limit_a = abs(get("goal_current")) * A_PER_COUNT if mode == CURRENT_POSITION else math.inf
+            limit_a = abs(get("goal_current")) * model.a_per_count if mode == CURRENT_POSITION else math.inf
             command = JointCommand("position", goal, current_limit_a=limit_a, pwm_limit=abs(duty))
         self._plant.command(self._joint, command)
 

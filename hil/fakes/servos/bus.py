@@ -1,4 +1,4 @@
-"""Eight emulated XH430 on one half-duplex bus: who hears what, who answers when.
+"""Eight emulated servos on one half-duplex bus: who hears what, who answers when.
 
 Everything here is timing and addressing; what a servo does is in `servo.py` and `single.py`. The bus is
 a part of the world that ticks every 4 ms: measurement grid, profiles, bus watchdogs, and every 0.1 s
@@ -7,6 +7,7 @@ heat, voltage and overload.
 
 from __future__ import annotations
 
+from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
@@ -17,14 +18,14 @@ from hil.fakes.servos.sampling import Cadence
 from hil.fakes.servos.sensing import GRID_NS, Sensing
 from hil.fakes.servos.servo import Servo
 from hil.fakes.servos.single import SingleInstructions, identification
-from hil.fakes.servos.thermal import Wear
+from hil.fakes.servos.thermal import ThermalModel
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
+from hil.vocabulary.clock import nanoseconds
 
 _BAUD_TOLERANCE = 0.03
 _SLOW_TICKS = 25
-_WATCHDOG_STEP_NS = 20_000_000
-_FAST_FIRMWARE = 45
+_WATCHDOG_STEP_NS = nanoseconds(WATCHDOG_STEP_S)
 _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
 
 
@@ -43,12 +44,13 @@ class ServoBus(SerialChip, Scheduled):
         self.options = options = options if options is not None else ServoBusOptions()
         self._world = world
         rng = world.rng(name)
-        self._faults = ServoFaults(world.faults, name, options.ids, rng)
-        self._sensing = Sensing(world.plant, rng)
-        self._wear = Wear(self._sensing, options)
-        self._live = LiveRegisters(self._sensing, self._wear, self._faults)
+        models = options.models()
+        self._faults = ServoFaults(world.faults, name, options.ids, rng, models)
+        self._sensing = Sensing(world.plant, rng, models)
+        self._thermal = ThermalModel(self._sensing, options, models)
+        self._live = LiveRegisters(self._sensing, self._thermal, self._faults)
         self._single = SingleInstructions(self._live)
-        self.servos = tuple(Servo(j, world.plant, options) for j in range(8))
+        self.servos = tuple(Servo(j, world.plant, options, model) for j, model in enumerate(models))
         encoder = self._sensing.counts()
         for servo in self.servos:
             servo.boot(0, encoder[servo.joint])
@@ -79,7 +81,7 @@ class ServoBus(SerialChip, Scheduled):
         if silence_ns >= _WATCHDOG_STEP_NS:
             self._watch(t_ns, silence_ns)
         if self._sensing.ticks % _SLOW_TICKS == 0:
-            self._wear.step(self.servos, _SLOW_TICKS * GRID_NS * 1e-9)
+            self._thermal.step(self.servos, _SLOW_TICKS * GRID_NS * 1e-9)
 
     def reset(self, t_ns: int) -> None:
         """Power was cycled."""
@@ -211,7 +213,9 @@ class ServoBus(SerialChip, Scheduled):
 
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""
-        able = [s for s in listeners if s.firmware >= _FAST_FIRMWARE and self._level(s) >= 1]
+        able = [
+            s for s in listeners if s.firmware >= s.table.model.fast_read_firmware and self._level(s) >= 1
+        ]
         if not self._faults.none:
             able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
         by_id = {s.id: s for s in able}

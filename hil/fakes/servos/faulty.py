@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.xh430 import RAD_PER_COUNT
+from hil.config.servo_models import ServoModel
 from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Supported
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import SERVOS
@@ -41,8 +41,15 @@ class ServoFaults:
     each period, `drop` and `corrupt` per reply with `probability=`.
     """
 
-    def __init__(self, plan: FaultPlan, bus: str, ids: tuple[int, ...], rng: np.random.Generator) -> None:
-        self._plan, self._rng = plan, rng
+    def __init__(
+        self,
+        plan: FaultPlan,
+        bus: str,
+        ids: tuple[int, ...],
+        rng: np.random.Generator,
+        models: tuple[ServoModel, ...],
+    ) -> None:
+        self._plan, self._rng, self._models = plan, rng, models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
         self._done: set[tuple[int, str, int]] = set()
         self._frozen: dict[int, Measured] = {}
@@ -82,7 +89,10 @@ class ServoFaults:
     def jump_counts(self, joint: int, t_ns: int) -> int:
         """A slip of the encoder that is due now."""
         fault = self.due_once(joint, "jump", t_ns)
-        return 0 if fault is None else round(fault.option("angle_rad", _JUMP_RAD) / RAD_PER_COUNT)
+        return 0 if fault is None else self._counts(joint, fault.option("angle_rad", _JUMP_RAD))
+
+    def _counts(self, joint: int, angle_rad: float) -> int:
+        return round(angle_rad / self._models[joint].rad_per_count)
 
     def age_ns(self, joint: int, t_ns: int) -> int:
         """How old the measurements are that the servo shows."""
@@ -97,7 +107,7 @@ class ServoFaults:
         fault = self.find(joint, "wrong", t_ns)
         if fault is None:
             return truth
-        extra = round(fault.option("angle_rad", _WRONG_RAD) / RAD_PER_COUNT)
+        extra = self._counts(joint, fault.option("angle_rad", _WRONG_RAD))
         return (truth[0] + extra, truth[1], truth[2])
 
     def late_ns(self, joint: int, t_ns: int) -> int:

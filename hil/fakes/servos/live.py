@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from hil.config.xh430 import TABLE
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
-from hil.fakes.servos.thermal import Wear
-
-_FIRST, _END = TABLE["realtime_tick"].address, TABLE["backup_ready"].address
-_INDIRECT = TABLE["indirect_data_1"].address
-_CYCLIC_FIRST = TABLE["present_current"].address
-_CYCLIC_END = TABLE["present_position"].address + 4
+from hil.fakes.servos.thermal import ThermalModel
 
 
 class LiveRegisters:
@@ -19,12 +13,12 @@ class LiveRegisters:
 
     Args:
         sensing: encoders, velocities and currents of all servos.
-        wear: voltage and temperatures.
+        thermal: voltage and temperatures.
         faults: of the sensors.
     """
 
-    def __init__(self, sensing: Sensing, wear: Wear, faults: ServoFaults) -> None:
-        self._sensing, self._wear, self._faults = sensing, wear, faults
+    def __init__(self, sensing: Sensing, thermal: ThermalModel, faults: ServoFaults) -> None:
+        self._sensing, self._thermal, self._faults = sensing, thermal, faults
         self._stamp = (-1, -1)
         self._holding = False
         self._all: tuple[list[int], list[int], list[int]] = ([], [], [])
@@ -53,16 +47,17 @@ class LiveRegisters:
 
     def refresh(self, servo: Servo, address: int, length: int, t_ns: int) -> None:
         """Put what a read of this range may see into the servo's table."""
-        end = address + length
-        if end <= _FIRST or (address >= _END and end <= _INDIRECT):
+        end, layout = address + length, servo.table.layout
+        measured, motion = layout.measured, layout.motion
+        if end <= measured.address or (address >= measured.end and end <= layout.first_indirect):
             return
         velocity, current = self.sense(servo, t_ns)
-        if address >= _CYCLIC_FIRST and end <= _CYCLIC_END:
+        if address >= motion.address and end <= motion.end:
             servo.show_motion(velocity, current)
             return
-        wear, j = self._wear, servo.joint
-        duty = float(self._sensing.duty(wear.volts)[j])
-        servo.show(t_ns, velocity, current, duty, int(wear.volts * 10), int(wear.celsius[j]))
+        thermal, j = self._thermal, servo.joint
+        duty = float(self._sensing.duty(thermal.volts)[j])
+        servo.show(t_ns, velocity, current, duty, int(thermal.volts * 10), int(thermal.celsius[j]))
 
     def _measure(self) -> None:
         sensing = self._sensing

@@ -7,21 +7,19 @@ indirect data resolved to what they point at. Side effects belong to the servo.
 from __future__ import annotations
 
 import struct
+from functools import cache
 
-from hil.config.xh430 import TABLE, TABLE_SIZE, Register
+from hil.config.servo_models import Register, ServoModel
 from hil.fakes.servos import protocol
 
 GOALS = ("goal_pwm", "goal_current", "goal_velocity", "goal_position")
-_BY_ADDRESS = {r.address: r for r in TABLE.values()}
-_INDIRECT = {
-    TABLE[f"indirect_data_{k}"].address: TABLE[f"indirect_address_{k}"].address for k in range(1, 57)
-}
-_INDIRECT_FIRST = min(_INDIRECT)
+_MEASURED = (
+    "realtime_tick", "moving", "moving_status", "present_pwm", "present_current", "present_velocity",
+    "present_position", "velocity_trajectory", "position_trajectory", "present_input_voltage",
+    "present_temperature",
+)  # fmt: skip
+_MOTION = ("present_current", "present_velocity", "present_position")
 _CODES = {1: "b", 2: "h", 4: "i"}
-_UNPACK = {
-    r.name: (struct.Struct("<" + (_CODES[r.size] if r.signed else _CODES[r.size].upper())), r.address)
-    for r in TABLE.values()
-}
 _NOT_BACKED_UP = ("id", "baud_rate", "torque_enable", "bus_watchdog", *GOALS)
 
 Plan = tuple[tuple[Register, int], ...]
@@ -35,46 +33,101 @@ class WriteRefused(Exception):
         self.code = code
 
 
-def _initial() -> bytearray:
-    data = bytearray(TABLE_SIZE)
-    for register in TABLE.values():
-        data[register.address : register.address + register.size] = register.encode(register.default)
-    return data
+class Row:
+    """Registers that lie one behind the other, written together.
+
+    Attributes:
+        address, end: from the first byte to behind the last.
+    """
+
+    def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
+        registers = [model.table[name] for name in names]
+        self.address, self.end = registers[0].address, registers[-1].end
+        self._layout = struct.Struct("<" + "".join(map(_code, registers)))
+        assert self._layout.size == self.end - self.address
+
+    def pack_into(self, data: bytearray, *values: int) -> None:
+        """Put one value per register into the table's bytes."""
+        self._layout.pack_into(data, self.address, *values)
 
 
-FACTORY = bytes(_initial())
+def _code(register: Register) -> str:
+    code = _CODES[register.size]
+    return code if register.signed else code.upper()
+
+
+class Layout:
+    """What follows from a model's control table alone, worked out once.
+
+    Attributes:
+        factory: bytes after a factory reset.
+        by_address: register by its first byte.
+        unpack: how a register is read, and where, by name.
+        indirect: address of the pointer, by address of the indirect data byte.
+        first_indirect: where pointers and what they point at begin to matter to a read.
+        measured, motion: the live registers, and those among them that every cycle reads.
+    """
+
+    def __init__(self, model: ServoModel) -> None:
+        table = model.table
+        factory = bytearray(model.table_size)
+        for register in table.values():
+            factory[register.address : register.end] = register.encode(register.default)
+        self.factory = bytes(factory)
+        self.by_address = {r.address: r for r in table.values()}
+        self.unpack = {r.name: (struct.Struct("<" + _code(r)), r.address) for r in table.values()}
+        self.indirect = {
+            r.address: table[name.replace("_data_", "_address_")].address
+            for name, r in table.items()
+            if name.startswith("indirect_data_")
+        }
+        self.first_indirect = min(self.indirect)
+        self.measured, self.motion = Row(model, _MEASURED), Row(model, _MOTION)
+
+
+@cache
+def layout(model: ServoModel) -> Layout:
+    """The layout of a model's table."""
+    return Layout(model)
 
 
 class ControlTable:
-    """662 bytes with their rules.
+    """The bytes of a servo of one model, with their rules.
+
+    Args:
+        model: whose table it is.
 
     Attributes:
+        model: whose table it is.
+        layout: of that table.
         data: the raw bytes; live registers are put here before they are read.
     """
 
-    def __init__(self) -> None:
-        self.data = bytearray(FACTORY)
+    def __init__(self, model: ServoModel) -> None:
+        self.model, self.layout = model, layout(model)
+        self.data = bytearray(self.layout.factory)
+        self._registers, self._unpack = model.table, self.layout.unpack
         self._plans: dict[tuple[int, int], Plan] = {}
 
     def get(self, name: str) -> int:
         """Raw count of a register."""
-        layout, address = _UNPACK[name]
-        raw: int = layout.unpack_from(self.data, address)[0]
+        form, address = self._unpack[name]
+        raw: int = form.unpack_from(self.data, address)[0]
         return raw
 
     def put(self, name: str, raw: int) -> None:
         """Set a register without any check."""
-        register = TABLE[name]
-        self.data[register.address : register.address + register.size] = register.encode(raw)
+        register = self._registers[name]
+        self.data[register.address : register.end] = register.encode(raw)
         if name.startswith("indirect_address"):
             self._plans.clear()
 
     def read(self, address: int, length: int) -> bytes | None:
         """Bytes of a range with indirect data resolved; None beyond the table."""
         end = address + length
-        if length == 0 or end > TABLE_SIZE:
+        if length == 0 or end > len(self.data):
             return None
-        if end <= _INDIRECT_FIRST:
+        if end <= self.layout.first_indirect:
             return bytes(self.data[address:end])
         return bytes(self.data[self._resolve(a)] for a in range(address, end))
 
@@ -82,7 +135,7 @@ class ControlTable:
         """Whole registers, with offsets into the data, that a write of this range means.
 
         Raises:
-            WriteRefused: undefined or cut registers.
+            WriteRefused: undefined or cut registers, or such as the firmware does not have.
         """
         key = (address, length)
         plan = self._plans.get(key)
@@ -103,8 +156,8 @@ class ControlTable:
 
     def reset_ram(self) -> None:
         """RAM as after power-up."""
-        first = TABLE["torque_enable"].address
-        self.data[first:] = FACTORY[first:]
+        first = self._registers["torque_enable"].address
+        self.data[first:] = self.layout.factory[first:]
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))
         self._plans.clear()
@@ -112,33 +165,33 @@ class ControlTable:
     def snapshot(self) -> dict[str, int]:
         """What a control table backup keeps."""
         return {
-            r.name: self.get(r.name) for r in TABLE.values() if r.writable and r.name not in _NOT_BACKED_UP
+            name: self.get(name)
+            for name, register in self._registers.items()
+            if register.writable and name not in _NOT_BACKED_UP
         }
 
     def restore(self, snapshot: dict[str, int], *, eeprom: bool) -> None:
         """Put a backup back: its RAM, and its EEPROM where asked."""
         for name, raw in snapshot.items():
-            if eeprom or not TABLE[name].eeprom:
+            if eeprom or not self._registers[name].eeprom:
                 self.put(name, raw)
 
     def _resolve(self, address: int) -> int:
-        pointer = _INDIRECT.get(address)
+        pointer = self.layout.indirect.get(address)
         return address if pointer is None else self.data[pointer] | self.data[pointer + 1] << 8
 
     def _split(self, address: int, length: int) -> Plan:
         if length == 0:
             raise WriteRefused(protocol.DATA_LENGTH)
-        if address + length > TABLE_SIZE:
+        if address + length > len(self.data):
             raise WriteRefused(protocol.ACCESS)
         targets = [self._resolve(a) for a in range(address, address + length)]
-        plan, k = [], 0
+        plan, k, firmware = [], 0, self.get("firmware_version")
         while k < length:
-            register = _BY_ADDRESS.get(targets[k])
-            if register is None:
+            register = self.layout.by_address.get(targets[k])
+            if register is None or register.firmware > firmware:
                 raise WriteRefused(protocol.ACCESS)
-            if targets[k : k + register.size] != list(
-                range(register.address, register.address + register.size)
-            ):
+            if targets[k : k + register.size] != list(range(register.address, register.end)):
                 raise WriteRefused(protocol.DATA_LENGTH)
             plan.append((register, k))
             k += register.size

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import math
 
-from hil.config.xh430 import RAD_PER_COUNT, RAD_S_PER_COUNT, TABLE
+from hil.config.servo_models import ServoModel
 
 STEP, RECTANGLE, TRIANGLE, TRAPEZOID = 0, 1, 2, 3
 
-_SPEED = RAD_S_PER_COUNT / RAD_PER_COUNT
-_SLOPE = TABLE["profile_acceleration"].scale / RAD_PER_COUNT
-_RAMP = TABLE["profile_acceleration"].scale / RAD_S_PER_COUNT
 _MS = 1e-3
 _ARRIVED = 0.05
 
 
 class Trajectory:
     """Where position (counts) or velocity (velocity counts) should be now.
+
+    Args:
+        model: what the counts of goals and profiles are.
 
     Attributes:
         position, speed: position counts, and counts per second, of a position trajectory.
@@ -29,7 +29,11 @@ class Trajectory:
         ongoing: whether `advance` has something to do.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, model: ServoModel) -> None:
+        acceleration = model.table["profile_acceleration"].scale
+        self._speed_scale = model.rad_s_per_count / model.rad_per_count
+        self._slope_scale = acceleration / model.rad_per_count
+        self._ramp_scale = acceleration / model.rad_s_per_count
         self.rest(0.0)
 
     def rest(self, position: float) -> None:
@@ -45,7 +49,7 @@ class Trajectory:
             self.velocity, self.ongoing = float(goal), False
             return
         change = abs(goal - self.velocity)
-        self._slope = change / (acceleration * _MS) if timed else acceleration * _RAMP
+        self._slope = change / (acceleration * _MS) if timed else acceleration * self._ramp_scale
         self.ongoing = change > 0.0
 
     def move(self, goal: int, acceleration: int, velocity: int, *, timed: bool) -> None:
@@ -61,8 +65,8 @@ class Trajectory:
             self._top = distance / (velocity * _MS - rise)
             self._slope = self._top / rise if rise else math.inf
         else:
-            self._top = velocity * _SPEED
-            self._slope = acceleration * _SLOPE if acceleration else math.inf
+            self._top = velocity * self._speed_scale
+            self._slope = acceleration * self._slope_scale if acceleration else math.inf
         self.ongoing = True
         if math.isinf(self._slope):
             self.shape = RECTANGLE
@@ -89,7 +93,7 @@ class Trajectory:
             self.position += moved
 
     def _approach(self, left: float, before: float, dt_s: float) -> float:
-        """Largest speed at the end of a step from which the rest of the way can still be braked.
+        """Largest speed at the end of a step from which the remaining distance is enough to brake.
 
         With v the speed after the step and u before it, v^2 / 2a + (u + v) dt / 2 = left.
         """

@@ -6,6 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model, servo_models
+
+_BATTERY_V = 11.1
+
 
 @dataclass(frozen=True)
 class ServoBusOptions:
@@ -16,7 +20,10 @@ class ServoBusOptions:
         baud: of the whole bus.
         steer_mode: operating mode of the steering servos (3 position, 4 extended position).
         return_delay: Return Delay Time, 2 us steps.
-        firmware, model: by joint where they differ from the default.
+        firmware: of all servos.
+        model_number: of all servos.
+        firmware_by_joint, model_by_joint: of those that differ, firmware and model number. A number that has
+            no control table is told all the same, with the registers of `model_number` behind it.
         eeprom: further EEPROM registers by joint and name, raw counts.
         absent: IDs that are not connected.
         after_absent: what later servos of a sync read do when an earlier one does not answer, which
@@ -24,13 +31,16 @@ class ServoBusOptions:
         processing_s: from the end of a request to the start of the reply with no return delay.
         ping_slot_s: spacing by ID of the replies to a broadcast ping.
         boot_s: silence after power-up and reboot.
-        supply_v, supply_ohm: pack voltage and its drop by current.
+        supply_v: pack voltage; where it is left out, that of the robot of the recordings (11.1 V), or what
+            the model needs.
+        supply_ohm: its drop by current.
         ambient_c: air temperature.
         cadence_s: the servos renew what they show every so often, as in the recordings (0.016); 0: at
             every look.
         cadence_jitter_s, cadence_gaps_per_s, cadence_longest_gap_s: what disturbs that cadence.
         drive_start_counts: encoder counts of the drives at joint angle 0.
-        overload_a, overload_s: current that counts as overload, and for how long.
+        overload_a: current that counts as overload; the model's where it is left out.
+        overload_s: how long it lasts until it does.
     """
 
     ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
@@ -38,6 +48,7 @@ class ServoBusOptions:
     steer_mode: int = 3
     return_delay: int = 0
     firmware: int = 46
+    model_number: int = DEFAULT_MODEL
     firmware_by_joint: Mapping[int, int] = field(default_factory=dict)
     model_by_joint: Mapping[int, int] = field(default_factory=dict)
     eeprom: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
@@ -46,7 +57,7 @@ class ServoBusOptions:
     processing_s: float = 25e-6
     ping_slot_s: float = 1e-3
     boot_s: float = 0.15
-    supply_v: float = 11.1
+    supply_v: float | None = None
     supply_ohm: float = 0.08
     ambient_c: float = 27.0
     cadence_s: float = 0.0
@@ -54,5 +65,22 @@ class ServoBusOptions:
     cadence_gaps_per_s: float = 0.13
     cadence_longest_gap_s: float = 0.029
     drive_start_counts: tuple[int, int, int, int] = (317, 1204, 2911, 3870)
-    overload_a: float = 1.1
+    overload_a: float | None = None
     overload_s: float = 2.0
+
+    def pack_v(self) -> float:
+        """`supply_v`, or what follows from the model where it was left out."""
+        if self.supply_v is not None:
+            return self.supply_v
+        model = servo_model(self.model_number)
+        low_v, high_v = model.pack_v
+        return _BATTERY_V if low_v <= _BATTERY_V <= high_v else model.recommended_v
+
+    def model_of(self, joint: int) -> int:
+        """Model number that a joint's servo tells."""
+        return self.model_by_joint.get(joint, self.model_number)
+
+    def models(self) -> tuple[ServoModel, ...]:
+        """What each of the eight is, by joint."""
+        known = servo_models()
+        return tuple(known.get(self.model_of(j)) or servo_model(self.model_number) for j in range(8))

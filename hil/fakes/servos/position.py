@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hil.config.xh430 import COUNTS_PER_TURN, RAD_PER_COUNT
+from hil.config.servo_models import ServoModel
 
 _WORD, _HALF_WORD = 1 << 32, 1 << 31
 
@@ -11,6 +11,7 @@ class PositionRegister:
     """Turns encoder counts (joint direction, from joint angle 0) into what the register shows, and back.
 
     Args:
+        model: how the servo counts.
         zero: encoder counts of the chip at joint angle 0.
 
     Attributes:
@@ -19,7 +20,8 @@ class PositionRegister:
         homing: homing offset in force.
     """
 
-    def __init__(self, zero: int) -> None:
+    def __init__(self, model: ServoModel, zero: int) -> None:
+        self._turn_counts, self._rad_per_count = model.counts_per_turn, model.rad_per_count
         self._zero, self._base = zero, zero
         self.encoder, self.sign, self.homing = 0, 1, 0
 
@@ -31,8 +33,8 @@ class PositionRegister:
     def wrap(self) -> None:
         """Count from one turn again; a homing offset still applies on top."""
         base = self.sign * self._zero
-        turns = (self.sign * self.encoder + base) // COUNTS_PER_TURN
-        self._base = base - turns * COUNTS_PER_TURN
+        turns = (self.sign * self.encoder + base) // self._turn_counts
+        self._base = base - turns * self._turn_counts
 
     def slip(self, counts: int) -> None:
         """The encoder's magnet turns on its shaft."""
@@ -41,4 +43,4 @@ class PositionRegister:
 
     def joint_rad(self, counts: float) -> float:
         """Joint angle at which the register would show `counts`."""
-        return self.sign * (counts - self._base - self.homing) * RAD_PER_COUNT
+        return self.sign * (counts - self._base - self.homing) * self._rad_per_count

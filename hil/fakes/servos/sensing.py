@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hil.config.xh430 import A_PER_COUNT, RAD_PER_COUNT, RAD_S_PER_COUNT
+from hil.config.servo_models import ServoModel
 from hil.fakes.plant_api import Plant
 from hil.vocabulary.geometry import Array
 
@@ -18,24 +18,33 @@ _GRID_S = GRID_NS * 1e-9
 _OLD, _SPAN = 3, 19
 _ROWS = 128
 _DITHER_COUNTS = 0.25
-_COUNTS_PER_RAD = 1.0 / RAD_PER_COUNT
-_VELOCITY_GAIN = RAD_PER_COUNT / (_SPAN * _GRID_S * RAD_S_PER_COUNT)
 HISTORY_NS = (_ROWS - _OLD - _SPAN - 1) * GRID_NS
-
-STALL_OHM, BACK_EMF = 9.23, 2.12
 
 
 class Sensing:
     """Encoder history of all eight joints, in counts of the joint's own direction from joint angle 0.
 
+    Args:
+        plant: tells angles, rates and currents.
+        rng: of the dither.
+        models: of the eight servos: what their counts and motors are.
+
     Attributes:
+        resistance_ohm: (8,) of the motors.
         ticks: samples of the grid taken so far.
     """
 
-    def __init__(self, plant: Plant, rng: np.random.Generator) -> None:
+    def __init__(self, plant: Plant, rng: np.random.Generator, models: tuple[ServoModel, ...]) -> None:
         self._plant, self._rng = plant, rng
+        rad, rad_s = (
+            np.array(row) for row in zip(*((m.rad_per_count, m.rad_s_per_count) for m in models), strict=True)
+        )
+        self._counts_per_rad, self._velocity_gain = 1.0 / rad, rad / (_SPAN * _GRID_S * rad_s)
+        self._counts_per_a = 1.0 / np.array([m.a_per_count for m in models])
+        self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
+        self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
         self._history = np.zeros((_ROWS, 8))
-        self._history[:] = np.rint(plant.joints()[0] * _COUNTS_PER_RAD)
+        self._history[:] = np.rint(plant.joints()[0] * self._counts_per_rad)
         self._dither = rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
         self._row = self.ticks = 0
 
@@ -45,25 +54,25 @@ class Sensing:
         row = self._row = (self._row + 1) % _ROWS
         if row == 0:
             self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
-        self._history[row] = np.rint(self._plant.joints()[0] * _COUNTS_PER_RAD + self._dither[row])
+        self._history[row] = np.rint(self._plant.joints()[0] * self._counts_per_rad + self._dither[row])
 
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if age_ns:
             row = self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]
         else:
-            row = np.rint(self._plant.joints()[0] * _COUNTS_PER_RAD + self._dither[self._row])
+            row = np.rint(self._plant.joints()[0] * self._counts_per_rad + self._dither[self._row])
         return row.astype(np.int64).tolist()  # type: ignore[no-any-return]
 
     def velocity(self, age_ns: int = 0) -> list[int]:
         """Present Velocity in its counts, truncated towards zero."""
         newest = self._row - _OLD - min(age_ns, HISTORY_NS) // GRID_NS
         moved = self._history[newest % _ROWS] - self._history[(newest - _SPAN) % _ROWS]
-        return np.trunc(moved * _VELOCITY_GAIN).astype(np.int64).tolist()  # type: ignore[no-any-return]
+        return np.trunc(moved * self._velocity_gain).astype(np.int64).tolist()  # type: ignore[no-any-return]
 
     def current(self) -> list[int]:
         """Present Current in its counts."""
-        return np.trunc(self._plant.joints()[2] * (1.0 / A_PER_COUNT)).astype(np.int64).tolist()  # type: ignore[no-any-return]
+        return np.trunc(self._plant.joints()[2] * self._counts_per_a).astype(np.int64).tolist()  # type: ignore[no-any-return]
 
     def currents_a(self) -> Array:
         """True motor currents, A."""
@@ -72,4 +81,6 @@ class Sensing:
     def duty(self, voltage_v: float) -> Array:
         """Duty cycle that the motors are driven with, -1..1 (stall and no-load rows of the data sheet)."""
         _, velocity, current = self._plant.joints()
-        return np.clip((current * STALL_OHM + velocity * BACK_EMF) / voltage_v, -1.0, 1.0)
+        return np.clip(
+            (current * self.resistance_ohm + velocity * self._back_emf_v_s_rad) / voltage_v, -1.0, 1.0
+        )

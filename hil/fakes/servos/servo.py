@@ -1,4 +1,4 @@
-"""One XH430 as its instructions see it: registers with their side effects, errors, restart, backup.
+"""One servo as its instructions see it: registers with their side effects, errors, restart, backup.
 
 What the registers mean to the motor is in `axis`. The servo shows what the bus's `Sensing` measured, in
 its own counts, direction and turns.
@@ -6,36 +6,36 @@ its own counts, direction and turns.
 
 from __future__ import annotations
 
-import struct
-
-from hil.config.xh430 import (
+from hil.config.servo_models import Register, ServoModel
+from hil.config.servo_models.codes import (
+    BAUD_CODES,
     BAUD_RATES,
     CURRENT,
-    CURRENT_POSITION,
-    MODEL_NUMBER,
     POSITION,
     PWM,
     VELOCITY,
     WATCHDOG_STEP_S,
-    ZERO_COUNTS,
-    Register,
 )
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos import protocol
-from hil.fakes.servos.axis import FULL_PWM, Axis
+from hil.fakes.servos.axis import Axis
 from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
 from hil.fakes.servos.options import ServoBusOptions
 
 _TORQUE_ON_BY_GOAL = 8
-_LIVE = struct.Struct("<HBBhhiiiiHB")
-_LIVE_AT = 120
-_CYCLIC = struct.Struct("<hii")
-_CYCLIC_AT = 126
-_POSITION_GAINS = {POSITION: (900, 0, 0), CURRENT_POSITION: (900, 0, 0)}
+_POSITION_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
+_VELOCITY_GAINS = ("velocity_p_gain", "velocity_i_gain")
+_BACKUP_FIRMWARE = 45
 
 
 class Servo:
     """State of one servo without its bus.
+
+    Args:
+        joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
+        plant: has the motor.
+        options: how it was left.
+        model: its control table and motor.
 
     Attributes:
         joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
@@ -45,21 +45,21 @@ class Servo:
         busy_until_ns: starting up, deaf until then.
     """
 
-    def __init__(self, joint: int, plant: Plant, options: ServoBusOptions) -> None:
-        self.joint, self._options = joint, options
-        self.table = ControlTable()
+    def __init__(self, joint: int, plant: Plant, options: ServoBusOptions, model: ServoModel) -> None:
+        self.joint, self._options, self._model = joint, options, model
+        self.table = ControlTable(model)
         drive = joint < 4
         for name, raw in {
-            "model_number": options.model_by_joint.get(joint, MODEL_NUMBER),
+            "model_number": options.model_of(joint),
             "firmware_version": options.firmware_by_joint.get(joint, options.firmware),
             "id": options.ids[joint],
-            "baud_rate": next(code for code, rate in BAUD_RATES.items() if rate == options.baud),
+            "baud_rate": BAUD_CODES[options.baud],
             "return_delay_time": options.return_delay,
             "operating_mode": VELOCITY if drive else options.steer_mode,
             **options.eeprom.get(joint, {}),
         }.items():
             self.table.put(name, raw)
-        zero = options.drive_start_counts[joint] if drive else ZERO_COUNTS
+        zero = options.drive_start_counts[joint] if drive else model.zero_counts
         self.axis = Axis(joint, plant, self.table, zero)
         self.dead = False
         self.busy_until_ns = 0
@@ -95,14 +95,14 @@ class Servo:
         startup = self.table.get("startup_configuration")
         if self._backup is not None:
             self.table.put("backup_ready", 1)
-            if startup & 2 and self.firmware >= 45:
+            if startup & 2 and self.firmware >= _BACKUP_FIRMWARE:
                 self.table.restore(self._backup, eeprom=False)
         self.booted_ns = self.busy_until_ns = t_ns
         self.busy_until_ns += round(self._options.boot_s * 1e9)
         self._pending, self._shut_down = None, False
         self._load()
         self.axis.start_over()
-        if startup & 1 and self.firmware >= 45:
+        if startup & 1 and self.firmware >= _BACKUP_FIRMWARE:
             self._set_torque(True)
 
     def reboot(self, t_ns: int) -> None:
@@ -123,22 +123,24 @@ class Servo:
         self.axis.position.encoder, self._velocity = encoder, velocity
 
     def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
-        """Put the live registers 120..146 into the table; `sense` has been called."""
+        """Put the live registers (realtime tick to temperature) into the table; `sense` has been called."""
         axis, present = self.axis, self.present
         sign, trajectory = axis.position.sign, axis.trajectory
         tick = (t_ns - self.booted_ns) // 1_000_000 % 32768
         moving = trajectory.ongoing or abs(velocity) > self._moving_threshold
         goal_velocity = round(trajectory.velocity)
+        pwm = round(sign * duty * self._model.full_pwm)
         values = (
-            tick, moving, axis.moving_status(present), round(sign * duty * FULL_PWM), sign * current,
-            sign * velocity, present, goal_velocity, round(trajectory.position), voltage, celsius,
+            tick, moving, axis.moving_status(present), pwm, sign * current, sign * velocity,
+            present, goal_velocity, round(trajectory.position), voltage, celsius,
         )  # fmt: skip
-        _LIVE.pack_into(self.table.data, _LIVE_AT, *values)
+        self.table.layout.measured.pack_into(self.table.data, *values)
 
     def show_motion(self, velocity: int, current: int) -> None:
-        """Put only current, velocity and position (126..135) into the table: what every cycle reads."""
+        """Put only current, velocity and position into the table: what every cycle reads."""
         sign = self.axis.position.sign
-        _CYCLIC.pack_into(self.table.data, _CYCLIC_AT, sign * current, sign * velocity, self.present)
+        motion = self.table.layout.motion
+        motion.pack_into(self.table.data, sign * current, sign * velocity, self.present)
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
@@ -197,7 +199,7 @@ class Servo:
 
     def back_up(self, parameters: bytes) -> int:
         """Control table backup (0x20): keep or restore; the error number. A restore needs a reboot after."""
-        if self.firmware < 45:
+        if self.firmware < _BACKUP_FIRMWARE:
             return protocol.INSTRUCTION_ERROR
         if parameters not in (b"\x01CTRL", b"\x02CTRL"):
             return protocol.DATA_RANGE
@@ -222,7 +224,7 @@ class Servo:
         kept |= {"id": 0} if level in (1, 2) else {}
         kept |= {"baud_rate": 0} if level == 2 else {}
         kept = {name: self.table.get(name) for name in kept}
-        self.table = ControlTable()
+        self.table = ControlTable(self._model)
         for name, raw in kept.items():
             self.table.put(name, raw)
         self._backup = None
@@ -246,7 +248,11 @@ class Servo:
         name = register.name
         self.table.put(name, raw)
         if name in GOALS:
-            if not self.axis.torque and self._drive_mode & _TORQUE_ON_BY_GOAL and self.firmware >= 45:
+            if (
+                not self.axis.torque
+                and self._drive_mode & _TORQUE_ON_BY_GOAL
+                and self.firmware >= _BACKUP_FIRMWARE
+            ):
                 self._set_torque(True)
             self.axis.pursue(name, raw)
         elif name == "torque_enable":
@@ -263,11 +269,9 @@ class Servo:
 
     def _change_mode(self, mode: int) -> None:
         table = self.table
-        gains = _POSITION_GAINS.get(mode, (0, 0, 0) if mode in (CURRENT, PWM) else (900, 0, 0))
-        for name, raw in zip(("position_p_gain", "position_i_gain", "position_d_gain"), gains, strict=True):
-            table.put(name, raw)
-        table.put("velocity_p_gain", 100)
-        table.put("velocity_i_gain", 1920)
+        for name in (*_POSITION_GAINS, *_VELOCITY_GAINS):
+            used = name in _VELOCITY_GAINS or mode not in (CURRENT, PWM)
+            table.put(name, self._model.table[name].default if used else 0)
         table.put("profile_velocity", 0)
         table.put("profile_acceleration", 0)
         table.put("goal_pwm", table.get("pwm_limit"))

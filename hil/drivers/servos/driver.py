@@ -1,7 +1,8 @@
-"""Eight XH430 servos as the robot's actuators: four drives in velocity mode, four steers in position mode.
+"""Eight Dynamixel servos of one model as actuators: four drives by velocity, four steers by position.
 
 One group read and one group write per cycle; per-servo status, never a number that stands for "no
 data"; positions that count on across restarts. The zero of an angle is the servo's centre, 2048 counts.
+Which model it is they tell at open; its control table, units and limits then count.
 Measured behaviour that the driver passes on as it is: Present Velocity lags the encoder by 52 ms and is
 truncated towards zero (authors' recordings); the stamp is that of the position.
 
@@ -17,16 +18,19 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from hil.config.servo_models import ServoModel
+from hil.config.servo_models.codes import RETURN_DELAY_STEP_S
 from hil.config.servos import ServosConfig
+from hil.drivers.servos import diagnosis
 from hil.drivers.servos import identity as ident
-from hil.drivers.servos import registers as reg
 from hil.drivers.servos.bus import Bus
 from hil.drivers.servos.caretaker import Caretaker
 from hil.drivers.servos.cycle import CycleReader, Reading
 from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
 from hil.drivers.servos.port import ServoPort
-from hil.drivers.servos.restoring import Upkeep
+from hil.drivers.servos.registers import RegisterMap
+from hil.drivers.servos.restoring import Upkeep, acknowledge_all
 from hil.drivers.servos.samples import Samples
 from hil.drivers.servos.timeouts import OutageWatch
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -41,7 +45,7 @@ _PAUSE_NS = 200_000_000
 _READ_ATTEMPTS = 3
 
 
-class XH430Servos(Actuators):
+class DynamixelServos(Actuators):
     """The servo bus.
 
     Args:
@@ -85,22 +89,25 @@ class XH430Servos(Actuators):
 
     def _set_up(self, bus: Bus) -> None:
         config = self._config
-        Upkeep(bus, config, self.name, fast=False).acknowledge_all()
+        acknowledge_all(bus, config.ids)
         answers = ident.read_blocks(bus, config, self._clock)
-        ident.check_identity(bus, config, answers, self.name)
+        model = ident.identified(bus, config, answers, self.name)
+        self._registers = registers = RegisterMap(model)
         self._blocks = blocks = [a.data for a in answers]
-        ident.check_setup(config, blocks, self.name)
-        bus.port.return_delay_s = max(reg.from_block(b, "return_delay_time") * 2e-6 for b in blocks)
-        fast = ident.reads_fast(config, blocks)
-        self._upkeep = Upkeep(bus, config, self.name, fast=fast)
+        ident.check_setup(config, registers, blocks, self.name)
+        delays = [registers.from_block(b, "return_delay_time") for b in blocks]
+        bus.port.return_delay_s = max(delays) * RETURN_DELAY_STEP_S
+        fast = ident.reads_fast(config, registers, blocks)
+        self._upkeep = Upkeep(bus, config, registers, self.name, fast=fast)
         self._upkeep.prepare(blocks)
-        self._cycle = CycleReader(bus, config, self._clock, fast=fast, mapped=self._upkeep.mapped)
-        self._health = HealthWatch(config, self._clock)
+        mapped = self._upkeep.mapped
+        self._cycle = CycleReader(bus, config, registers, self._clock, fast=fast, mapped=mapped)
+        self._health = HealthWatch(config, model, self._clock)
         self._outage = OutageWatch(config, self.name, self._clock.now_ns())
-        self._goals = Goals(config, blocks, self._upkeep.goal_write(), self.name)
-        self._samples = Samples(blocks, self._upkeep, self._clock, self.name)
+        self._goals = Goals(config, registers, blocks, self._upkeep.goal_write(), self.name)
+        self._samples = Samples(registers, blocks, self._upkeep, self._clock, self.name)
         self._doubtful = self._commanded = self._paused = False
-        self._identity = ident.described(config, blocks)
+        self._identity = ident.described(config, registers, blocks)
 
     def close(self) -> None:
         """Bring the wheels to rest and let go of the port; torque stays as it is. Idempotent."""
@@ -117,6 +124,12 @@ class XH430Servos(Actuators):
     def identity(self) -> Mapping[str, str]:
         """Models, firmware, IDs and port; empty while closed."""
         return self._identity
+
+    @property
+    def model(self) -> ServoModel:
+        """Of all eight, as they told at open."""
+        self._opened()
+        return self._registers.model
 
     def _opened(self) -> Bus:
         if self._bus is None:
@@ -297,6 +310,8 @@ class XH430Servos(Actuators):
     def diagnose(self) -> tuple[Finding, ...]:
         """Facts about the bus for `hil doctor`: reply time, firmware, return delay, kinds of packets."""
         with self._talking:
-            reply = ident.reply_time(self._opened(), self._config, self._clock, self.name)
+            reply = diagnosis.reply_time(self._opened(), self._config, self._clock, self.name)
         fast, mapped = self._cycle.fast, self._upkeep.mapped
-        return reply, *ident.findings(self._config, self._blocks, self.name, fast=fast, mapped=mapped)
+        return reply, *diagnosis.findings(
+            self._config, self._registers, self._blocks, self.name, fast=fast, mapped=mapped
+        )

@@ -1,0 +1,29 @@
+"""Servo models as data: control table, units, limits and motor of each, by the model number on the bus.
+
+Shared by the driver and by the emulated servo, which otherwise know nothing of each other. One TOML file per
+family; another model of a family is an entry there, and nothing is read before somebody asks for a model.
+"""
+
+from hil.config.servo_models.loading import (
+    DEFAULT_MODEL,
+    model_text,
+    models_text,
+    servo_model,
+    servo_models,
+    shared_register,
+)
+from hil.config.servo_models.model import Motor, Performance, ServoModel
+from hil.config.servo_models.register import Register
+
+__all__ = [
+    "DEFAULT_MODEL",
+    "Motor",
+    "Performance",
+    "Register",
+    "ServoModel",
+    "model_text",
+    "models_text",
+    "servo_model",
+    "servo_models",
+    "shared_register",
+]
