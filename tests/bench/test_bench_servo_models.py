@@ -9,8 +9,10 @@ import hil
 from hil.bench.discover import discover
 from hil.bench.doctor import examine
 from hil.bench.emulation import build_world, connect_in_process
-from hil.config.bench import load_bench
+from hil.config.loading import load_bench
 from hil.config.servo_models import servo_model
+from hil.config.servos import ServosConfig
+from hil.drivers.servos import DynamixelServos
 from hil.fakes.plant.parameters import nominal_joints
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.errors import ConfigError
@@ -43,11 +45,15 @@ def test_discovery_writes_down_a_bench_that_opens(number):
     config = load_bench("emulated_floor", overrides=settings(number))
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
-    port = connected.connections.values["servos"]["port"]
-    found = discover(VirtualClock(world), ports=[port], buses=[])
+    clock = VirtualClock(world)
+    found = discover(clock, ports=[connected.connections["servos"].values["port"]])
     tree = tomllib.loads(found.to_toml())
-    connected.close()
     assert tree["servos"]["model_number"] == number
+    driver = DynamixelServos(ServosConfig(**tree["servos"]), clock)
+    driver.open()
+    assert driver.model is servo_model(number)
+    driver.close()
+    connected.close()
     assert (tree["servos"]["drive_ids"], tree["servos"]["steer_ids"]) == ([1, 2, 3, 4], [5, 6, 7, 8])
 
 
