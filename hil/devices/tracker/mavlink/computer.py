@@ -155,9 +155,9 @@ class VisualInertialComputer(Scheduled):
         self._exposure_ns = t_ns + round(NS_PER_S * period_s)
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
         state = self._world.plant.truth()
+        self._relocalise(t_ns, dt_s)
         pose = self.odometry.observe(state, dt_s, faults.scale(t_ns))
         self._travelled_m += dt_s * math.hypot(*state.twist_body[:2].tolist())
-        self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
         if lost < options.drop_probability:
             return

@@ -96,6 +96,7 @@ class SerialLink(Link):
             self._port: Any = open_serial(
                 config.url, baud=config.baud, timeout_s=0.0, write_timeout_s=_WRITE_TIMEOUT_S
             )
+            self._port.reset_input_buffer()
         except PORT_ERRORS as error:
             raise cannot_open(device, config.url, error, expected="a sender of MAVLink") from None
         self._end = clock.schedule(self._look, clock.now_ns())

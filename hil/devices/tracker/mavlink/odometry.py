@@ -87,7 +87,7 @@ def estimate_of(
     velocity, rates = _in_robot_axes(pose.velocity), _in_robot_axes(pose.angular_velocity)
     world = _NORTH_OF_EAST if frame == "LOCAL_ENU" else _SAME if frame in UPWARD else _HALF_TURN
     body = _HALF_TURN if twist_in_body or frame not in UPWARD else _SAME
-    sent = multiplied(multiplied(world, turned), body)
+    sent = multiplied(multiplied(world, turned), conjugated(body))
     twist_turn = multiplied(conjugated(sent), world) if twist_in_body else world
     return Estimate(
         time_us=time_us,

@@ -16,7 +16,7 @@ SYSTEM, COMPONENT = 255, 190
 
 _HEARTBEAT_NS = NS_PER_S
 _MOST_SENDERS = 64
-_VERSION_ASKED = 3
+_ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
 
 Source: TypeAlias = tuple[int, int]
 """System and component id."""
@@ -59,7 +59,7 @@ class Session:
         self._peer: Address | None = link.peer
         self._heartbeat_ns = 0
         self._last_number: int | None = None
-        self._version_asked = 0
+        self._ask_ns, self._asks_left = 0, _ASKS
         self.odometry: deque[Received] = deque(maxlen=config.queue_length)
         self.last: Any = None
         self.source: Source | None = None
@@ -157,11 +157,14 @@ class Session:
                     common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
                 )
             )
-            if self.source is not None and self.version is None and self._version_asked < _VERSION_ASKED:
-                self._version_asked += 1
-                self._ask_version(*self.source)
-        if self.source is not None and self.sync.due(now_ns):
+        if self.source is None:
+            return
+        if self.sync.due(now_ns):
             self._send(common.MAVLink_timesync_message(0, now_ns))
+        if self.version is None and self._asks_left and now_ns >= self._ask_ns:
+            self._ask_ns = now_ns + _ASK_AGAIN_NS
+            self._asks_left -= 1
+            self._ask_version(*self.source)
 
     def _ask_version(self, system: int, component: int) -> None:
         common = self._common

@@ -72,7 +72,7 @@ class TimeSync:
         self._window.append(trip)
         while arrived_ns - self._window[0].arrived_ns > _WINDOW_NS:
             self._window.popleft()
-        self._best = min(self._window, key=lambda seen: seen.duration_ns)
+        self._best = min(reversed(self._window), key=lambda seen: seen.duration_ns)
         self.trips += 1
         return True
 
