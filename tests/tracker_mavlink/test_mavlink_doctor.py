@@ -14,7 +14,7 @@ pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
 def findings(bench, watch_s=2.0):
     bench.driver.open()
     samples = follow(bench, watch_s)
-    return {f.check: f for f in bench.driver.diagnose(samples, watch_s)}
+    return {f.check: f for f in bench.driver.findings(samples, watch_s)}
 
 
 def test_a_healthy_sender_has_nothing_to_mend(mavlink_bench):

@@ -217,7 +217,7 @@ def test_use_while_closed_is_a_device_error_and_closing_twice_is_none(mavlink_be
     bench.driver.close()
     bench.driver.close()
     assert bench.driver.identity() == {}
-    assert bench.driver.diagnose() == ()
+    assert bench.driver.findings() == ()
     with pytest.raises(DeviceError, match="open"):
         bench.driver.read()
 

@@ -58,13 +58,13 @@ def check_poses(samples, least):
 def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
     face = MavlinkFace(bench.computer)
-    real = RealTime(url=face.endpoint()["url"], system_id=face.endpoint()["system_id"])
+    real = RealTime(port=face.endpoint()["port"], system_id=face.endpoint()["system_id"])
     with serving(bench.world, face):
         real.driver.open()
         assert real.driver.identity()["component"] == "197 (visual_inertial_odometry)"
         assert real.driver.identity()["firmware"] == "1.4.2"
         check_poses(follow(real, 1.0), 60)
-        assert {f.check: f.level for f in real.driver.diagnose()}["time"] == "ok"
+        assert {f.check: f.level for f in real.driver.findings()}["time"] == "ok"
         real.driver.close()
         real.driver.open()
         assert follow(real, 0.2)
@@ -76,11 +76,11 @@ def test_a_driver_that_speaks_first_follows_a_computer_on_udp(mavlink_bench):
 def test_a_driver_that_waits_follows_a_computer_that_was_told_its_address(mavlink_bench):
     bench, port = mavlink_bench(options=ComputerTruthOptions()), free_udp_port()
     face = MavlinkFace(bench.computer, target=("127.0.0.1", port))
-    real = RealTime(url=f"udpin:127.0.0.1:{port}")
+    real = RealTime(port=f"udpin:127.0.0.1:{port}")
     with serving(bench.world, face):
         real.driver.open()
         check_poses(follow(real, 1.0), 60)
-        assert real.driver.diagnose()[1].found.startswith("round trip")
+        assert real.driver.findings()[1].found.startswith("round trip")
         real.driver.close()
 
 
@@ -94,7 +94,7 @@ def serial_bench(mavlink_bench):
         chip = SerialComputer(bench.computer, baud=BAUD)
         lines.append(SerialLine(bench.world, chip, name=f"mavlink-{len(lines)}").open())
         bench.world.faults.check()
-        bench.config = MavlinkTrackerConfig(url=f"hil://mavlink-{len(lines) - 1}", **config)
+        bench.config = MavlinkTrackerConfig(port=f"hil://mavlink-{len(lines) - 1}", **config)
         bench.driver = MavlinkTracker(bench.config, bench.clock)
         return bench
 
@@ -133,7 +133,7 @@ def test_wire_faults_of_the_serial_line(serial_bench):
 def test_a_serial_port_in_real_time(mavlink_bench):
     bench = mavlink_bench(options=ComputerTruthOptions())
     face = SerialPty(SerialLine(bench.world, SerialComputer(bench.computer, baud=BAUD)), {"baud": BAUD})
-    real = RealTime(url=face.endpoint()["port"], baud=BAUD)
+    real = RealTime(port=face.endpoint()["port"], baud=BAUD)
     with serving(bench.world, face):
         real.driver.open()
         check_poses(follow(real, 1.0), 60)
@@ -143,9 +143,9 @@ def test_a_serial_port_in_real_time(mavlink_bench):
 def test_nobody_at_the_other_end_says_where_to_look():
     port = free_udp_port()
     with pytest.raises(DeviceTimeoutError, match=f"nothing arrives within 0.2 s.*UDP port {port} of this"):
-        RealTime(url=f"udpin:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
+        RealTime(port=f"udpin:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
     with pytest.raises(DeviceTimeoutError, match=r"sender listens at 127.0.0.1, UDP port"):
-        RealTime(url=f"udpout:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
+        RealTime(port=f"udpout:127.0.0.1:{port}", open_timeout_s=0.2).driver.open()
 
 
 def test_a_port_that_another_program_holds_or_that_is_not_there_is_a_device_error(tmp_path):
@@ -153,13 +153,13 @@ def test_a_port_that_another_program_holds_or_that_is_not_there_is_a_device_erro
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
         with pytest.raises(DeviceError, match=rf"cannot be used.*ss -lunp sport = :{port}") as caught:
-            RealTime(url=f"udpin:127.0.0.1:{port}").driver.open()
+            RealTime(port=f"udpin:127.0.0.1:{port}").driver.open()
     assert caught.value.exit_code == 3
     assert caught.value.port == f"udpin:127.0.0.1:{port}"
     with pytest.raises(DeviceError, match="port cannot be opened"):
-        RealTime(url=str(tmp_path / "ttyUSB0")).driver.open()
-    with pytest.raises(DeviceError, match=r"check tracker\.url"):
-        RealTime(url="udpin:203.0.113.7:14550").driver.open()
+        RealTime(port=str(tmp_path / "ttyUSB0")).driver.open()
+    with pytest.raises(DeviceError, match=r"check tracker\.port"):
+        RealTime(port="udpin:203.0.113.7:14550").driver.open()
 
 
 def test_another_program_that_sends_to_the_port_is_told_from_a_sender(by_hand):
@@ -193,7 +193,7 @@ def test_the_first_sender_stays_the_one_and_others_are_counted(by_hand, odometry
     samples = bench.send(0.1)
     assert max(abs(s.position_m[0]) for s in samples) < 0.1
     assert bench.driver.counts["strangers"] == 2
-    assert "also heard: 7/197" in bench.driver.diagnose()[0].found
+    assert "also heard: 7/197" in bench.driver.findings()[0].found
 
 
 @pytest.mark.parametrize(
@@ -222,18 +222,19 @@ def test_this_host_says_that_it_is_there_once_a_second(by_hand):
 
 
 @pytest.mark.parametrize(
-    "url", ["udp:0.0.0.0:14550", "tcp:10.0.0.1:5760", "udpin:0.0.0.0", "udpin:host:0", "udpin:host:70000", ""]
+    "port",
+    ["udp:0.0.0.0:14550", "tcp:10.0.0.1:5760", "udpin:0.0.0.0", "udpin:host:0", "udpin:host:70000", ""],
 )
-def test_a_connection_that_cannot_be_meant_is_refused(url):
+def test_a_connection_that_cannot_be_meant_is_refused(port):
     with pytest.raises(ValidationError, match=r"udpin:HOST:PORT|1 \.\. 65535"):
-        MavlinkTrackerConfig(url=url)
+        MavlinkTrackerConfig(port=port)
 
 
 def test_a_computer_forgets_listeners_that_fall_silent_and_cannot_have_a_taken_port(mavlink_bench):
     bench = mavlink_bench()
     face = MavlinkFace(bench.computer)
     bench.world.add(face)
-    port = int(face.endpoint()["url"].rsplit(":", 1)[1])
+    port = int(face.endpoint()["port"].rsplit(":", 1)[1])
     with pytest.raises(DeviceError, match="cannot be served"):
         MavlinkFace(bench.computer, port=port)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as client:

@@ -123,7 +123,7 @@ def test_poses_stamped_by_another_clock_than_timesyncs_fall_back_on_their_arriva
     ages = [s.stamp.host_ns - s.stamp.t_ns for s in samples]
     assert ages == [20 * MS] * 5
     assert kinds(samples) == [Status.OK] * 5
-    (finding,) = (f for f in bench.driver.diagnose() if f.check == "time")
+    (finding,) = (f for f in bench.driver.findings() if f.check == "time")
     assert finding.level == "warning"
     assert "another clock" in finding.found
 

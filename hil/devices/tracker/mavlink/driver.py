@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -65,13 +65,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._session: Session | None = None
         self._identity: dict[str, str] = {}
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
-        self._jumps = JumpTest(
-            distance_m=config.jump_distance_m,
-            angle_rad=config.jump_angle_rad,
-            speed_m_s=config.max_speed_m_s,
-            rate_rad_s=config.max_rate_rad_s,
-            reaccept_after=config.reaccept_after,
-        )
+        self._jumps = JumpTest.of(config)
         self._stuck = StuckTest(config.stuck_after_s)
         self._stale_ns, self._fail_ns = nanoseconds(config.stale_after_s), nanoseconds(config.fail_after_s)
         self._forget()
@@ -125,7 +119,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         session = self._session
         if session is None:
             raise DeviceError(
-                self.name, "used while closed", port=self._config.url, remedy="call open() first"
+                self.name, "used while closed", port=self._config.port, remedy="call open() first"
             )
         session.exchange()
         samples = []
@@ -147,11 +141,11 @@ class MavlinkTracker(Sensor[TrackerSample]):
         """The newest odometry message as it was sent, for what no sample carries: covariances, estimator."""
         return None if self._session is None else self._session.last
 
-    def diagnose(self, samples: Iterable[TrackerSample] = (), watched_s: float = 0.0) -> tuple[Finding, ...]:
+    def findings(self, samples: Sequence[TrackerSample] = (), watched_s: float = 0.0) -> tuple[Finding, ...]:
         """What can be said about the sender, the link, and samples read during `watched_s`."""
         if self._session is None:
             return ()
-        return tuple(diagnose(self._session, self._config, self.name, list(samples), watched_s))
+        return tuple(diagnose(self._session, self._config, self.name, samples, watched_s))
 
     def _forget(self) -> None:
         self._clock_map.reset()

@@ -106,7 +106,7 @@ class MavlinkFace(Face):
         """How a client reaches the computer."""
         options = self._computer.options
         ids = {"system_id": options.system_id, "component_id": options.component_id}
-        return {"url": f"udpout:{self._host}:{self._port}", **ids}
+        return {"port": f"udpout:{self._host}:{self._port}", **ids}
 
     def close(self) -> None:
         """Stop serving. Idempotent."""

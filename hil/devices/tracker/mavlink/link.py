@@ -23,7 +23,7 @@ _WRITE_TIMEOUT_S = 0.05
 
 def open_link(config: MavlinkTrackerConfig, clock: Clock, device: str) -> Link:
     """The link that the configuration names; raises `DeviceError` when it cannot be opened."""
-    address = udp_address(config.url)
+    address = udp_address(config.port)
     return SerialLink(config, clock, device) if address is None else UdpLink(address, clock, device)
 
 
@@ -76,9 +76,9 @@ def _remedy(error: OSError, port: int) -> str:
     if error.errno == errno.EADDRINUSE:
         return (
             f"end the program that holds it (`ss -lunp sport = :{port}` names it: a ground station, or a "
-            "MAVLink router), or have the sender send to another port and set tracker.url"
+            "MAVLink router), or have the sender send to another port and set tracker.port"
         )
-    return "check tracker.url"
+    return "check tracker.port"
 
 
 class SerialLink(Link):
@@ -88,17 +88,17 @@ class SerialLink(Link):
 
     def __init__(self, config: MavlinkTrackerConfig, clock: Clock, device: str) -> None:
         self._clock = clock
-        self._sender: Address = (config.url, 0)
+        self._sender: Address = (config.port, 0)
         self.peer = self._sender
         self._arrived: deque[Arrival] = deque(maxlen=_PIECES)
         self.trouble, self.overflowed = "", 0
         try:
             self._port: Any = open_serial(
-                config.url, baud=config.baud, timeout_s=0.0, write_timeout_s=_WRITE_TIMEOUT_S
+                config.port, baud=config.baud, timeout_s=0.0, write_timeout_s=_WRITE_TIMEOUT_S
             )
             self._port.reset_input_buffer()
         except PORT_ERRORS as error:
-            raise cannot_open(device, config.url, error, expected="a sender of MAVLink") from None
+            raise cannot_open(device, config.port, error, expected="a sender of MAVLink") from None
         self._end = clock.schedule(self._look, clock.now_ns())
 
     def send(self, data: bytes, address: Address) -> None:

@@ -53,7 +53,7 @@ def silent(session: Session, config: MavlinkTrackerConfig, device: str, what: st
     return DeviceTimeoutError(
         device,
         "; ".join([what, *told]),
-        port=config.url,
+        port=config.port,
         expected="a stream of MAVLink ODOMETRY (331)",
         remedy="check that the sender runs and tracks, and its cable or network; close and open the tracker "
         "to start again",
@@ -72,7 +72,7 @@ def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> Devi
         return DeviceError(
             device,
             f"odometry comes from {_listed(senders)} only",
-            port=config.url,
+            port=config.port,
             expected=_wanted(config),
             remedy="set tracker.system_id and tracker.component_id to the sender's, or leave them out",
         )
@@ -83,8 +83,8 @@ def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> Devi
     elif session.packets:
         found = "what arrives is no MAVLink"
         remedy = (
-            "another program sends to this port: find it (`ss -unp`) or choose another port in tracker.url"
-            if udp_address(config.url)
+            "another program sends to this port: find it (`ss -unp`) or choose another port in tracker.port"
+            if udp_address(config.port)
             else f"check that the sender talks at {config.baud} baud, and that the port is the right one"
         )
     else:
@@ -92,14 +92,14 @@ def _nobody(session: Session, config: MavlinkTrackerConfig, device: str) -> Devi
         found += f" ({session.trouble})" if session.trouble else ""
         remedy = _where_to_look(config)
     return DeviceTimeoutError(
-        device, found, port=config.url, expected="a stream of MAVLink ODOMETRY (331)", remedy=remedy
+        device, found, port=config.port, expected="a stream of MAVLink ODOMETRY (331)", remedy=remedy
     )
 
 
 def _where_to_look(config: MavlinkTrackerConfig) -> str:
-    address = udp_address(config.url)
+    address = udp_address(config.port)
     if address is None:
-        return "check power, cable (TX to RX) and tracker.url"
+        return "check power, cable (TX to RX) and tracker.port"
     if address.role == "udpin":
         return f"have the sender send to UDP port {address.port} of this computer; no firewall may close it"
     return f"check that the sender listens at {address.host}, UDP port {address.port}"
@@ -115,7 +115,7 @@ def _frames(message: Any, config: MavlinkTrackerConfig, device: str) -> str:
     raise DeviceError(
         device,
         f"the pose is given in {frame}, the twist in {child}",
-        port=config.url,
+        port=config.port,
         expected=f"the pose in {wanted}, the twist in BODY_FRD or in the frame of the pose",
         remedy="set the frames of the sender's odometry to MAV_FRAME_LOCAL_FRD and MAV_FRAME_BODY_FRD, or "
         "tracker.frame to what it sends",
@@ -133,7 +133,7 @@ def _identity(session: Session, config: MavlinkTrackerConfig, common: Any, frame
         number = session.version.flight_sw_version
         found["firmware"] = ".".join(str(number >> shift & 0xFF) for shift in (24, 16, 8))
         found["serial"] = f"{session.version.uid:016x}"
-    return {**found, "frames": frames, "port": config.url}
+    return {**found, "frames": frames, "port": config.port}
 
 
 def _component(common: Any, number: int) -> str:
