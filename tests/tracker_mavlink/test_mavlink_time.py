@@ -7,6 +7,7 @@ import pytest
 
 from hil.devices.tracker.mavlink.options import IDEAL
 from hil.devices.tracker.mavlink.timesync import TimeSync
+from hil.vocabulary.errors import DeviceTimeoutError
 from hil.vocabulary.signals import Status
 from tests.tracker_mavlink.conftest import follow, kinds
 
@@ -153,3 +154,13 @@ def test_a_pose_that_comes_twice_or_after_a_newer_one_is_passed_over(by_hand, od
     bench.link.arrive(newest, older)
     assert bench.driver.read() == ()
     assert bench.driver.counts["repeated"] == 2
+
+
+def test_a_sender_without_a_clock_is_told_from_a_silent_one(by_hand, odometry):
+    """Every pose bears the same time stamp, though packets go on arriving."""
+    bench = by_hand()
+    with pytest.raises(DeviceTimeoutError, match=r"no usable pose for 2\.0 s; [0-9]+ poses were no newer"):
+        for _ in range(300):
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + 10 * MS)
+            bench.link.arrive(odometry(2.0))
+            bench.driver.read()

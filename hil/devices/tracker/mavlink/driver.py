@@ -133,6 +133,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
         elif now_ns - self._good_ns > self._fail_ns:
             last = f" (last status {samples[-1].status.value})" if samples else ""
             what = f"no usable pose for {(now_ns - self._good_ns) / NS_PER_S:.1f} s{last}"
+            if self._repeated:
+                what += f"; {self._repeated} poses were no newer than the one before"
             raise silent(session, self._config, self.name, what)
         return tuple(samples)
 
@@ -198,6 +200,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         if trip is not None:
             if -_EARLY_NS < host_ns - device_ns - trip.offset_ns < _LATE_NS:
                 t_ns, credible = min(device_ns + trip.offset_ns, host_ns), True
+                session.other_clock = 0
             else:
                 session.other_clock += 1
         if credible:

@@ -49,7 +49,7 @@ class Session:
         malformed: pieces that are no MAVLink packet, or whose checksum is wrong.
         strangers: messages from others.
         lost: gaps in the sender's packet numbers.
-        other_clock: poses whose stamps are not of the clock that answers TIMESYNC.
+        other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
     """
 
     def __init__(self, link: Link, common: Any, config: MavlinkTrackerConfig, clock: Clock) -> None:
