@@ -116,6 +116,15 @@ def test_a_serial_line_in_world_time(serial_bench):
     bench.driver.close()
 
 
+def test_what_lay_in_a_serial_ports_buffer_is_no_sign_of_life(serial_bench):
+    bench = serial_bench("tracker:off@5", open_timeout_s=1.0)
+    bench.driver.open()
+    bench.driver.close()
+    bench.clock.sleep_until_ns(6_000_000_000)
+    with pytest.raises(DeviceTimeoutError, match="nothing arrives within 1 s"):
+        bench.driver.open()
+
+
 def test_a_serial_line_at_another_rate_is_told_from_silence(serial_bench):
     bench = serial_bench(baud=57_600, open_timeout_s=1.0)
     with pytest.raises(DeviceTimeoutError, match=r"no MAVLink.*talks at 57600 baud"):
@@ -168,6 +177,17 @@ def test_another_program_that_sends_to_the_port_is_told_from_a_sender(by_hand):
     with pytest.raises(DeviceTimeoutError, match=r"what arrives is no MAVLink.*another program"):
         bench.driver.open()
     assert bench.link.closed == 1
+
+
+def test_who_speaks_first_is_answered_before_it_sends_odometry(by_hand, common):
+    """Many senders stream only to those whose heartbeats they hear."""
+    bench = by_hand(opened=False)
+    bench.link.arrive(common.MAVLink_heartbeat_message(18, 8, 0, 0, 4, 3))
+    with pytest.raises(DeviceTimeoutError):
+        bench.driver.open()
+    beats = [to for m, to in bench.link.sent if m.get_type() == "HEARTBEAT"]
+    assert len(beats) >= 4
+    assert set(beats) == {("10.0.0.2", 14555)}
 
 
 def test_an_autopilot_without_odometry_is_named(by_hand, common):

@@ -15,8 +15,9 @@ from hil.devices.tracker.mavlink.options import ComputerTruthOptions
 from hil.devices.tracker.mavlink.serial import SerialComputer
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
-from hil.live.playback import open_recording, verify_run
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_run
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError
