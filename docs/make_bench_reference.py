@@ -115,7 +115,7 @@ def _model_of(annotation: Any) -> type[BaseModel] | None:
 
 def _told(model: type) -> dict[str, str]:
     """Meaning of each key from the section `Attributes:`, its bases' too; several may share one entry."""
-    bases = [base for base in model.__bases__ if issubclass(base, BaseModel) and base is not BaseModel]
+    bases = [base for base in model.__bases__ if base not in (BaseModel, object)]
     told: dict[str, str] = {key: text for base in bases for key, text in _told(base).items()}
     _, _, section = inspect.cleandoc(model.__doc__ or "").partition("Attributes:\n")
     for entry in re.split(r"\n(?= {4}\S)", section.rstrip()):

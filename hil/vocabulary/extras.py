@@ -18,6 +18,7 @@ MODULES = {
     "rerun": "rerun",
     "parquet": "pyarrow",
     "t265": "pyrealsense2",
+    "mavlink": "pymavlink",
     "campaign": "distributed",
 }
 

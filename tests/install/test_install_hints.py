@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+from hil.devices.tracker.mavlink.messages import dialect
 from hil.drivers.tracker.library import realsense
 from hil.monitor import RerunMonitor
 from hil.procedure.campaign.spread import spread
@@ -64,7 +65,13 @@ def test_without_pip_the_line_is_for_uv(monkeypatch):
 
 @pytest.fixture
 def nothing_importable(monkeypatch):
-    for module in ("pyarrow", "pyarrow.parquet", "distributed", "pyrealsense2"):
+    for module in (
+        "pyarrow",
+        "pyarrow.parquet",
+        "distributed",
+        "pyrealsense2",
+        "pymavlink.dialects.v20.common",
+    ):
         monkeypatch.setitem(sys.modules, module, None)
     found = importlib.util.find_spec
     monkeypatch.setattr(
@@ -88,6 +95,10 @@ def missing_t265(tmp_path):
     realsense("tracker")
 
 
+def missing_mavlink(tmp_path):
+    dialect("tracker")
+
+
 @pytest.mark.parametrize(
     ("extra", "use"),
     [
@@ -95,6 +106,7 @@ def missing_t265(tmp_path):
         ("campaign", missing_campaign),
         ("rerun", missing_rerun),
         ("t265", missing_t265),
+        ("mavlink", missing_mavlink),
     ],
 )
 def test_what_needs_an_extra_prints_its_line(nothing_importable, tmp_path, extra, use):

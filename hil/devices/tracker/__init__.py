@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hil.devices.tracker.look import look
+from hil.devices.tracker.mavlink import MAVLINK
 from hil.devices.tracker.t265 import T265
 from hil.recording.cdr import pose_stamped
 from hil.vocabulary.geometry import Array
@@ -26,7 +27,7 @@ KIND = DeviceKind(
     name="tracker",
     noun="camera",
     sample=TrackerSample,
-    models=(T265,),
+    models=(T265, MAVLINK),
     stale_s=lambda safety, own: safety.tracker_stale_s,
     rate_hz=lambda own, loop_hz: float(getattr(own, "rate_hz", 200.0)),
     age_s=0.05,

@@ -1,0 +1,260 @@
+"""A visual-inertial computer as a sensor: MAVLink odometry, put on the bench clock, judged.
+
+Poses come in robot axes in the z-up frame in which the sender gives them: it starts where the sender's
+does, or has x north (LOCAL_NED) or east (LOCAL_ENU). Velocities are in the axes of that frame.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.devices.tracker.mavlink import messages
+from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
+from hil.devices.tracker.mavlink.doctor import diagnose
+from hil.devices.tracker.mavlink.link import open_link
+from hil.devices.tracker.mavlink.opening import await_sender, silent
+from hil.devices.tracker.mavlink.session import Received, Session
+from hil.devices.tracker.mavlink.wire import LinkFactory
+from hil.drivers.device_clock import DeviceClock
+from hil.drivers.jumps import JumpTest
+from hil.drivers.stuck import StuckTest
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import Stamp, Status, TrackerSample
+
+_LOG = logging.getLogger(__name__)
+
+_NS_PER_US = 1000
+_LATEST_US = 1 << 62
+_RESTART_NS = NS_PER_S
+_EARLY_NS, _LATE_NS = nanoseconds(0.005), nanoseconds(5.0)
+_FARTHEST_M, _FASTEST = 1000.0, 100.0
+_NORM_LOW, _NORM_HIGH = 0.98, 1.02
+_USABLE_CONFIDENCE = 2
+_NAN7, _NAN6 = (math.nan,) * 7, (math.nan,) * 6
+_USELESS = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.STALE, Status.FROZEN, Status.PROTOCOL)
+_NO_POSE = (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED, Status.PROTOCOL)
+
+
+class MavlinkTracker(Sensor[TrackerSample]):
+    """One sender of odometry.
+
+    Args:
+        config: where it is, who it is, and how its poses are judged.
+        clock: the bench clock.
+        name: device name in errors and logs.
+        link: opens the way to the sender; the configured one by default.
+    """
+
+    def __init__(
+        self,
+        config: MavlinkTrackerConfig,
+        clock: Clock,
+        name: str = "tracker",
+        link: LinkFactory = open_link,
+    ) -> None:
+        self.name = name
+        self._config, self._clock, self._open_link = config, clock, link
+        self._session: Session | None = None
+        self._identity: dict[str, str] = {}
+        self._clock_map = DeviceClock(nanoseconds(config.latency_s))
+        self._jumps = JumpTest.of(config)
+        self._stuck = StuckTest(config.stuck_after_s)
+        self._stale_ns, self._fail_ns = nanoseconds(config.stale_after_s), nanoseconds(config.fail_after_s)
+        self._forget()
+
+    @property
+    def counts(self) -> Mapping[str, int]:
+        """Since `open`: packets malformed, from strangers, lost, unread; poses that came twice or late."""
+        names = ("malformed", "strangers", "lost", "overflowed")
+        session = self._session
+        counts = {name: 0 if session is None else getattr(session, name) for name in names}
+        return {**counts, "repeated": self._repeated}
+
+    def open(self) -> None:
+        """Open the link, find the sender, wait for its first pose, and get acquainted.
+
+        Raises:
+            DeviceTimeoutError: no odometry arrives.
+            DeviceError: pymavlink is missing, the port cannot be used, or who sends is not who is wanted, or
+                sends poses in frames that cannot be used.
+        """
+        self.close()
+        self._forget()
+        common = messages.dialect(self.name)
+        link = self._open_link(self._config, self._clock, self.name)
+        self._session = session = Session(link, common, self._config, self._clock)
+        try:
+            self._identity = await_sender(session, self._config, self._clock, common, self.name)
+        except BaseException:
+            self.close()
+            raise
+        self._good_ns = self._clock.now_ns()
+        self._stuck.reset(self._good_ns)
+
+    def close(self) -> None:
+        """Let go of the link. Idempotent; never raises."""
+        self._identity = {}
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+    def identity(self) -> Mapping[str, str]:
+        """Ids, kind and firmware of the sender, and its frames; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[TrackerSample, ...]:
+        """All poses since the last call, oldest first.
+
+        Raises:
+            DeviceTimeoutError: no usable pose for `fail_after_s`.
+        """
+        session = self._session
+        if session is None:
+            raise DeviceError(
+                self.name, "used while closed", port=self._config.port, remedy="call open() first"
+            )
+        session.exchange()
+        samples = []
+        while session.odometry:
+            sample = self._sample(session, session.odometry.popleft())
+            if sample is not None:
+                samples.append(sample)
+        now_ns = self._clock.now_ns()
+        if any(sample.status not in _USELESS for sample in samples):
+            self._good_ns = now_ns
+        elif now_ns - self._good_ns > self._fail_ns:
+            last = f" (last status {samples[-1].status.value})" if samples else ""
+            what = f"no usable pose for {(now_ns - self._good_ns) / NS_PER_S:.1f} s{last}"
+            if self._repeated:
+                what += f"; {self._repeated} poses were no newer than the one before"
+            raise silent(session, self._config, self.name, what)
+        return tuple(samples)
+
+    @property
+    def last_message(self) -> Any:
+        """The newest odometry message as it was sent, for what no sample carries: covariances, estimator."""
+        return None if self._session is None else self._session.last
+
+    def findings(self, samples: Sequence[TrackerSample] = (), watched_s: float = 0.0) -> tuple[Finding, ...]:
+        """What can be said about the sender, the link, and samples read during `watched_s`."""
+        if self._session is None:
+            return ()
+        return tuple(diagnose(self._session, self._config, self.name, samples, watched_s))
+
+    def _forget(self) -> None:
+        self._clock_map.reset()
+        self._jumps.reset()
+        self._stuck.reset(self._clock.now_ns())
+        self._seq = self._repeated = 0
+        self._last_device_ns: int | None = None
+        self._last_t_ns = -(1 << 62)
+        self._resets: int | None = None
+        self._good_ns = self._clock.now_ns()
+
+    def _sample(self, session: Session, received: Received) -> TrackerSample | None:
+        """The sample of one message; None when its pose is no newer than the last one."""
+        message, host_ns = received
+        device_ns, credible = message.time_usec * _NS_PER_US, message.time_usec < _LATEST_US
+        t_ns = host_ns
+        if credible:
+            age_ns = 0 if self._last_device_ns is None else device_ns - self._last_device_ns
+            if self._last_device_ns is not None and -_RESTART_NS < age_ns <= 0:
+                self._repeated += 1
+                return None
+            t_ns, credible = self._bench_time(session, device_ns, host_ns)
+        reset = self._has_reset(message, device_ns if credible else None)
+        pose, twist, status = self._judge(message, t_ns, host_ns)
+        if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
+            status = Status.STALE
+        elif reset and status is Status.JUMP:
+            status = Status.RESET
+        if status in _NO_POSE:
+            pose, twist = _NAN7, _NAN6
+        self._seq += 1
+        return TrackerSample(
+            stamp=Stamp(t_ns, host_ns, self._seq, device_ns if credible else None),
+            position_m=np.array(pose[:3]),
+            quaternion_wxyz=np.array(pose[3:]),
+            velocity_m_s=np.array(twist[:3]),
+            angular_velocity_rad_s=np.array(twist[3:]),
+            confidence=self._confidence(message.quality),
+            status=status,
+        )
+
+    def _bench_time(self, session: Session, device_ns: int, host_ns: int) -> tuple[int, bool]:
+        """When a pose was measured, and whether its stamp was credible; later than the last one in any case.
+
+        The round trips count; where the sender answers none, or stamps its poses by another clock, the
+        quickest arrivals do.
+        """
+        t_ns, credible = self._clock_map.map(device_ns, host_ns)
+        trip = session.trip()
+        if trip is not None:
+            if -_EARLY_NS < host_ns - device_ns - trip.offset_ns < _LATE_NS:
+                t_ns, credible = min(device_ns + trip.offset_ns, host_ns), True
+                session.other_clock = 0
+            else:
+                session.other_clock += 1
+        if credible:
+            t_ns = self._last_t_ns = min(max(t_ns, self._last_t_ns + 1), max(host_ns, self._last_t_ns + 1))
+        return t_ns, credible
+
+    def _has_reset(self, message: Any, device_ns: int | None) -> bool:
+        """Whether the sender says that its estimate was reset, or has started again: nothing is believed."""
+        resets, self._resets = self._resets, message.reset_counter
+        reset = resets is not None and resets != message.reset_counter
+        if device_ns is not None:
+            restarted = self._last_device_ns is not None and device_ns < self._last_device_ns
+            self._last_device_ns = device_ns
+            if restarted:
+                _LOG.warning("%s has started again", self.name)
+            reset = reset or restarted
+        if reset:
+            self._jumps.distrust()
+        return reset
+
+    def _judge(
+        self, message: Any, t_ns: int, host_ns: int
+    ) -> tuple[tuple[float, ...], tuple[float, ...], Status]:
+        """Pose, twist and status, without regard to time."""
+        config = self._config
+        axes = messages.axes_of(message.frame_id, message.child_frame_id, config.body_axes)
+        if axes is None or config.frame not in (None, messages.frame_name(message.frame_id)):
+            return _NAN7, _NAN6, Status.PROTOCOL
+        pose = messages.pose_of(message, axes)
+        if not all(map(math.isfinite, pose)):
+            return pose, _NAN6, Status.NOT_FINITE
+        norm = math.hypot(*pose[3:])
+        twist = messages.twist_of(message, axes, pose[3:])
+        near = math.hypot(*pose[:3]) < _FARTHEST_M and not max(map(abs, twist)) > _FASTEST
+        if not (_NORM_LOW < norm < _NORM_HIGH and near):
+            return pose, twist, Status.IMPLAUSIBLE
+        return pose, twist, self._status(message, pose, t_ns, host_ns)
+
+    def _status(self, message: Any, pose: tuple[float, ...], t_ns: int, host_ns: int) -> Status:
+        confidence = self._confidence(message.quality)
+        if confidence == 0:
+            return Status.NOT_TRACKED
+        if self._stuck.stuck(pose, host_ns):
+            return Status.FROZEN
+        if confidence < _USABLE_CONFIDENCE:
+            return Status.LOW_CONFIDENCE
+        if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
+            return Status.JUMP
+        return Status.OK
+
+    def _confidence(self, quality: int) -> int:
+        """The sender's percentage as 0 (failed) to 3 (high); unknown is as good as usable."""
+        if quality <= messages.FAILED:
+            return 0
+        if quality == messages.UNKNOWN_QUALITY:
+            return _USABLE_CONFIDENCE
+        return 1 + (quality >= self._config.least_quality) + (quality >= self._config.good_quality)

@@ -1,0 +1,182 @@
+"""One conversation with the sender: who it is, its messages, heartbeats, and the time of its clock."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Any, NamedTuple, TypeAlias
+
+from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
+from hil.devices.tracker.mavlink.messages import Parser
+from hil.devices.tracker.mavlink.timesync import TimeSync, Trip
+from hil.devices.tracker.mavlink.wire import Address, Arrival, Link
+from hil.vocabulary.clock import NS_PER_S, Clock
+
+SYSTEM, COMPONENT = 255, 190
+"""Ids of this host: those that ground stations go by, whom every sender answers."""
+
+_HEARTBEAT_NS = NS_PER_S
+_MOST_SENDERS = 64
+_ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
+
+Source: TypeAlias = tuple[int, int]
+"""System and component id."""
+
+
+class Received(NamedTuple):
+    """One odometry message and when it arrived on the bench clock."""
+
+    message: Any
+    arrived_ns: int
+
+
+class Session:
+    """Takes what arrives on a link apart.
+
+    Args:
+        link: open; closed with the session.
+        common: the MAVLink dialect.
+        config: who is wanted.
+        clock: the bench clock.
+
+    Attributes:
+        odometry: messages that nobody has taken, the oldest first.
+        last: the newest of all; None until there is one.
+        source: the sender; None until one has sent odometry.
+        heard: types of message by system and component, to tell who else is there.
+        heartbeat, version: the sender's last HEARTBEAT and AUTOPILOT_VERSION.
+        sync: its clock.
+        packets: arrivals, whatever they held.
+        malformed: pieces that are no MAVLink packet, or whose checksum is wrong.
+        strangers: messages from others.
+        lost: gaps in the sender's packet numbers.
+        other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
+    """
+
+    def __init__(self, link: Link, common: Any, config: MavlinkTrackerConfig, clock: Clock) -> None:
+        self._link, self._common, self._config, self._clock = link, common, config, clock
+        self._parser = Parser(common, datagrams=link.datagrams)
+        self._writer = common.MAVLink(None, srcSystem=SYSTEM, srcComponent=COMPONENT)
+        self._peer: Address | None = link.peer
+        self._heartbeat_ns = 0
+        self._last_number: int | None = None
+        self._ask_ns, self._asks_left = 0, _ASKS
+        self.odometry: deque[Received] = deque(maxlen=config.queue_length)
+        self.last: Any = None
+        self.source: Source | None = None
+        self.heard: dict[Source, set[str]] = {}
+        self.heartbeat: Any = None
+        self.version: Any = None
+        self.sync = TimeSync()
+        self.packets = self.malformed = self.strangers = self.lost = self.other_clock = 0
+        self._overflowed = 0
+
+    @property
+    def overflowed(self) -> int:
+        """Odometry that nobody took in time, and arrivals that the link could not keep."""
+        return self._overflowed + self._link.overflowed
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing can arrive; empty while all is well."""
+        return self._link.trouble
+
+    def exchange(self) -> None:
+        """Take all that has arrived and say what is due; never waits."""
+        while (arrival := self._link.receive()) is not None:
+            self.packets += 1
+            for message in self._parser.feed(arrival.data):
+                self._take(message, arrival)
+        self._speak()
+
+    def trip(self) -> Trip | None:
+        """The round trip by which the sender's clock is known now."""
+        return self.sync.best(self._clock.now_ns())
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._link.close()
+
+    def _take(self, message: Any, arrival: Arrival) -> None:
+        kind = message.get_type()
+        if kind == "BAD_DATA":
+            self.malformed += 1
+            return
+        source = message.get_srcSystem(), message.get_srcComponent()
+        if source in self.heard or len(self.heard) < _MOST_SENDERS:
+            self.heard.setdefault(source, set()).add(kind)
+        if self.source is None:
+            self._peer = arrival.sender
+        if not self._is_wanted(source):
+            self.strangers += 1
+            return
+        if kind == "ODOMETRY" and self.source is None:
+            self.source = source
+        if source != self.source:
+            return
+        self._peer = arrival.sender
+        self._count(message.get_seq())
+        if kind == "ODOMETRY":
+            self._overflowed += len(self.odometry) == self._config.queue_length
+            self.odometry.append(Received(message, arrival.arrived_ns))
+            self.last = message
+        elif kind == "TIMESYNC":
+            self._time(message, arrival.arrived_ns)
+        elif kind == "HEARTBEAT":
+            self.heartbeat = message
+        elif kind == "AUTOPILOT_VERSION":
+            self.version = message
+
+    def _is_wanted(self, source: Source) -> bool:
+        if self.source is not None:
+            return source == self.source
+        wanted = self._config.system_id, self._config.component_id
+        return all(w in (None, s) for w, s in zip(wanted, source, strict=True))
+
+    def _count(self, number: int) -> None:
+        """Packet numbers run from 0 to 255; a large step is a restart or a late packet, not a gap."""
+        if self._last_number is not None:
+            gap = (number - self._last_number - 1) % 256
+            self.lost += gap if gap < 128 else 0
+        self._last_number = number
+
+    def _time(self, message: Any, arrived_ns: int) -> None:
+        if message.tc1 == 0:
+            self._send(self._common.MAVLink_timesync_message(self._clock.now_ns(), message.ts1))
+        else:
+            self.sync.answered(message.ts1, message.tc1, arrived_ns)
+
+    def _speak(self) -> None:
+        now_ns = self._clock.now_ns()
+        if self._peer is None:
+            return
+        common = self._common
+        if now_ns >= self._heartbeat_ns:
+            self._heartbeat_ns = now_ns + _HEARTBEAT_NS
+            self._send(
+                common.MAVLink_heartbeat_message(
+                    common.MAV_TYPE_GCS, common.MAV_AUTOPILOT_INVALID, 0, 0, common.MAV_STATE_ACTIVE, 3
+                )
+            )
+        if self.source is None:
+            return
+        if self.sync.due(now_ns):
+            self._send(common.MAVLink_timesync_message(0, now_ns))
+        if self.version is None and self._asks_left and now_ns >= self._ask_ns:
+            self._ask_ns = now_ns + _ASK_AGAIN_NS
+            self._asks_left -= 1
+            self._ask_version(*self.source)
+
+    def _ask_version(self, system: int, component: int) -> None:
+        common = self._common
+        self._send(
+            common.MAVLink_command_long_message(
+                system, component, common.MAV_CMD_REQUEST_MESSAGE, 0,
+                common.MAVLINK_MSG_ID_AUTOPILOT_VERSION, 0, 0, 0, 0, 0, 0,
+            )
+        )  # fmt: skip
+
+    def _send(self, message: Any) -> None:
+        assert self._peer is not None
+        writer = self._writer
+        self._link.send(bytes(message.pack(writer)), self._peer)
+        writer.seq = (writer.seq + 1) % 256
