@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, reduce
+from operator import or_
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import Discriminator, Field, Tag, create_model
@@ -135,5 +136,5 @@ def table_of(kind: DeviceKind) -> Any:
     def chosen(value: Any) -> Any:
         return value.get("model", default) if isinstance(value, Mapping) else getattr(value, "model", default)
 
-    tagged = tuple(Annotated[m.config, Tag(m.name)] for m in kind.models)
-    return Annotated[tagged, Discriminator(chosen)]
+    tagged = (Annotated[m.config, Tag(m.name)] for m in kind.models)
+    return Annotated[reduce(or_, tagged), Discriminator(chosen)]

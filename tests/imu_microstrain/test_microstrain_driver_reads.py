@@ -1,4 +1,4 @@
-"""The driver on the emulated sensor: what it reports is the truth of the world, within the sensor's errors."""
+"""The driver on the emulated sensor: it reports the truth of the world, within the sensor's errors."""
 
 import dataclasses
 import math

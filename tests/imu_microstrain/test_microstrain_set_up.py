@@ -43,7 +43,7 @@ def test_it_can_be_opened_again_while_it_goes_on_sending(bench):
     assert {s.status for s in samples} == {Status.OK}
     assert samples[0].stamp.t_ns > b.clock.now_ns() - 400_000_000
     b.driver.close()
-    with pytest.raises(DeviceError, match="imu.*used while closed"):
+    with pytest.raises(DeviceError, match=r"imu.*used while closed"):
         b.driver.read()
 
 

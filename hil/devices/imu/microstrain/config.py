@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, ValidationInfo, field_validator
 
+from hil.config.device import ImuConfig, Position
 from hil.config.values import Freshness, Patience, UnitQuaternion, Within
 from hil.devices.imu.microstrain.fields import PACKET_BYTES
 from hil.devices.imu.microstrain.packets import BITS_PER_BYTE
@@ -14,11 +15,10 @@ _FULLEST = 0.95
 _PROCESSING_S = 0.002
 
 
-class MicrostrainConfig(BaseModel):
+class MicrostrainConfig(ImuConfig):
     """How the sensor is reached, set up and judged.
 
     Attributes:
-        backend: `real`, or `emulated` for a device that the bench emulates.
         port: any pyserial URL or device path.
         baud: of the link, as the sensor is set: 115200 when delivered, up to 921600. The sensor's own USB
             port takes any; write 921600 there.
@@ -37,14 +37,14 @@ class MicrostrainConfig(BaseModel):
         stale_after_s: samples that come later than this are marked stale.
     """
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    backend: Literal["real", "emulated"] = "real"
+    model: Literal["microstrain"] = "microstrain"
     port: str = Field("/dev/ttyUSB0", min_length=1)
     baud: int = Field(115_200, gt=0)
-    rate_hz: Annotated[float, Within(10.0, 1000.0, "the sensor has 1000 Hz")] = 110.0
+    rate_hz: Annotated[float, Within(10.0, 1000.0, "the sensor has 1000 Hz")] = Field(
+        110.0, validate_default=True
+    )
     magnetometer: bool = False
-    mount_position_m: tuple[float, float, float] = (0.0655, 0.0, 0.098)
+    mount_position_m: Position = (0.0655, 0.0, 0.098)
     mount_rotation_wxyz: UnitQuaternion = (0.0, 1.0, 0.0, 0.0)
     latency_s: Annotated[float, Within(0.0, 0.1, "a sensor that is later is of no use")] | None = None
     reply_timeout_s: float = Field(0.1, gt=0, le=1)
@@ -53,16 +53,18 @@ class MicrostrainConfig(BaseModel):
     stuck_after_s: Freshness = 0.2
     stale_after_s: Freshness = 0.1
 
-    @model_validator(mode="after")
-    def _fits(self) -> MicrostrainConfig:
-        needed = self.rate_hz * PACKET_BYTES * BITS_PER_BYTE
-        if needed > _FULLEST * self.baud:
-            most_hz = _FULLEST * self.baud / (PACKET_BYTES * BITS_PER_BYTE)
+    @field_validator("rate_hz")
+    @classmethod
+    def _fits(cls, value: float, info: ValidationInfo) -> float:
+        baud = info.data.get("baud")
+        needed = value * PACKET_BYTES * BITS_PER_BYTE
+        if baud is not None and needed > _FULLEST * baud:
+            most_hz = _FULLEST * baud / (PACKET_BYTES * BITS_PER_BYTE)
             raise ValueError(
-                f"rate_hz {self.rate_hz:g} needs {needed:.0f} bits per second and baud has {self.baud}: "
-                f"at most {most_hz:.0f} Hz, or set sensor and bench to 921600 baud"
+                f"needs {needed:.0f} bits per second and baud has {baud}: at most {most_hz:.0f} Hz, "
+                "or set sensor and bench to 921600 baud"
             )
-        return self
+        return value
 
     @property
     def delay_s(self) -> float:
