@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from hil.devices.imu.microstrain import fields as f
+from hil.devices.imu.microstrain.commands import Settings
 from hil.devices.imu.microstrain.faulty import SUPPORTED_FAULTS
-from hil.devices.imu.microstrain.packets import Field, encode
+from hil.devices.imu.microstrain.packets import Field, cut, encode
 from hil.fakes.faults import parse_fault
 from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.wire import Reply
@@ -146,10 +147,8 @@ def test_a_restarted_sensor_is_set_up_again_and_says_so(bench):
 
 def test_a_sensor_that_restarts_into_the_same_stream_still_gets_its_settings(bench):
     b = opened(bench)
-    b.chip.commands.saved = b.chip.commands.settings
-    b.chip.commands.saved = type(b.chip.commands.saved)(
-        formats=b.chip.commands.settings.formats, magnetometer=True, transform_rad=(0.1, 0.0, 0.0)
-    )
+    formats = b.chip.commands.settings.formats
+    b.chip.commands.saved = Settings(formats, transform_rad=(0.1, 0.0, 0.0))
     b.world.faults.add(parse_fault("imu:reset@0.5"))
     seen = b.run(3.5)
     assert Status.RESET in kinds(seen)
@@ -227,8 +226,6 @@ def with_field(descriptor, *values):
     """Alters a field of every data packet."""
 
     def alter(data):
-        from hil.devices.imu.microstrain.packets import cut
-
         found = cut(data[4:-2])
         changed = [
             Field(d, f.LAYOUTS[d].pack(*values)) if d == descriptor else Field(d, old) for d, old in found

@@ -8,6 +8,7 @@ import pytest
 
 from hil.devices.imu.microstrain import fields as f
 from hil.devices.imu.microstrain.commands import Settings
+from hil.devices.imu.microstrain.packets import PacketParser
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
 
@@ -92,8 +93,6 @@ def test_what_a_transformation_does_to_the_data(bench, turning_plant, ideal):
     b = bench(plant=turning_plant(tilt_rad=0.0), options=ideal, saved=turned)
     b.world.advance_to(10_000_000)
     b.world.sync_plant()
-    from hil.devices.imu.microstrain.packets import PacketParser
-
     (reply,) = b.chip.poll(b.chip.next_poll_ns())
     data = f.FilterData.of(PacketParser(1).feed(reply.data, 0)[0])
     # the vehicle pitches its nose down by 0.5 with respect to the sensor, so down leans forward in it

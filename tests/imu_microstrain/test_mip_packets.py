@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hil.devices.imu.microstrain.packets import Field, Packet, PacketParser, encode
+from hil.devices.imu.microstrain.packets import Field, Packet, PacketParser, checksum, encode
 
 PATIENCE_NS = 30_000_000
 VENDOR = {
@@ -16,7 +16,7 @@ VENDOR = {
     "75650C0E0E0F018003D5000A04000A05000A91CE": Packet(
         0x0C, (Field(0x0F, bytes.fromhex("018003D5000A04000A05000A")),)
     ),
-    "756501040 4F10600DA74".replace(" ", ""): Packet(0x01, (Field(0xF1, bytes.fromhex("0600")),)),
+    "7565010404F10600DA74": Packet(0x01, (Field(0xF1, bytes.fromhex("0600")),)),
 }
 
 payloads = st.lists(st.builds(Field, st.integers(0, 255), st.binary(max_size=40)), max_size=6)
@@ -83,8 +83,6 @@ def test_a_spoilt_length_holds_the_next_packets_back_no_longer_than_the_patience
 def test_fields_that_do_not_fill_the_packet_make_it_none():
     frame = b"\x75\x65\x01\x03\x02\x01\x00"
     parser = PacketParser(PATIENCE_NS)
-    from hil.devices.imu.microstrain.packets import checksum
-
     assert parser.feed(frame + checksum(frame), 0) == []
     assert parser.rejected == 1
 
