@@ -13,8 +13,9 @@ from hil.config.loading import load_bench, validate
 from hil.devices.imu.microstrain import MICROSTRAIN
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.fakes.world import VirtualClock
-from hil.live.playback import open_recording, verify_recording
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_recording
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.signals import Status
