@@ -140,6 +140,11 @@ def run(ctx: Context) -> None:
             f"bench {ctx.source.config.name} is not on a wall: gravity does not show the heading",
             expected='tilt_rad = 1.5708 in [environment]', remedy="run it on the wall bench",
         )  # fmt: skip
+    if ctx.source.config.of(Bno055Config) is None:
+        raise ConfigError(
+            f"bench {ctx.source.config.name} has an IMU that keeps no offsets for a client to store",
+            expected='model = "bno055" in [imu]', remedy="leave this procedure out",
+        )  # fmt: skip
     bench = ctx.reopen(overrides={"tracker": None, "encoders": None})
     with ctx.step("learn", timeout_s=p.learn_s + 30.0):
         ctx.measure("gyro_level", learn(bench, p))

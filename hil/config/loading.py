@@ -166,9 +166,12 @@ def _place(loc: tuple[int | str, ...]) -> tuple[int | str, ...]:
     return (loc[0], *loc[2:]) if loc[1] in [m.name for m in kind.models] else loc
 
 
-def _keys(tables: Sequence[int | str]) -> tuple[str, ...]:
-    """Names of the keys in a table of the file, given by the names on the way to it."""
+def _keys(loc: Sequence[int | str]) -> tuple[str, ...]:
+    """Names of the keys in a table of the file, by pydantic's way to it: behind a kind may stand a model."""
     models: list[Any] = [bench_model()]
+    tables = list(_place(tuple(loc)))
+    if len(tables) < len(loc):
+        models, tables = [kinds()[str(loc[0])].model(str(loc[1])).config], tables[1:]
     for name in tables:
         annotations = [m.model_fields[name].annotation for m in models if name in m.model_fields]
         models = [m for annotation in annotations for m in _models_in(annotation)]
@@ -187,7 +190,7 @@ def _reason(item: Any) -> str:
     if item["type"] == "extra_forbidden":
         *above, key = tables
         known = ", ".join(kinds())
-        near = did_you_mean(str(key), _keys(above))
+        near = did_you_mean(str(key), _keys(item["loc"][:-1]))
         table = not above and isinstance(item["input"], Mapping)
         device = f"no device or table of that name (devices: {known}); install the package that adds it, or "
         return f"unknown key; {near or (device if table else '') + 'remove it or check the spelling'}"

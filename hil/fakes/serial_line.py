@@ -28,6 +28,7 @@ LINE_FAULTS: Supported = {
 }
 
 _BITS_PER_BYTE = 10
+_BAUD_UNSAID = 115_200
 _USB_PACKET = 62
 _WRONG_BAUD_FACTOR = 0.5
 
@@ -68,7 +69,7 @@ class SerialLine(Scheduled):
         self._out: deque[tuple[int, bytes, int]] = deque()
         self._in: deque[tuple[int, bytes]] = deque()
         self._out_free_ns = self._in_free_ns = 0
-        self._baud = 0
+        self._baud = _BAUD_UNSAID
         self.in_use = False
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)

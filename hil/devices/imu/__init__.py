@@ -6,6 +6,7 @@ import numpy as np
 
 from hil.devices.imu.bno055 import BNO055
 from hil.devices.imu.look import look
+from hil.devices.imu.microstrain import MICROSTRAIN
 from hil.recording.cdr import NO_COVARIANCE, CdrWriter, raw, xyzw
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Topic, Witness
@@ -35,9 +36,9 @@ KIND = DeviceKind(
     name="imu",
     noun="IMU",
     sample=ImuSample,
-    models=(BNO055,),
+    models=(BNO055, MICROSTRAIN),
     stale_s=lambda safety, own: safety.imu_stale_s,
-    rate_hz=lambda own, loop_hz: min(loop_hz, 100.0),
+    rate_hz=lambda own, loop_hz: float(getattr(own, "rate_hz", min(loop_hz, 100.0))),
     age_s=0.02,
     gap_s=0.1,
     delivered=0.95,

@@ -1,0 +1,103 @@
+"""An emulated MicroStrain sensor on its line, a plant that turns, and the driver on it, in virtual time."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.devices.imu.microstrain.chip import MicrostrainChip
+from hil.devices.imu.microstrain.config import MicrostrainConfig
+from hil.devices.imu.microstrain.driver import MicrostrainImu
+from hil.devices.imu.microstrain.sensing import MicrostrainTruthOptions
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.plant_api import PlantState
+from hil.fakes.serial_line import SerialLine
+from hil.fakes.world import VirtualClock, World
+
+IDEAL = MicrostrainTruthOptions(
+    gyro_noise_rad_s=0, gyro_bias_rad_s=0, accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0,
+    heading_drift_rad_s=0, filter_gravity_m_s2=9.80665,
+)  # fmt: skip
+
+
+class TurningPlant:
+    """Turns at a constant rate about the body origin, on a surface of given tilt."""
+
+    def __init__(self, tilt_rad=math.pi / 2, theta_rad=0.0, rate_rad_s=0.0):
+        self.t_ns, self.tilt_rad, self.theta_rad, self.rate_rad_s = 0, tilt_rad, theta_rad, rate_rad_s
+        self.acceleration = np.zeros(2)
+
+    def command(self, joint, command):
+        raise AssertionError("an IMU commands nothing")
+
+    def advance(self, t_ns):
+        self.theta_rad += self.rate_rad_s * (t_ns - self.t_ns) * 1e-9
+        self.t_ns = t_ns
+
+    def joints(self):
+        return np.zeros(8), np.zeros(8), np.zeros(8)
+
+    def truth(self):
+        return PlantState(
+            self.t_ns,
+            np.array([0.0, 0.0, self.theta_rad]),
+            np.array([0.0, 0.0, self.rate_rad_s]),
+            self.acceleration.copy(),
+            *(np.zeros(8) for _ in range(3)),
+            np.zeros(4),
+            np.full(4, 8.0),
+            np.zeros((4, 2)),
+            self.tilt_rad,
+            False,
+        )
+
+
+@pytest.fixture
+def turning_plant():
+    return TurningPlant
+
+
+@pytest.fixture
+def ideal():
+    """A sensor without errors."""
+    return IDEAL
+
+
+@pytest.fixture
+def bench():
+    """Factory of a world with a chip on a line, and a driver on it."""
+    lines = []
+
+    def build(*faults, plant=None, config=None, options=None, seed=1, latency_s=0.001, **chip_options):
+        plan = FaultPlan([parse_fault(spec) for spec in faults])
+        plant = plant if plant is not None else TurningPlant()
+        world = World(plant, seed=seed, faults=plan)
+        config = MicrostrainConfig(**{"port": "hil://imu", "backend": "emulated", **(config or {})})
+        chip = MicrostrainChip(
+            world, options=options, mount_rotation_wxyz=config.mount_rotation_wxyz, **chip_options
+        )
+        for line in lines:
+            line.close()
+        line = SerialLine(world, chip, latency_s=latency_s).open()
+        lines.append(line)
+        plan.check()
+        clock = VirtualClock(world)
+        driver = MicrostrainImu(config, clock)
+
+        def run(duration_s, period_ns=10_000_000):
+            """Read in cycles; the samples."""
+            samples, end_ns = [], clock.now_ns() + round(duration_s * 1e9)
+            while clock.now_ns() < end_ns:
+                due_ns = clock.now_ns() + period_ns
+                samples += driver.read()
+                clock.sleep_until_ns(due_ns)
+            return samples
+
+        return SimpleNamespace(
+            plant=plant, world=world, chip=chip, line=line, clock=clock, driver=driver, config=config, run=run
+        )
+
+    yield build
+    for line in lines:
+        line.close()

@@ -1,0 +1,33 @@
+"""What `[imu]` of a MicroStrain sensor accepts."""
+
+import pytest
+from pydantic import ValidationError
+
+from hil.devices.imu.microstrain.config import MicrostrainConfig
+from hil.devices.imu.microstrain.fields import PACKET_BYTES
+
+
+def test_as_delivered_the_line_can_carry_the_rate():
+    config = MicrostrainConfig()
+    assert config.rate_hz * PACKET_BYTES * 10 < config.baud
+    assert config.delay_s == pytest.approx(0.002 + PACKET_BYTES * 10 / 115_200)
+    assert MicrostrainConfig(baud=921_600).delay_s == pytest.approx(0.003, abs=1e-4)
+    assert MicrostrainConfig(latency_s=0.004).delay_s == 0.004
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"rate_hz": 200.0}, "at most 119 Hz, or set sensor and bench to 921600 baud"),
+        ({"baud": 9600}, "needs 101200 bits per second and baud has 9600"),
+        ({"rate_hz": 5.0}, "must lie within 10 .. 1000"),
+        ({"rate_hz": 2000.0, "baud": 10_000_000}, "must lie within 10 .. 1000"),
+        ({"latency_s": 0.5}, "must lie within 0 .. 0.1"),
+        ({"mount_rotation_wxyz": (1, 1, 1, 1)}, "norm"),
+        ({"axis_map": 0x24}, "axis_map"),
+        ({"port": ""}, "port"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_its_reason(given, told):
+    with pytest.raises(ValidationError, match=told):
+        MicrostrainConfig(**given)
