@@ -138,10 +138,19 @@ def test_the_doctor_finds_it_healthy(bench_file):
     found = findings(hil.open_bench(bench_file()))
     assert {f.level for f in found.values()} == {"ok"}
     assert "3DM-CV7-AHRS" in found["open"].found
+    assert found["samples"].found.startswith("111 of 110 good")
     assert found["filter"].found == "vertical gyro, stable"
     assert found["rate"].found == "111.1 Hz, 0 gaps"
     assert found["gravity"].found == "9.78 m/s^2"
     assert found["late samples"].found == "0 of 111"
+
+
+def test_the_doctor_expects_the_rate_of_the_bench_file(bench_file):
+    path = bench_file()
+    path.write_text(path.read_text() + "rate_hz = 20\n")
+    found = findings(hil.open_bench(path))
+    assert {f.level for f in found.values()} == {"ok"}
+    assert found["samples"].found.startswith("20 of 20 good")
 
 
 @pytest.mark.parametrize(

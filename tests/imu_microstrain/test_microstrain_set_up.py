@@ -207,10 +207,14 @@ def test_losses_on_the_wire_do_not_stop_the_set_up(bench):
     assert b.run(0.2)[-1].status is Status.OK
 
 
-def test_a_sensor_that_goes_away_in_the_middle_is_begun_anew(bench):
-    b = bench("imu:reset@0.015", config={"open_timeout_s": 10.0})
+@pytest.mark.parametrize("after_s", [0.015, 0.03, 0.04, 0.05])
+def test_a_sensor_that_restarts_in_the_middle_is_begun_anew(bench, after_s):
+    b = bench(f"imu:reset@{after_s}", config={"open_timeout_s": 10.0})
     b.driver.open()
+    assert b.clock.now_ns() > 1_000_000_000
     assert b.run(1.0)[-1].status is Status.OK
+    assert not b.chip.commands.settings.magnetometer
+    assert b.chip.commands.settings.streams == {f.FILTER_DATA}
 
 
 def test_a_sensor_that_stops_in_the_middle_is_told_from_one_that_never_answered(bench):

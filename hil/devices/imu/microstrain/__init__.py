@@ -1,4 +1,9 @@
-"""MicroStrain (HBK) 3DM-CV7 and 3DM-GV7 on a serial port, which speak the public MIP protocol."""
+"""MicroStrain (HBK) 3DM-CV7 and 3DM-GV7 on a serial port, which speak the public MIP protocol.
+
+Why this one beside the BNO055, which is no longer made: it can be bought, its maker publishes protocol and an
+SDK under the MIT licence, and one packet holds attitude, rates, linear acceleration, gravity, the filter's
+state and the sensor's own time, from 100 to 1000 times a second.
+"""
 
 from __future__ import annotations
 
