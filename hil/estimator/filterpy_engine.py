@@ -16,14 +16,16 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.estimator import layout as L
-from hil.estimator import replay as kernels
+from hil.estimator import sensors
 from hil.estimator.conditioning import guard
+from hil.estimator.events import NONE_ACCEPTED
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
+from hil.estimator.layout import EventRow, Memory, Parameters
 from hil.estimator.process import add_noise, move, transition
-from hil.estimator.sensors import jacobian, observe, predicted
+from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, REFUSED
 from hil.estimator.small_matrices import square_root
+from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 
@@ -79,17 +81,15 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
 class FilterpyEngine(Engine):
     """Runs events through filterpy's EKF or UKF."""
 
-    def __init__(self, par: Array, wheels: Array, rows: Array) -> None:
-        self._par, self._wheels, self._rows = par, wheels, rows
-        self._unscented = bool(par[L.UNSCENTED])
-        n = L.STATES
+    def __init__(self, par: Parameters) -> None:
+        self._par, self._process, n = par, par.process, STATES
+        self._unscented = bool(par.filter.unscented)
         if self._unscented:
-            points = MerweScaledSigmaPoints(
-                n, par[L.ALPHA], par[L.BETA], par[L.KAPPA], sqrt_method=upper_root
-            )
-            self._filter: Any = UnscentedKalmanFilter(n, L.ROWS, 1.0, hx=None, fx=self._moved, points=points)
+            f = par.filter
+            points = MerweScaledSigmaPoints(n, f.alpha, f.beta, f.kappa, sqrt_method=upper_root)
+            self._filter: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
         else:
-            self._filter = ExtendedKalmanFilter(n, L.ROWS)
+            self._filter = ExtendedKalmanFilter(n, ROWS)
             self._filter.predict_x = self._predict_mean
             self._step_s = 0.0
 
@@ -100,8 +100,8 @@ class FilterpyEngine(Engine):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
-            self._take(int(h.kinds[i]), float(h.t_ns[i] - zero_ns), h.x[i], h.p[i], h.m[i], h.data[i])
-        now.x[:], now.p[:], now.m[:] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
+            self._take(int(h.numbers[i]), float(h.t_ns[i] - zero_ns), h.x[i], h.p[i], h.m[i], h.rows[i])
+        now.x[:], now.p[:], now.m[0] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
@@ -110,106 +110,107 @@ class FilterpyEngine(Engine):
             return
         f = self._filter
         f.x, f.P = x.copy(), p.copy()
-        f.Q = np.zeros((L.STATES, L.STATES))
-        add_noise(x, f.Q, dt_s, self._par)
+        f.Q = np.zeros((STATES, STATES))
+        add_noise(x, f.Q, dt_s, self._process)
         if self._unscented:
             f.predict(dt=dt_s, UT=centred_transform)
         else:
-            f.F = transition(x, dt_s, self._par[L.SLIP_S])
+            f.F = transition(x, dt_s, self._process.slip_s)
             self._step_s = dt_s
             f.predict()
         x[:], p[:] = f.x, _symmetric(f.P)
 
     def _moved(self, x: Array, dt_s: float) -> Array:
         out = np.array(x)
-        move(out, dt_s, self._par[L.SLIP_S])
+        move(out, dt_s, self._process.slip_s)
         return out
 
     def _predict_mean(self, u: float = 0.0) -> None:
-        move(self._filter.x, self._step_s, self._par[L.SLIP_S])
+        move(self._filter.x, self._step_s, self._process.slip_s)
 
-    def _take(self, kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array) -> None:
-        """As `replay.take`, with the comparison on filterpy."""
-        if kind == L.RESET:
+    def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow) -> None:
+        """As `events.take`, with the comparison on filterpy."""
+        if number == sensors.MARK:
             return
-        use = kernels.admit(kind, t_ns, m, data, self._par)
-        if use == 0:
-            m[L.REJECTED + kind] += 1.0
+        use = sensors.admit(number, t_ns, m, row, self._par)
+        if use == REFUSED:
             return
-        if use == 3:
-            m[L.DUPLICATES] += 1.0
+        if use == DUPLICATE:
+            m.duplicates += 1.0
             return
-        if use == 2:
-            kernels.anchor(t_ns, x, p, m, data, self._par)
+        if use == NEW_FRAME:
+            sensors.new_frame(number, t_ns, x, p, m, row, self._par)
         else:
-            self._compare(kind, t_ns, x, p, m, data)
-            kernels.let_in(kind, t_ns, x, p, m, data, self._par)
-        kernels.remember(kind, t_ns, x, p, m, data, self._par)
-        m[L.GUARDED] += guard(p)
+            self._compare(number, t_ns, x, p, m, row)
+            sensors.let_in(number, self._par.filter.limit, t_ns, x, p, m, row, self._par)
+        sensors.remember(number, t_ns, x, p, m, row, self._par)
+        m.guarded += guard(p)
 
-    def _compare(self, kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array) -> None:
-        """As `replay.compare`: gates first, then one stacked update with the rows that passed."""
-        par = self._par
-        r = Rows(np.zeros(L.ROWS), np.zeros(L.ROWS), np.zeros(2), 0)
-        r.count = observe(kind, t_ns, m, data, par, self._wheels, self._rows, r.z, r.var, r.aux)
+    def _compare(self, number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow) -> None:
+        """As `events.compare`: gates first, then one stacked update with the rows that passed."""
+        by = self._par.filter
+        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
+        r.count = sensors.observe(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
         if r.count == 0:
             return
-        mean, s = self._innovation(kind, x, p, r)
-        nu = kernels.innovations(kind, r.z, mean, r.var, r.count)[: r.count]
-        kernels.show_innovation(kind, nu, m)
+        mean, s = self._innovation(number, x, p, r)
+        nu = sensors.innovation(number, m, r.z, mean, r.var, r.count)[: r.count]
         usable = r.var[: r.count] >= 0.0
-        nis, gate = np.full(L.ROWS, -1.0), par[L.GATE1]
-        if kind == L.TRACKER or kind == L.MOCAP:
-            total = float(nu @ np.linalg.solve(s, nu))
-            if total > par[L.GATE3]:
-                kernels.tally(kind, m, total, 0, r.count, par)
-                return
-            gate = np.inf
-        used = accepted(nu, s, usable, gate, nis)
-        if used:
-            self._update(kind, x, p, r, nu, used)
-        kernels.account(kind, m, nis, r.var, r.count, gate, par)
+        nis, gate = np.full(ROWS, -1.0), by.gate_row
+        if sensors.GATED_TOGETHER[number]:
+            nis[:] = 0.0
+            nis[0], gate = float(nu @ np.linalg.solve(s, nu)), np.inf
+            if nis[0] > by.gate_pose:
+                gate = NONE_ACCEPTED
+        if gate > 0.0:
+            used = accepted(nu, s, usable, gate, nis)
+            if used:
+                self._update(number, x, p, r, nu, used)
+        m.accepted += sensors.account(number, m, nis, r.var, r.count, gate, by.samples)
 
-    def _seen(self, kind: int, x: Array, r: Rows) -> Array:
-        out = np.zeros(L.ROWS)
-        predicted(kind, x, r.aux, self._par, self._rows, out)
+    def _seen(self, number: int, x: Array, r: Rows) -> Array:
+        out = np.zeros(ROWS)
+        sensors.predicted(number, x, r.aux, self._par, out)
         return out[: r.count]
 
-    def _derivative(self, kind: int, x: Array, r: Rows) -> Array:
-        h = np.zeros((L.ROWS, L.STATES))
-        jacobian(kind, x, r.aux, self._par, self._rows, h)
+    def _derivative(self, number: int, x: Array, r: Rows) -> Array:
+        h = np.zeros((ROWS, STATES))
+        sensors.jacobian(number, x, r.aux, self._par, h)
         return h[: r.count]
 
-    def _innovation(self, kind: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
+    def _innovation(self, number: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
         """Predicted rows (8,), zero beyond the count, and the covariance of the innovation."""
-        noise, mean = np.diag(r.var[: r.count]), np.zeros(L.ROWS)
+        noise, mean = np.diag(r.var[: r.count]), np.zeros(ROWS)
         if self._unscented:
             f = self._filter
             points = f.points_fn.sigma_points(x, p)
-            seen = np.array([self._seen(kind, point, r) for point in points])
+            seen = np.array([self._seen(number, point, r) for point in points])
             mean[: r.count], s = centred_transform(seen, f.Wm, f.Wc, noise)
             return mean, s
-        mean[: r.count] = self._seen(kind, x, r)
-        h = self._derivative(kind, x, r)
+        mean[: r.count] = self._seen(number, x, r)
+        h = self._derivative(number, x, r)
         return mean, h @ p @ h.T + noise
 
-    def _update(self, kind: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
+    def _update(self, number: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
         """Filterpy's update with the innovation already wrapped; sigma points drawn anew."""
         f, noise = self._filter, np.diag(r.var[used])
         f.x, f.P = x.copy(), p.copy()
         if self._unscented:
             f.residual_z = np.subtract
             f.sigmas_f = f.points_fn.sigma_points(f.x, f.P)
-            seen = np.array([self._seen(kind, point, r)[used] for point in f.sigmas_f])
+            seen = np.array([self._seen(number, point, r)[used] for point in f.sigmas_f])
             mean = centred_transform(seen, f.Wm, f.Wc, noise)[0]
             f.update(
                 mean + nu[used],
                 R=noise,
                 UT=centred_transform,
-                hx=lambda point: self._seen(kind, point, r)[used],
+                hx=lambda point: self._seen(number, point, r)[used],
             )
         else:
             f.update(
-                nu[used], lambda x: self._derivative(kind, x, r)[used], lambda x: np.zeros(len(used)), R=noise
+                nu[used],
+                lambda x: self._derivative(number, x, r)[used],
+                lambda x: np.zeros(len(used)),
+                R=noise,
             )
         x[:], p[:] = f.x, _symmetric(f.P)

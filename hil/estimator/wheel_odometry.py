@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import windowed_twist
-from hil.estimator.fusion import check_state
-from hil.estimator.layout import contacts
+from hil.estimator.friction import contacts, windowed_twist
+from hil.estimator.start import check_state
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, compose, se2_exp

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hil.estimator.friction import creep_twist, friction_twist
-from hil.estimator.layout import contacts
+from hil.estimator.friction import contacts, creep_twist, friction_twist
 from hil.robot import contact_laws as law
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, twist_of_vectors, wheel_vectors
 
