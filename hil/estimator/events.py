@@ -10,8 +10,9 @@ import math
 import numpy as np
 
 from hil.estimator.conditioning import condition, guard, joint_nis
-from hil.estimator.layout import EventRow, Ints, Memory, Parameters, Records
+from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
+from hil.estimator.records import Records
 from hil.estimator.sensors import (
     BENT,
     GATED_TOGETHER,
@@ -26,7 +27,7 @@ from hil.estimator.sensors import (
     predicted,
     remember,
 )
-from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, REFUSED
+from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.small_matrices import seen
 from hil.estimator.state import ROWS, STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
@@ -97,6 +98,29 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
 
 
 @compiled
+def begin(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> int:
+    """What becomes of a sample: `USED` when it is to be compared; begins new frames. As for `take`."""
+    use: int = admit(number, t_ns, m, row, par)
+    if use == DUPLICATE:
+        m.duplicates += 1.0
+    elif use == NEW_FRAME:
+        new_frame(number, t_ns, x, p, m, row, par)
+    return use
+
+
+@compiled
+def finish(
+    number: int, use: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters
+) -> None:
+    """What is left to do when a sample, of which `begin` said `use`, has been compared. As for `take`."""
+    if use == USED:
+        let_in(number, par.filter.limit, t_ns, x, p, m, row, par)
+    if use in (USED, NEW_FRAME):
+        remember(number, t_ns, x, p, m, row, par)
+        m.guarded += guard(p)
+
+
+@compiled
 def take(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
     """One sample, the state being predicted to its stamp.
 
@@ -109,56 +133,46 @@ def take(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow,
         row: the sample.
         par: of all kernels.
     """
-    if number == MARK:
-        return
-    use = admit(number, t_ns, m, row, par)
-    if use == REFUSED:
-        return
-    if use == DUPLICATE:
-        m.duplicates += 1.0
-        return
-    if use == NEW_FRAME:
-        new_frame(number, t_ns, x, p, m, row, par)
-    else:
+    use = begin(number, t_ns, x, p, m, row, par)
+    if use == USED:
         compare(number, t_ns, x, p, m, row, par)
-        let_in(number, par.filter.limit, t_ns, x, p, m, row, par)
-    remember(number, t_ns, x, p, m, row, par)
-    m.guarded += guard(p)
+    finish(number, use, t_ns, x, p, m, row, par)
 
 
 @compiled
 def run(
-    marks: Ints, begin: int, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records,
-    x: Array, p: Array, m: Records, par: Parameters, now_ns: int, now_x: Array, now_p: Array, now_m: Records,
+    marks: Ints, start: int, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records,
+    x: Array, p: Array, m: Records, pars: Records, now_ns: int, now_x: Array, now_p: Array, now_m: Records,
 ) -> None:  # fmt: skip
-    """Go through the events of a ring from `begin` on, and predict the newest state to `now_ns`.
+    """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
 
     Checkpoint k is the state after event k, which is in slot (first + k) % capacity of every array.
 
     Args:
         marks: first slot and number of events, then what does not matter here.
-        begin: first event to go through, at least 1.
+        start: first event to go through, at least 1.
         zero_ns: stamp that sensor memory counts from.
         t_ns: (capacity,) stamps.
         numbers: (capacity,) of sensors.
         rows: (capacity,) samples.
         x: (capacity, 20) states, and
         p: (capacity, 20, 20) covariances, and
-        m: (capacity,) memories; filled from `begin` on.
-        par: of all kernels.
+        m: (capacity,) memories; filled from `start` on.
+        pars: (1,) parameters of all kernels.
         now_ns: where this is later than the newest event, the state is predicted to it.
         now_x: (20,) and
         now_p: (20, 20) and
         now_m: (1,), filled with the newest state.
     """
-    first, count, capacity = marks[0], marks[1], t_ns.shape[0]
-    for k in range(begin, count):
+    first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
+    for k in range(start, count):
         i, j = (first + k) % capacity, (first + k - 1) % capacity
         x[i] = x[j]
         p[i] = p[j]
         m[i] = m[j]
         advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par)
-        take(numbers[i], float(t_ns[i] - zero_ns), x[i], p[i], m[i], rows[i], par)
+        if numbers[i] != MARK:
+            take(numbers[i], float(t_ns[i] - zero_ns), x[i], p[i], m[i], rows[i], par)
     last = (first + count - 1) % capacity
     now_x[:] = x[last]
     now_p[:] = p[last]

@@ -16,18 +16,26 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.estimator import sensors
-from hil.estimator.conditioning import guard
-from hil.estimator.events import NONE_ACCEPTED
+from hil.estimator.events import NONE_ACCEPTED, begin, finish
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
-from hil.estimator.layout import EventRow, Memory, Parameters
 from hil.estimator.process import add_noise, move, transition
-from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, REFUSED
+from hil.estimator.records import Records
+from hil.estimator.sensors import (
+    GATED_TOGETHER,
+    MARK,
+    account,
+    innovation,
+    jacobian,
+    observe,
+    predicted,
+)
+from hil.estimator.sensors.sensor import USED
 from hil.estimator.small_matrices import square_root
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
 Bools = npt.NDArray[np.bool_]
 
@@ -78,15 +86,72 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
     return used
 
 
+@compiled
+def before(
+    number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
+    z: Array, var: Array, aux: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """`events.take` up to the comparison: what `begin` says, and how many rows there are to compare.
+
+    Memory, row and parameters come as arrays (1,), here and below: quicker to pass than single records.
+    """
+    use = begin(number, t_ns, x, p, m[0], row[0], par[0])
+    count = observe(number, t_ns, m[0], row[0], par[0], z, var, aux) if use == USED else 0
+    return use, count
+
+
+@compiled
+def differences(number: int, m: Records, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """`Sensor.innovation`."""
+    return innovation(number, m[0], z, mean, var, count)  # type: ignore[no-any-return]
+
+
+@compiled
+def after(
+    number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
+    nis: Array, var: Array, count: int, gate: float,
+) -> None:  # fmt: skip
+    """`events.take` behind the comparison."""
+    if count > 0:
+        m[0].accepted += account(number, m[0], nis, var, count, gate, par[0].filter.samples)
+    finish(number, use, t_ns, x, p, m[0], row[0], par[0])
+
+
+@compiled
+def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
+    """Rows (n, 8) that states (n, 20) predict."""
+    out = np.zeros((points.shape[0], ROWS))
+    for k in range(points.shape[0]):
+        predicted(number, points[k], aux, par[0], out[k])
+    return out
+
+
+@compiled
+def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
+    """Their derivative (8, 20) at a state (20,)."""
+    h = np.zeros((ROWS, STATES))
+    jacobian(number, x, aux, par[0], h)
+    return h
+
+
+@compiled
+def noise_at(x: Array, dt_s: float, par: Records) -> Array:
+    """Process noise (20, 20) of a step from a state (20,)."""
+    q = np.zeros((STATES, STATES))
+    add_noise(x, q, dt_s, par[0].process)
+    return q
+
+
 class FilterpyEngine(Engine):
     """Runs events through filterpy's EKF or UKF."""
 
-    def __init__(self, par: Parameters) -> None:
-        self._par, self._process, n = par, par.process, STATES
-        self._unscented = bool(par.filter.unscented)
+    def __init__(self, par: Records) -> None:
+        by, n = par[0].filter, STATES
+        self._par, self._slip_s = par, float(par[0].process.slip_s)
+        self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
+        self._unscented = bool(by.unscented)
         if self._unscented:
-            f = par.filter
-            points = MerweScaledSigmaPoints(n, f.alpha, f.beta, f.kappa, sqrt_method=upper_root)
+            points = MerweScaledSigmaPoints(n, by.alpha, by.beta, by.kappa, sqrt_method=upper_root)
             self._filter: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
         else:
             self._filter = ExtendedKalmanFilter(n, ROWS)
@@ -100,7 +165,9 @@ class FilterpyEngine(Engine):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
-            self._take(int(h.numbers[i]), float(h.t_ns[i] - zero_ns), h.x[i], h.p[i], h.m[i], h.rows[i])
+            if h.numbers[i] != MARK:
+                number, stamp, one = int(h.numbers[i]), float(h.t_ns[i] - zero_ns), slice(i, i + 1)
+                self._take(number, stamp, h.x[i], h.p[i], h.m[one], h.rows[one])
         now.x[:], now.p[:], now.m[0] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
@@ -110,73 +177,55 @@ class FilterpyEngine(Engine):
             return
         f = self._filter
         f.x, f.P = x.copy(), p.copy()
-        f.Q = np.zeros((STATES, STATES))
-        add_noise(x, f.Q, dt_s, self._process)
+        f.Q = noise_at(x, dt_s, self._par)
         if self._unscented:
             f.predict(dt=dt_s, UT=centred_transform)
         else:
-            f.F = transition(x, dt_s, self._process.slip_s)
+            f.F = transition(x, dt_s, self._slip_s)
             self._step_s = dt_s
             f.predict()
         x[:], p[:] = f.x, _symmetric(f.P)
 
     def _moved(self, x: Array, dt_s: float) -> Array:
         out = np.array(x)
-        move(out, dt_s, self._process.slip_s)
+        move(out, dt_s, self._slip_s)
         return out
 
     def _predict_mean(self, u: float = 0.0) -> None:
-        move(self._filter.x, self._step_s, self._process.slip_s)
+        move(self._filter.x, self._step_s, self._slip_s)
 
-    def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow) -> None:
+    def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
         """As `events.take`, with the comparison on filterpy."""
-        if number == sensors.MARK:
-            return
-        use = sensors.admit(number, t_ns, m, row, self._par)
-        if use == REFUSED:
-            return
-        if use == DUPLICATE:
-            m.duplicates += 1.0
-            return
-        if use == NEW_FRAME:
-            sensors.new_frame(number, t_ns, x, p, m, row, self._par)
-        else:
-            self._compare(number, t_ns, x, p, m, row)
-            sensors.let_in(number, self._par.filter.limit, t_ns, x, p, m, row, self._par)
-        sensors.remember(number, t_ns, x, p, m, row, self._par)
-        m.guarded += guard(p)
-
-    def _compare(self, number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow) -> None:
-        """As `events.compare`: gates first, then one stacked update with the rows that passed."""
-        by = self._par.filter
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
-        r.count = sensors.observe(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
-        if r.count == 0:
-            return
-        mean, s = self._innovation(number, x, p, r)
-        nu = sensors.innovation(number, m, r.z, mean, r.var, r.count)[: r.count]
-        usable = r.var[: r.count] >= 0.0
-        nis, gate = np.full(ROWS, -1.0), by.gate_row
-        if sensors.GATED_TOGETHER[number]:
-            nis[:] = 0.0
-            nis[0], gate = float(nu @ np.linalg.solve(s, nu)), np.inf
-            if nis[0] > by.gate_pose:
-                gate = NONE_ACCEPTED
-        if gate > 0.0:
-            used = accepted(nu, s, usable, gate, nis)
-            if used:
-                self._update(number, x, p, r, nu, used)
-        m.accepted += sensors.account(number, m, nis, r.var, r.count, gate, by.samples)
+        use, r.count = before(number, t_ns, x, p, m, row, self._par, r.z, r.var, r.aux)
+        nis, gate = np.full(ROWS, -1.0), self._gate_row
+        if r.count > 0:
+            gate = self._compare(number, x, p, m, r, nis)
+        after(number, use, t_ns, x, p, m, row, self._par, nis, r.var, r.count, gate)
 
-    def _seen(self, number: int, x: Array, r: Rows) -> Array:
-        out = np.zeros(ROWS)
-        sensors.predicted(number, x, r.aux, self._par, out)
-        return out[: r.count]
+    def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows, nis: Array) -> float:
+        """As `events.compare`: gates first, then one stacked update with the rows that passed; their gate."""
+        mean, s = self._innovation(number, x, p, r)
+        nu = differences(number, m, r.z, mean, r.var, r.count)[: r.count]
+        gate = self._gate_row
+        if GATED_TOGETHER[number]:
+            nis[:], gate = 0.0, np.inf
+            nis[0] = float(nu @ np.linalg.solve(s, nu))
+            if nis[0] > self._gate_pose:
+                return NONE_ACCEPTED
+        used = accepted(nu, s, r.var[: r.count] >= 0.0, gate, nis)
+        if used:
+            self._update(number, x, p, r, nu, used)
+        return gate
+
+    def _seen(self, number: int, points: Array, r: Rows) -> Array:
+        """Rows (n, count) that states (n, 20) predict."""
+        seen = rows_at(number, np.ascontiguousarray(points), r.aux, self._par)
+        return np.ascontiguousarray(seen[:, : r.count])
 
     def _derivative(self, number: int, x: Array, r: Rows) -> Array:
-        h = np.zeros((ROWS, STATES))
-        sensors.jacobian(number, x, r.aux, self._par, h)
-        return h[: r.count]
+        """Their derivative (count, 20)."""
+        return slopes_at(number, x, r.aux, self._par)[: r.count]
 
     def _innovation(self, number: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
         """Predicted rows (8,), zero beyond the count, and the covariance of the innovation."""
@@ -184,10 +233,10 @@ class FilterpyEngine(Engine):
         if self._unscented:
             f = self._filter
             points = f.points_fn.sigma_points(x, p)
-            seen = np.array([self._seen(number, point, r) for point in points])
+            seen = self._seen(number, points, r)
             mean[: r.count], s = centred_transform(seen, f.Wm, f.Wc, noise)
             return mean, s
-        mean[: r.count] = self._seen(number, x, r)
+        mean[: r.count] = self._seen(number, x[None], r)[0]
         h = self._derivative(number, x, r)
         return mean, h @ p @ h.T + noise
 
@@ -198,13 +247,13 @@ class FilterpyEngine(Engine):
         if self._unscented:
             f.residual_z = np.subtract
             f.sigmas_f = f.points_fn.sigma_points(f.x, f.P)
-            seen = np.array([self._seen(number, point, r)[used] for point in f.sigmas_f])
+            seen = np.ascontiguousarray(self._seen(number, f.sigmas_f, r)[:, used])
             mean = centred_transform(seen, f.Wm, f.Wc, noise)[0]
             f.update(
                 mean + nu[used],
                 R=noise,
                 UT=centred_transform,
-                hx=lambda point: self._seen(number, point, r)[used],
+                hx=lambda point: self._seen(number, point[None], r)[0][used],
             )
         else:
             f.update(

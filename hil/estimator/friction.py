@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from hil.estimator.records import Four, Record, dtype_of, filled
+from hil.estimator.records import Four, Record, Records, dtype_of, filled
 from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
@@ -47,10 +47,9 @@ def contact_values(geometry: WheelGeometry) -> dict[str, Array]:
     }  # fmt: skip
 
 
-def contacts(geometry: WheelGeometry) -> Contacts:
-    """The calibrated wheels as kernels take them."""
-    found: Contacts = filled(dtype_of(Contacts), contact_values(geometry))
-    return found
+def contacts(geometry: WheelGeometry) -> Records:
+    """`Contacts` (1,) of calibrated wheels."""
+    return filled(dtype_of(Contacts), contact_values(geometry))
 
 
 @compiled

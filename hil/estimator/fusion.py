@@ -16,8 +16,8 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
-from hil.estimator.layout import MEMORY, MEMORY_FLOATS, Parameters, Records, first_memory
-from hil.estimator.records import place
+from hil.estimator.layout import MEMORY, MEMORY_FLOATS, first_memory
+from hil.estimator.records import Records, place
 from hil.estimator.sensors import SENSORS
 from hil.estimator.start import start_of
 from hil.estimator.state import (
@@ -84,7 +84,7 @@ class Engine(Protocol):
 class CompiledEngine(Engine):
     """The kernels of `hil.estimator.events`."""
 
-    def __init__(self, par: Parameters) -> None:
+    def __init__(self, par: Records) -> None:
         self._par = par
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:

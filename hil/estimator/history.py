@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hil.estimator.intake import Staged
-from hil.estimator.layout import MEMORY, ROW, Ints, Records, floats
+from hil.estimator.layout import MEMORY, ROW, Ints, floats
+from hil.estimator.records import Records
 from hil.estimator.sensors import MARK
 from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array

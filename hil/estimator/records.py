@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.vocabulary.geometry import Array
 
@@ -20,6 +21,10 @@ Four = Annotated[Array, 4]
 """Array (4,): one value per wheel, order FL, BL, BR, FR."""
 Eight = Annotated[Array, 8]
 """Array (8,): x and y of each wheel's vector in turn."""
+
+
+Records = npt.NDArray[np.void]
+"""Array of one kind of record."""
 
 
 class Record:
@@ -37,8 +42,8 @@ def dtype_of(kind: type[Record], **more: np.dtype[Any]) -> np.dtype[Any]:
     return _named([(name, *field) for name, field in {**own, **{n: (t,) for n, t in more.items()}}.items()])
 
 
-def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Any:
-    """A record of that type with every field given: numbers, arrays, or mappings for records inside.
+def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Records:
+    """A block (1,) of that type with every field given: numbers, arrays, or mappings for records inside.
 
     Raises:
         KeyError: a field without a value, or a value without a field.
@@ -50,7 +55,7 @@ def filled(dtype: np.dtype[Any], values: Mapping[str, Any]) -> Any:
     for name in names:
         inner = values[name]
         block[name] = filled(dtype[name], inner) if isinstance(inner, Mapping) else inner
-    return block[0]
+    return block
 
 
 def place(dtype: np.dtype[Any], path: str) -> int:

@@ -23,11 +23,11 @@ from hil.estimator.layout import (
     Ints,
     Memory,
     Parameters,
-    Records,
     first_memory,
     parameters,
 )
 from hil.estimator.process import advance_linear, transition
+from hil.estimator.records import Records
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.small_matrices import seen
@@ -112,7 +112,7 @@ class _Segment:
     def __init__(self, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records) -> None:
         self.zero_ns, self.t_ns, self.numbers, self.rows = zero_ns, t_ns, numbers, rows
 
-    def forward(self, x0: Array, p0: Array, m0: Records, par: Parameters) -> tuple[Array, Array, Records]:
+    def forward(self, x0: Array, p0: Array, m0: Records, par: Records) -> tuple[Array, Array, Records]:
         """States (n, 20), covariances and memories after each event, the one before it included."""
         n = len(self.t_ns)
         x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
@@ -180,7 +180,7 @@ def pull_update(
 
 @compiled
 def backward(
-    zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records, x: Array, p: Array, m: Records, par: Parameters,
+    zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records, x: Array, p: Array, m: Records, pars: Records,
     late: Array, spread: Array, xs: Array, ps: Array,
 ) -> None:  # fmt: skip
     """Backward pass over one stretch; `late` and `spread` go on to the one before it.
@@ -193,12 +193,13 @@ def backward(
         x: (n, 20) states of the forward pass after each event.
         p: (n, 20, 20) their covariances.
         m: (n,) sensor memories; used up.
-        par: of all kernels.
+        pars: (1,) parameters of all kernels.
         late: (20,) and
         spread: (20, 20), see `pull_update`; changed in place.
         xs: (n, 20) and
         ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
     """
+    par = pars[0]
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
         number, stamp = numbers[k], float(t_ns[k] - zero_ns)

@@ -33,14 +33,14 @@ class World:
 
     def __init__(self, kind, seed, heading_sigma=0.02):
         config = EstimatorConfig(kind=kind)
-        self.par = parameters(config, WheelGeometry.nominal(), "wall")
+        self.par = parameters(config, WheelGeometry.nominal(), "wall")[0]
         self.rng = np.random.default_rng(seed)
         self.x, self.p = np.zeros(STATES), np.diag(prior_variances(config, "wall"))
         self.x[V_X] = 0.1
         sigma = np.array([5e-3, 5e-3, heading_sigma, 0.01, 0.01, 0.05])
         self.p[:MOTION, :MOTION] = np.diag(sigma**2)
         close = EstimatorConfig(tracker={"position_m": 1e-3, "heading_rad": 1e-3})
-        close_par = parameters(close, WheelGeometry.nominal(), "wall").tracker
+        close_par = parameters(close, WheelGeometry.nominal(), "wall")[0].tracker
         anchor_frame(self.x, self.p, np.zeros(1, ROW)[0].tracker, close_par)
         clone_pose(self.x, self.p)
         self.true = self.x + square_root(self.p, STATES) @ self.rng.normal(size=STATES)

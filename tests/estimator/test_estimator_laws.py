@@ -41,7 +41,7 @@ def slope(f, x, step=1e-6):
 
 
 def kernel_parameters(surface="wall", **changes):
-    return parameters(EstimatorConfig(**changes), WheelGeometry.nominal(), surface)
+    return parameters(EstimatorConfig(**changes), WheelGeometry.nominal(), surface)[0]
 
 
 @pytest.mark.parametrize("omega", [0.0, 1e-7, 0.4, -2.0])
@@ -99,7 +99,7 @@ def test_measurement_jacobians(sensor, changes):
 def seen_pose(pose):
     """Event row of a camera that shows a pose."""
     where = dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True))
-    return filled(dtype_of(tracker.Row), {**where, "quality": 3.0, "valid": 1.0})
+    return filled(dtype_of(tracker.Row), {**where, "quality": 3.0, "valid": 1.0})[0]
 
 
 def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertainty():
@@ -175,7 +175,7 @@ def test_exact_scalar_cases(kind, engine):
 def test_several_updates_after_one_prediction(kind):
     """n updates with P = R = 1 and z = 1 give x = n / (n + 1), P = 1 / (n + 1) (filterpy: 1 and 0)."""
     config = EstimatorConfig(kind=kind, process=STILL, **PLAIN)
-    par = parameters(config, WheelGeometry.nominal(), "floor")
+    par = parameters(config, WheelGeometry.nominal(), "floor")[0]
     x, p, m = np.zeros(STATES), np.zeros((STATES, STATES)), first_memory()[0]
     p[0, 0] = 1.0
     advance(x, p, 1e-6, par)
@@ -223,7 +223,7 @@ def hard_steps(kind, count, seed=0):
         gyro={"rate_rad_s": 1e-6},
         gates={"on": False},
     )
-    par = parameters(config, WheelGeometry.nominal(), "wall")
+    par = parameters(config, WheelGeometry.nominal(), "wall")[0]
     sharp = kernel_parameters(tracker={"position_m": 1e-6, "heading_rad": 1e-6}).tracker
     rng = np.random.default_rng(seed)
     x, m = np.zeros(STATES), first_memory()[0]
