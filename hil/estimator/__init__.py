@@ -32,14 +32,14 @@ def make_estimator(
 
         return OdometryEstimator(config, geometry)
     from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
-    from hil.estimator.layout import parameters, wheel_tables
+    from hil.estimator.layout import parameters
 
-    tables = (parameters(config, surface), *wheel_tables(config, geometry))
+    given = parameters(config, geometry, surface)
     engine: Engine
     if config.engine == "filterpy":
         from hil.estimator.filterpy_engine import FilterpyEngine
 
-        engine = FilterpyEngine(*tables)
+        engine = FilterpyEngine(given)
     else:
-        engine = CompiledEngine(*tables)
+        engine = CompiledEngine(given)
     return FusionEstimator(config, geometry, surface, engine, diagnostics=diagnostics)

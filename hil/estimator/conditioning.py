@@ -10,22 +10,35 @@ from __future__ import annotations
 
 import math
 
-from hil.estimator import layout as L
-from hil.estimator.compiled import compiled
 from hil.estimator.small_matrices import downdate
+from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
 
 @compiled
-def joint_nis(innovation: Array, own: Array, var: Array, count: int) -> float:
-    """Normalised innovation squared of all rows together (sum of the sequential ones)."""
+def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array) -> float:
+    """Normalised innovation squared of all rows together: the sum of each row's given those before it.
+
+    Args:
+        innovation: (8,) measured minus predicted.
+        own: (8, 8) covariance of the predicted rows.
+        var: (8,) noise variance per row.
+        count: number of rows.
+        nis: (8,) set to each row's part.
+
+    Returns:
+        Their sum; infinite where the rows have no covariance.
+    """
     nu, s = innovation[:count].copy(), own[:count, :count].copy()
     total = 0.0
     for i in range(count):
         size = s[i, i] + var[i]
         if not size > 0.0:
+            nis[i] = math.inf
             return math.inf
-        total += nu[i] * nu[i] / size
+        nis[i] = nu[i] * nu[i] / size
+        total += nis[i]
         for j in range(i + 1, count):
             gain = s[j, i] / size
             nu[j] -= gain * nu[i]
@@ -80,7 +93,7 @@ def condition(
 def guard(p: Array) -> int:
     """Repair variances that rounding made negative: zero them with their correlations; count them."""
     repaired = 0
-    for i in range(L.STATES):
+    for i in range(STATES):
         if p[i, i] < 0.0:
             p[i, :] = 0.0
             p[:, i] = 0.0

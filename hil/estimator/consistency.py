@@ -1,7 +1,9 @@
 """Whether a filter is as good as it says: NEES against truth, bands of chi squared, whiteness.
 
-NEES is e' P^-1 e of the error e; its mean is the number of states where the filter is consistent, above
-it the filter is over-confident. Innovations of a consistent filter are white.
+NEES, the normalised estimation error squared, is e' P^-1 e of the error e with the filter's covariance P. Its
+mean is the number of states where the filter is consistent; above it the filter is over-confident. NIS, the
+normalised innovation squared, is the same of an innovation and needs no truth. Innovations of a consistent
+filter are white.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ _LEAST_VARIANCE = 1e-14
 def nees(error: Array, covariance: Array) -> Array:
     """Normalised estimation error squared (n,) of errors (n, d) with covariances (n, d, d).
 
-    Rows that are not finite give NaN; a state that is exactly known has no say.
+    Error and covariance are of the same states, in the same frame and units. Rows that are not finite give
+    NaN; a state that is exactly known has no say.
     """
     out = np.full(len(error), np.nan)
     known = np.isfinite(error).all(axis=1) & np.isfinite(covariance).all(axis=(1, 2))

@@ -16,16 +16,26 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.estimator import layout as L
-from hil.estimator import replay as kernels
-from hil.estimator.conditioning import guard
+from hil.estimator.events import NONE_ACCEPTED, begin, finish
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
-from hil.estimator.sensors import jacobian, observe, predicted
+from hil.estimator.records import Records
+from hil.estimator.sensors import (
+    GATED_TOGETHER,
+    MARK,
+    account,
+    innovation,
+    jacobian,
+    observe,
+    predicted,
+)
+from hil.estimator.sensors.sensor import USED
 from hil.estimator.small_matrices import square_root
+from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
 Bools = npt.NDArray[np.bool_]
 
@@ -76,20 +86,75 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
     return used
 
 
+@compiled
+def before(
+    number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
+    z: Array, var: Array, aux: Array,
+) -> tuple[int, int]:  # fmt: skip
+    """`events.take` up to the comparison: what `begin` says, and how many rows there are to compare.
+
+    Memory, row and parameters come as arrays (1,), here and below: quicker to pass than single records.
+    """
+    use = begin(number, t_ns, x, p, m[0], row[0], par[0])
+    count = observe(number, t_ns, m[0], row[0], par[0], z, var, aux) if use == USED else 0
+    return use, count
+
+
+@compiled
+def differences(number: int, m: Records, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """`Sensor.innovation`."""
+    return innovation(number, m[0], z, mean, var, count)  # type: ignore[no-any-return]
+
+
+@compiled
+def after(
+    number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
+    nis: Array, var: Array, count: int, gate: float,
+) -> None:  # fmt: skip
+    """`events.take` behind the comparison."""
+    if count > 0:
+        m[0].accepted += account(number, m[0], nis, var, count, gate, par[0].filter.samples)
+    finish(number, use, t_ns, x, p, m[0], row[0], par[0])
+
+
+@compiled
+def rows_at(number: int, points: Array, aux: Array, par: Records) -> Array:
+    """Rows (n, 8) that states (n, 20) predict."""
+    out = np.zeros((points.shape[0], ROWS))
+    for k in range(points.shape[0]):
+        predicted(number, points[k], aux, par[0], out[k])
+    return out
+
+
+@compiled
+def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
+    """Their derivative (8, 20) at a state (20,)."""
+    h = np.zeros((ROWS, STATES))
+    jacobian(number, x, aux, par[0], h)
+    return h
+
+
+@compiled
+def noise_at(x: Array, dt_s: float, par: Records) -> Array:
+    """Process noise (20, 20) of a step from a state (20,)."""
+    q = np.zeros((STATES, STATES))
+    add_noise(x, q, dt_s, par[0].process)
+    return q
+
+
 class FilterpyEngine(Engine):
     """Runs events through filterpy's EKF or UKF."""
 
-    def __init__(self, par: Array, wheels: Array, rows: Array) -> None:
-        self._par, self._wheels, self._rows = par, wheels, rows
-        self._unscented = bool(par[L.UNSCENTED])
-        n = L.STATES
+    def __init__(self, par: Records) -> None:
+        by, n = par[0].filter, STATES
+        self._par, self._slip_s = par, float(par[0].process.slip_s)
+        self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
+        self._unscented = bool(by.unscented)
         if self._unscented:
-            points = MerweScaledSigmaPoints(
-                n, par[L.ALPHA], par[L.BETA], par[L.KAPPA], sqrt_method=upper_root
-            )
-            self._filter: Any = UnscentedKalmanFilter(n, L.ROWS, 1.0, hx=None, fx=self._moved, points=points)
+            points = MerweScaledSigmaPoints(n, by.alpha, by.beta, by.kappa, sqrt_method=upper_root)
+            self._filter: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
         else:
-            self._filter = ExtendedKalmanFilter(n, L.ROWS)
+            self._filter = ExtendedKalmanFilter(n, ROWS)
             self._filter.predict_x = self._predict_mean
             self._step_s = 0.0
 
@@ -100,8 +165,10 @@ class FilterpyEngine(Engine):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
-            self._take(int(h.kinds[i]), float(h.t_ns[i] - zero_ns), h.x[i], h.p[i], h.m[i], h.data[i])
-        now.x[:], now.p[:], now.m[:] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
+            if h.numbers[i] != MARK:
+                number, stamp, one = int(h.numbers[i]), float(h.t_ns[i] - zero_ns), slice(i, i + 1)
+                self._take(number, stamp, h.x[i], h.p[i], h.m[one], h.rows[one])
+        now.x[:], now.p[:], now.m[0] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
@@ -110,106 +177,89 @@ class FilterpyEngine(Engine):
             return
         f = self._filter
         f.x, f.P = x.copy(), p.copy()
-        f.Q = np.zeros((L.STATES, L.STATES))
-        add_noise(x, f.Q, dt_s, self._par)
+        f.Q = noise_at(x, dt_s, self._par)
         if self._unscented:
             f.predict(dt=dt_s, UT=centred_transform)
         else:
-            f.F = transition(x, dt_s, self._par[L.SLIP_S])
+            f.F = transition(x, dt_s, self._slip_s)
             self._step_s = dt_s
             f.predict()
         x[:], p[:] = f.x, _symmetric(f.P)
 
     def _moved(self, x: Array, dt_s: float) -> Array:
         out = np.array(x)
-        move(out, dt_s, self._par[L.SLIP_S])
+        move(out, dt_s, self._slip_s)
         return out
 
     def _predict_mean(self, u: float = 0.0) -> None:
-        move(self._filter.x, self._step_s, self._par[L.SLIP_S])
+        move(self._filter.x, self._step_s, self._slip_s)
 
-    def _take(self, kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array) -> None:
-        """As `replay.take`, with the comparison on filterpy."""
-        if kind == L.RESET:
-            return
-        use = kernels.admit(kind, t_ns, m, data, self._par)
-        if use == 0:
-            m[L.REJECTED + kind] += 1.0
-            return
-        if use == 3:
-            m[L.DUPLICATES] += 1.0
-            return
-        if use == 2:
-            kernels.anchor(t_ns, x, p, m, data, self._par)
-        else:
-            self._compare(kind, t_ns, x, p, m, data)
-            kernels.let_in(kind, t_ns, x, p, m, data, self._par)
-        kernels.remember(kind, t_ns, x, p, m, data, self._par)
-        m[L.GUARDED] += guard(p)
+    def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
+        """As `events.take`, with the comparison on filterpy."""
+        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
+        use, r.count = before(number, t_ns, x, p, m, row, self._par, r.z, r.var, r.aux)
+        nis, gate = np.full(ROWS, -1.0), self._gate_row
+        if r.count > 0:
+            gate = self._compare(number, x, p, m, r, nis)
+        after(number, use, t_ns, x, p, m, row, self._par, nis, r.var, r.count, gate)
 
-    def _compare(self, kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array) -> None:
-        """As `replay.compare`: gates first, then one stacked update with the rows that passed."""
-        par = self._par
-        r = Rows(np.zeros(L.ROWS), np.zeros(L.ROWS), np.zeros(2), 0)
-        r.count = observe(kind, t_ns, m, data, par, self._wheels, self._rows, r.z, r.var, r.aux)
-        if r.count == 0:
-            return
-        mean, s = self._innovation(kind, x, p, r)
-        nu = kernels.innovations(kind, r.z, mean, r.var, r.count)[: r.count]
-        kernels.show_innovation(kind, nu, m)
-        usable = r.var[: r.count] >= 0.0
-        nis, gate = np.full(L.ROWS, -1.0), par[L.GATE1]
-        if kind == L.TRACKER or kind == L.MOCAP:
-            total = float(nu @ np.linalg.solve(s, nu))
-            if total > par[L.GATE3]:
-                kernels.tally(kind, m, total, 0, r.count, par)
-                return
-            gate = np.inf
-        used = accepted(nu, s, usable, gate, nis)
+    def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows, nis: Array) -> float:
+        """As `events.compare`: gates first, then one stacked update with the rows that passed; their gate."""
+        mean, s = self._innovation(number, x, p, r)
+        nu = differences(number, m, r.z, mean, r.var, r.count)[: r.count]
+        gate = self._gate_row
+        if GATED_TOGETHER[number]:
+            nis[:], gate = 0.0, np.inf
+            nis[0] = float(nu @ np.linalg.solve(s, nu))
+            if nis[0] > self._gate_pose:
+                return NONE_ACCEPTED
+        used = accepted(nu, s, r.var[: r.count] >= 0.0, gate, nis)
         if used:
-            self._update(kind, x, p, r, nu, used)
-        kernels.account(kind, m, nis, r.var, r.count, gate, par)
+            self._update(number, x, p, r, nu, used)
+        return gate
 
-    def _seen(self, kind: int, x: Array, r: Rows) -> Array:
-        out = np.zeros(L.ROWS)
-        predicted(kind, x, r.aux, self._par, self._rows, out)
-        return out[: r.count]
+    def _seen(self, number: int, points: Array, r: Rows) -> Array:
+        """Rows (n, count) that states (n, 20) predict."""
+        seen = rows_at(number, np.ascontiguousarray(points), r.aux, self._par)
+        return np.ascontiguousarray(seen[:, : r.count])
 
-    def _derivative(self, kind: int, x: Array, r: Rows) -> Array:
-        h = np.zeros((L.ROWS, L.STATES))
-        jacobian(kind, x, r.aux, self._par, self._rows, h)
-        return h[: r.count]
+    def _derivative(self, number: int, x: Array, r: Rows) -> Array:
+        """Their derivative (count, 20)."""
+        return slopes_at(number, x, r.aux, self._par)[: r.count]
 
-    def _innovation(self, kind: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
+    def _innovation(self, number: int, x: Array, p: Array, r: Rows) -> tuple[Array, Array]:
         """Predicted rows (8,), zero beyond the count, and the covariance of the innovation."""
-        noise, mean = np.diag(r.var[: r.count]), np.zeros(L.ROWS)
+        noise, mean = np.diag(r.var[: r.count]), np.zeros(ROWS)
         if self._unscented:
             f = self._filter
             points = f.points_fn.sigma_points(x, p)
-            seen = np.array([self._seen(kind, point, r) for point in points])
+            seen = self._seen(number, points, r)
             mean[: r.count], s = centred_transform(seen, f.Wm, f.Wc, noise)
             return mean, s
-        mean[: r.count] = self._seen(kind, x, r)
-        h = self._derivative(kind, x, r)
+        mean[: r.count] = self._seen(number, x[None], r)[0]
+        h = self._derivative(number, x, r)
         return mean, h @ p @ h.T + noise
 
-    def _update(self, kind: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
+    def _update(self, number: int, x: Array, p: Array, r: Rows, nu: Array, used: list[int]) -> None:
         """Filterpy's update with the innovation already wrapped; sigma points drawn anew."""
         f, noise = self._filter, np.diag(r.var[used])
         f.x, f.P = x.copy(), p.copy()
         if self._unscented:
             f.residual_z = np.subtract
             f.sigmas_f = f.points_fn.sigma_points(f.x, f.P)
-            seen = np.array([self._seen(kind, point, r)[used] for point in f.sigmas_f])
+            seen = np.ascontiguousarray(self._seen(number, f.sigmas_f, r)[:, used])
             mean = centred_transform(seen, f.Wm, f.Wc, noise)[0]
             f.update(
                 mean + nu[used],
                 R=noise,
                 UT=centred_transform,
-                hx=lambda point: self._seen(kind, point, r)[used],
+                hx=lambda point: self._seen(number, point[None], r)[0][used],
             )
         else:
             f.update(
-                nu[used], lambda x: self._derivative(kind, x, r)[used], lambda x: np.zeros(len(used)), R=noise
+                nu[used],
+                lambda x: self._derivative(number, x, r)[used],
+                lambda x: np.zeros(len(used)),
+                R=noise,
             )
         x[:], p[:] = f.x, _symmetric(f.P)

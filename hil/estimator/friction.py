@@ -12,21 +12,53 @@ import math
 
 import numpy as np
 
-from hil.estimator.compiled import compiled
+from hil.estimator.records import Four, Record, Records, dtype_of, filled
 from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
+from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
 STILL_M = 2.5e-5
 _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
 
 
+class Contacts(Record):
+    """The wheels where they touch the surface, body frame.
+
+    Attributes:
+        radius_m, steering_zero_rad, x_m, y_m: calibrated geometry of each wheel.
+        along, across: relative creep stiffness lengthwise and sideways.
+    """
+
+    radius_m: Four
+    steering_zero_rad: Four
+    x_m: Four
+    y_m: Four
+    along: Four
+    across: Four
+
+
+def contact_values(geometry: WheelGeometry) -> dict[str, Array]:
+    """Values of `Contacts`."""
+    g = geometry
+    return {
+        "radius_m": g.radius_m, "steering_zero_rad": g.steering_zero_rad, "x_m": g.x_m, "y_m": g.y_m,
+        "along": g.load, "across": g.creep_ratio * g.load,
+    }  # fmt: skip
+
+
+def contacts(geometry: WheelGeometry) -> Records:
+    """`Contacts` (1,) of calibrated wheels."""
+    return filled(dtype_of(Contacts), contact_values(geometry))
+
+
 @compiled
-def weighted_twist(u: Array, weight: Array, wheels: Array) -> Array:
-    """Body displacement (3,) that fits wheel vectors (8,) with one weight (4,) per wheel."""
+def weighted_twist(u: Array, weight: Array, wheels: Contacts) -> Array:
+    """Body displacement (3,) (m, m, rad) that fits wheel vectors (8,) m with one weight (4,) per wheel."""
     total, sx, sy, srr = 0.0, 0.0, 0.0, 0.0
     bx, by, bt = 0.0, 0.0, 0.0
     for i in range(4):
-        w, px, py = weight[i], wheels[2, i], wheels[3, i]
+        w, px, py = weight[i], wheels.x_m[i], wheels.y_m[i]
         total += w
         sx += w * px
         sy += w * py
@@ -39,7 +71,7 @@ def weighted_twist(u: Array, weight: Array, wheels: Array) -> Array:
 
 
 @compiled
-def friction_weights(u: Array, wheels: Array) -> Array:
+def friction_weights(u: Array, wheels: Contacts) -> Array:
     """Weight (4,) of each contact at the least-dissipation displacement of wheel vectors (8,)."""
     weight = np.ones(4)
     scale = 1e-9
@@ -48,15 +80,15 @@ def friction_weights(u: Array, wheels: Array) -> Array:
     for power in _POWERS:
         b = weighted_twist(u, weight, wheels)
         for i in range(4):
-            ex = b[0] - wheels[3, i] * b[2] - u[2 * i]
-            ey = b[1] + wheels[2, i] * b[2] - u[2 * i + 1]
+            ex = b[0] - wheels.y_m[i] * b[2] - u[2 * i]
+            ey = b[1] + wheels.x_m[i] * b[2] - u[2 * i + 1]
             size = math.sqrt(ex * ex + ey * ey) / scale + FRICTION_EPSILON
             weight[i] = math.exp((power - 2.0) * math.log(size))
     return weight
 
 
 @compiled
-def friction_twist(u: Array, window: Array, wheels: Array) -> Array:
+def friction_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     """Displacement (3,) of the newest step (8,), weighted by the friction over the window's sum (8,)."""
     still = 0.0
     for i in range(8):
@@ -67,13 +99,13 @@ def friction_twist(u: Array, window: Array, wheels: Array) -> Array:
 
 
 @compiled
-def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
+def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.robot.contact_laws`.
 
     Args:
         u: newest step.
         window: sum (8,) of the last steps: how far and where to each wheel rolls.
-        wheels: (6, 4), of `layout.contacts`.
+        wheels: where they touch the surface.
     """
     mean = 1e-9
     for i in range(4):
@@ -83,11 +115,11 @@ def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
     a00, a01, a02, a11, a12, a22 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     b0, b1, b2 = 0.0, 0.0, 0.0
     for i in range(4):
-        nx, ny, x, y = window[2 * i], window[2 * i + 1], wheels[2, i], wheels[3, i]
+        nx, ny, x, y = window[2 * i], window[2 * i + 1], wheels.x_m[i], wheels.y_m[i]
         size = math.sqrt(nx * nx + ny * ny)
         rolled = max(size / mean, LEAST_ROLLED)
-        across = wheels[5, i] / rolled
-        bend = (wheels[4, i] / rolled - across) / max(size * size, 1e-30)
+        across = wheels.across[i] / rolled
+        bend = (wheels.along[i] / rolled - across) / max(size * size, 1e-30)
         wxx, wxy, wyy = across + bend * nx * nx, bend * nx * ny, across + bend * ny * ny
         tx, ty = wxy * x - wxx * y, wyy * x - wxy * y
         fx, fy = wxx * u[2 * i] + wxy * u[2 * i + 1], wxy * u[2 * i] + wyy * u[2 * i + 1]
@@ -104,7 +136,7 @@ def creep_twist(u: Array, window: Array, wheels: Array) -> Array:
 
 
 @compiled
-def windowed_twist(u: Array, window: Array, decay: float, wheels: Array, creeping: bool) -> Array:
+def windowed_twist(u: Array, window: Array, decay: float, wheels: Contacts, creeping: bool) -> Array:
     """Displacement (3,) of the newest step by either law; `window` (8,) fades by `decay` and takes it."""
     for i in range(8):
         window[i] = decay * window[i] + u[i]

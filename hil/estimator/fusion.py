@@ -13,58 +13,64 @@ from typing import Protocol
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import layout as L
+from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
-from hil.estimator.replay import run_to
+from hil.estimator.layout import MEMORY, MEMORY_FLOATS, first_memory
+from hil.estimator.records import Records, place
+from hil.estimator.sensors import SENSORS
+from hil.estimator.start import start_of
+from hil.estimator.state import (
+    BIAS,
+    CREEP_X,
+    CREEP_Y,
+    MOTION,
+    OFFSET,
+    POSE,
+    SCALE,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    TWIST,
+    YAW_SLIP,
+)
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import UsageError
-from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Estimator
 from hil.vocabulary.signals import Measurements, RobotState
 
 _TWIST_SIGMA = 0.02
-_CHECKED = 6
-_AFTER = L.MEMORY + L.STATES
+_STATE = MEMORY_FLOATS
+_GATE_ROW, _GATE_POSE, _SAG, _SCALE_SIGMA, _SAG_SIGMA = range(_STATE + STATES, _STATE + STATES + 5)
 _FIGURES = {
-    "nis_wheels": L.NIS + L.WHEELS, "nis_gyro": L.NIS + L.GYRO, "nis_tracker": L.NIS + L.TRACKER,
-    "nis_gravity": L.NIS + L.GRAVITY,
-    "nis_mean_wheels": L.NIS_MEAN + L.WHEELS, "nis_mean_gyro": L.NIS_MEAN + L.GYRO,
-    "nis_mean_tracker": L.NIS_MEAN + L.TRACKER, "nis_mean_gravity": L.NIS_MEAN + L.GRAVITY,
-    "gate_wheels": _AFTER, "gate_tracker": _AFTER + 1,
-    "innovation_wheels_m": L.INNOVATION, "innovation_gyro_rad_s": L.INNOVATION + 1,
-    "innovation_tracker_m": L.INNOVATION + 2,
-    "rejected_wheels": L.REJECTED + L.WHEELS, "rejected_gyro": L.REJECTED + L.GYRO,
-    "rejected_tracker": L.REJECTED + L.TRACKER, "rejected_gravity": L.REJECTED + L.GRAVITY,
-    "rejected_mocap": L.REJECTED + L.MOCAP, "rejected_same_stamp": L.DUPLICATES,
-    "reanchored_tracker": L.REANCHORED + L.TRACKER, "reanchored_wheels": L.REANCHORED + L.WHEELS,
-    "guarded": L.GUARDED,
-    "gyro_bias_rad_s": L.MEMORY + L.BIAS, "yaw_slip_rad_m": L.MEMORY + L.YAW_SLIP,
-    "slip_up_m_s": L.MEMORY + L.SLIP_X, "slip_left_m_s": L.MEMORY + L.SLIP_Y, "sag_m_s": _AFTER + 2,
-    "creep_up": L.MEMORY + L.CREEP_X, "creep_left": L.MEMORY + L.CREEP_Y,
-    "scale": L.MEMORY + L.SCALE, "scale_sigma": _AFTER + 3, "sag_sigma_m_s": _AFTER + 4,
-    "gravity_offset_rad": L.MEMORY + L.OFFSET,
-    "rejected_wheel_fl": L.WHEEL_REJECTED, "rejected_wheel_bl": L.WHEEL_REJECTED + 1,
-    "rejected_wheel_br": L.WHEEL_REJECTED + 2, "rejected_wheel_fr": L.WHEEL_REJECTED + 3,
+    **{name: place(MEMORY, f"{s.NAME}.{path}") for s in SENSORS for name, path in s.FIGURES.items()},
+    "rejected_same_stamp": place(MEMORY, "duplicates"), "guarded": place(MEMORY, "guarded"),
+    "gate_wheels": _GATE_ROW, "gate_tracker": _GATE_POSE,
+    "gyro_bias_rad_s": _STATE + BIAS, "yaw_slip_rad_m": _STATE + YAW_SLIP,
+    "slip_up_m_s": _STATE + SLIP_X, "slip_left_m_s": _STATE + SLIP_Y, "sag_m_s": _SAG,
+    "creep_up": _STATE + CREEP_X, "creep_left": _STATE + CREEP_Y,
+    "scale": _STATE + SCALE, "scale_sigma": _SCALE_SIGMA, "sag_sigma_m_s": _SAG_SIGMA,
+    "gravity_offset_rad": _STATE + OFFSET,
 }  # fmt: skip
 _PLACES = np.array(tuple(_FIGURES.values()))
 _REJECTED = {name: f"rejected_{name}" for name in REASONS}
-_AGES = {name: f"age_{name}_s" for name in L.SENSORS}
+_AGES = {sensor.NAME: f"age_{sensor.NAME}_s" for sensor in SENSORS}
 
 
 class Now:
     """The newest state and sensor memory, at the time of the cycle.
 
     Attributes:
-        figures: (97,) memory, state and what is derived of them, as the diagnostics pick from it.
-        x, p, m: (20,), (20, 20), (72,); x and m are parts of `figures`.
+        figures: memory, state and what is derived of them, as the diagnostics pick from it.
+        x, p: (20,) and (20, 20); x is a part of `figures`.
+        m: (1,), a part of `figures`.
     """
 
     def __init__(self) -> None:
-        self.figures = np.zeros(_AFTER + 5)
-        self.m, self.x = self.figures[: L.MEMORY], self.figures[L.MEMORY : _AFTER]
-        self.p = np.zeros((L.STATES, L.STATES))
+        self.figures = np.zeros(_SAG_SIGMA + 1)
+        self.m: Records = self.figures[:_STATE].view(MEMORY)
+        self.x = self.figures[_STATE : _STATE + STATES]
+        self.p = np.zeros((STATES, STATES))
 
 
 class Engine(Protocol):
@@ -76,17 +82,17 @@ class Engine(Protocol):
 
 
 class CompiledEngine(Engine):
-    """The kernels of `hil.estimator.replay`."""
+    """The kernels of `hil.estimator.events`."""
 
-    def __init__(self, par: Array, wheels: Array, rows: Array) -> None:
-        self._par, self._wheels, self._rows = par, wheels, rows
+    def __init__(self, par: Records) -> None:
+        self._par = par
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """One call for the whole stretch."""
         h = history
-        run_to(
-            h.marks, begin, zero_ns, h.t_ns, h.kinds, h.data, h.x, h.p, h.m,
-            self._par, self._wheels, self._rows, now_ns, now.x, now.p, now.m,
+        run(
+            h.marks, begin, zero_ns, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m,
+            self._par, now_ns, now.x, now.p, now.m,
         )  # fmt: skip
 
 
@@ -108,7 +114,10 @@ class FusionEstimator(Estimator):
         self._intake = Intake(config)
         self.history = History(nanoseconds(config.time.history_s))
         self._now = Now()
-        self._now.figures[_AFTER : _AFTER + 2] = config.gates.one_dof, config.gates.three_dof
+        self._now.figures[_GATE_ROW], self._now.figures[_GATE_POSE] = (
+            config.gates.one_dof,
+            config.gates.three_dof,
+        )
         self._ready = False
 
     def reset(self, state: RobotState) -> None:
@@ -117,10 +126,10 @@ class FusionEstimator(Estimator):
         Raises:
             UsageError: the state is not finite or its covariance is not a covariance.
         """
-        x, p, m = start_of(self.config, self.surface, state)
+        x, p = start_of(self.config, self.surface, state)
         self._zero_ns = state.t_ns
         self._intake.reset()
-        self.history.reset(state.t_ns, x, p, m)
+        self.history.reset(state.t_ns, x, p, first_memory())
         self._ready = True
 
     def update(self, measurements: Measurements) -> RobotState:
@@ -134,18 +143,18 @@ class FusionEstimator(Estimator):
         self.engine.run(h, begin, self._zero_ns, measurements.t_ns, now)
         return RobotState(
             t_ns=measurements.t_ns,
-            pose_body_in_wall=now.x[:3].copy(),
-            twist_body=now.x[3:6].copy(),
-            covariance=now.p[:6, :6].copy(),
+            pose_body_in_wall=now.x[POSE].copy(),
+            twist_body=now.x[TWIST].copy(),
+            covariance=now.p[:MOTION, :MOTION].copy(),
             diagnostics=self._diagnostics(measurements.t_ns) if self._diagnosed else {},
         )
 
     def _diagnostics(self, t_ns: int) -> dict[str, float]:
         """Figures by name, in this order: what the sensors said, what was refused, ages."""
         now, intake, figures = self._now, self._intake, self._now.figures
-        figures[_AFTER + 2] = -figures[L.MEMORY + L.SLIP_X]
-        for k, place in ((3, L.SCALE), (4, L.SLIP_X)):
-            figures[_AFTER + k] = math.sqrt(max(now.p.item(place, place), 0.0))
+        figures[_SAG] = -now.x[SLIP_X]
+        figures[_SCALE_SIGMA] = math.sqrt(max(now.p.item(SCALE, SCALE), 0.0))
+        figures[_SAG_SIGMA] = math.sqrt(max(now.p.item(SLIP_X, SLIP_X), 0.0))
         out: dict[str, float] = dict(zip(_FIGURES, figures.take(_PLACES).tolist(), strict=True))
         _, _, late, duplicate = self.history.marks.tolist()
         for name, count in intake.refused.items():
@@ -158,41 +167,3 @@ class FusionEstimator(Estimator):
         for name, last_ns in intake.last_ns.items():
             out[_AGES[name]] = (t_ns - last_ns) / NS_PER_S
         return out
-
-
-def start_of(config: EstimatorConfig, surface: str, state: RobotState) -> tuple[Array, Array, Array]:
-    """State (20,), covariance (20, 20) and sensor memory of a filter that starts from a known state.
-
-    Raises:
-        UsageError: the state is not finite or its covariance is not a covariance.
-    """
-    check_state(state)
-    x, p = np.zeros(L.STATES), np.diag(L.prior_variances(config, surface))
-    x[:3], x[3:6] = state.pose_body_in_wall, state.twist_body
-    p[:6, :6] = 0.5 * (state.covariance + state.covariance.T)
-    m = np.zeros(L.MEMORY)
-    m[[L.WHEEL_T, L.FRAME_T, L.TRACKER_T, L.GYRO_T, L.MOCAP_T]] = -1.0
-    m[L.NIS_MEAN : L.NIS_MEAN + 6] = 1.0
-    return x, p, m
-
-
-def check_state(state: RobotState) -> None:
-    """Refuse a start state that no filter can run from.
-
-    Raises:
-        UsageError: naming what is wrong.
-    """
-    pose, twist = np.asarray(state.pose_body_in_wall), np.asarray(state.twist_body)
-    if pose.shape != (3,) or twist.shape != (3,) or not np.all(np.isfinite(np.r_[pose, twist])):
-        raise UsageError(f"start state: pose {pose}, twist {twist}", expected="three finite numbers each")
-    covariance = np.asarray(state.covariance)
-    if covariance.shape != (_CHECKED, _CHECKED) or not np.all(np.isfinite(covariance)):
-        raise UsageError("start state: covariance", expected="a finite 6x6 matrix of pose and twist")
-    size = float(np.max(np.abs(covariance)))
-    if np.max(np.abs(covariance - covariance.T)) > 1e-9 * size:
-        raise UsageError("start state: covariance is not symmetric")
-    least = float(np.linalg.eigvalsh(covariance)[0])
-    if least < -1e-9 * size:
-        raise UsageError(
-            f"start state: covariance has the eigenvalue {least:.3g}", expected="none below zero"
-        )

@@ -1,18 +1,21 @@
 """Events in their total order and the state after each one, in preallocated rings.
 
-Order: stamp, sensor id, sequence number, content. Because the state after event k depends on the events
-up to k alone, the order of arrival cannot change a bit, as long as a sample is younger than the history.
+Order: stamp, number of the sensor, sequence number, content. Because the state after event k depends on the
+events up to k alone, the order of arrival cannot change a bit, as long as a sample is younger than the
+history.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hil.estimator import layout as L
-from hil.estimator.compiled import compiled
 from hil.estimator.intake import Staged
-from hil.estimator.replay import Ints
+from hil.estimator.layout import MEMORY, ROW, Ints, floats
+from hil.estimator.records import Records
+from hil.estimator.sensors import MARK
+from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
 CAPACITY = 2048
 FIRST, COUNT, LATE, DUPLICATE = range(4)
@@ -20,13 +23,13 @@ FIRST, COUNT, LATE, DUPLICATE = range(4)
 
 @compiled
 def earlier(
-    a_ns: int, a_kind: int, a_seq: int, a: Array, b_ns: int, b_kind: int, b_seq: int, b: Array
+    a_ns: int, a_number: int, a_seq: int, a: Array, b_ns: int, b_number: int, b_seq: int, b: Array
 ) -> int:
     """-1, 0 or 1: whether event a comes before b, is the same, or comes after it."""
     if a_ns != b_ns:
         return -1 if a_ns < b_ns else 1
-    if a_kind != b_kind:
-        return -1 if a_kind < b_kind else 1
+    if a_number != b_number:
+        return -1 if a_number < b_number else 1
     if a_seq != b_seq:
         return -1 if a_seq < b_seq else 1
     for i in range(a.shape[0]):
@@ -43,8 +46,8 @@ def earlier(
 
 @compiled
 def insert(
-    first: int, count: int, t_ns: Ints, kinds: Ints, seqs: Ints, data: Array,
-    new_ns: int, new_kind: int, new_seq: int, new: Array,
+    first: int, count: int, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array,
+    new_ns: int, new_number: int, new_seq: int, new: Array,
 ) -> int:  # fmt: skip
     """Put one event into the ring of `count` events; its place, or -1 for one that is there already.
 
@@ -54,7 +57,7 @@ def insert(
     place = count
     while place > 1:
         j = (first + place - 1) % capacity
-        order = earlier(new_ns, new_kind, new_seq, new, t_ns[j], kinds[j], seqs[j], data[j])
+        order = earlier(new_ns, new_number, new_seq, new, t_ns[j], numbers[j], seqs[j], data[j])
         if order == 0:
             return -1
         if order > 0:
@@ -62,10 +65,10 @@ def insert(
         place -= 1
     for k in range(count, place, -1):
         i, j = (first + k) % capacity, (first + k - 1) % capacity
-        t_ns[i], kinds[i], seqs[i] = t_ns[j], kinds[j], seqs[j]
+        t_ns[i], numbers[i], seqs[i] = t_ns[j], numbers[j], seqs[j]
         data[i] = data[j]
     i = (first + place) % capacity
-    t_ns[i], kinds[i], seqs[i] = new_ns, new_kind, new_seq
+    t_ns[i], numbers[i], seqs[i] = new_ns, new_number, new_seq
     data[i] = new
     return place
 
@@ -85,24 +88,24 @@ def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> Non
 
 @compiled
 def enter(
-    marks: Ints, t_ns: Ints, kinds: Ints, seqs: Ints, data: Array, span_ns: int, now_ns: int,
-    number: int, new_ns: Ints, new_kinds: Ints, new_seqs: Ints, new: Array,
+    marks: Ints, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array, span_ns: int, now_ns: int,
+    number: int, new_ns: Ints, new_numbers: Ints, new_seqs: Ints, new: Array,
 ) -> int:  # fmt: skip
     """Put a cycle's samples into the ring, old ones first; the first place to replay from.
 
     Args:
         marks: (4,) first slot, number of events, refused as late, refused as duplicates; changed in place.
         t_ns: (capacity,) stamps of the ring, and its
-        kinds: (capacity,),
+        numbers: (capacity,),
         seqs: (capacity,) and
-        data: (capacity, 16), all changed in place.
+        data: (capacity, floats of a row), all changed in place.
         span_ns: how far back a sample may lie.
         now_ns: time of the cycle.
         number: of new samples.
         new_ns: (room,) their stamps in any order, and their
-        new_kinds: (room,),
+        new_numbers: (room,),
         new_seqs: (room,) and
-        new: (room, 16).
+        new: (room, floats of a row).
     """
     capacity = t_ns.shape[0]
     let_go(marks, t_ns, span_ns, now_ns, number)
@@ -116,12 +119,12 @@ def enter(
         place = marks[COUNT]
         if new_ns[n] > t_ns[newest]:
             i = (newest + 1) % capacity
-            t_ns[i], kinds[i], seqs[i] = new_ns[n], new_kinds[n], new_seqs[n]
+            t_ns[i], numbers[i], seqs[i] = new_ns[n], new_numbers[n], new_seqs[n]
             data[i] = new[n]
         else:
             place = insert(
-                marks[FIRST], marks[COUNT], t_ns, kinds, seqs, data,
-                new_ns[n], new_kinds[n], new_seqs[n], new[n],
+                marks[FIRST], marks[COUNT], t_ns, numbers, seqs, data,
+                new_ns[n], new_numbers[n], new_seqs[n], new[n],
             )  # fmt: skip
         if place < 0:
             marks[DUPLICATE] += 1
@@ -137,25 +140,32 @@ class History:
     Args:
         span_ns: how far back a sample may lie.
         capacity: largest number of events kept, whatever their rate.
+
+    Attributes:
+        t_ns, numbers, seqs: (capacity,) stamps, numbers of sensors, sequence numbers.
+        rows: (capacity,) samples.
+        x, p, m: (capacity, 20), (capacity, 20, 20), (capacity,): state, covariance, memory after each event.
+        marks: (4,) first slot, number of events, refused as late, refused as duplicates.
     """
 
     def __init__(self, span_ns: int, capacity: int = CAPACITY) -> None:
         self.span_ns = span_ns
         self.t_ns = np.zeros(capacity, dtype=np.int64)
-        self.kinds = np.zeros(capacity, dtype=np.int64)
+        self.numbers = np.zeros(capacity, dtype=np.int64)
         self.seqs = np.zeros(capacity, dtype=np.int64)
-        self.data = np.zeros((capacity, L.ROW_DATA))
-        self.x = np.zeros((capacity, L.STATES))
-        self.p = np.zeros((capacity, L.STATES, L.STATES))
-        self.m = np.zeros((capacity, L.MEMORY))
+        self.rows: Records = np.zeros(capacity, ROW)
+        self._data = floats(self.rows)
+        self.x = np.zeros((capacity, STATES))
+        self.p = np.zeros((capacity, STATES, STATES))
+        self.m: Records = np.zeros(capacity, MEMORY)
         self.marks = np.zeros(4, dtype=np.int64)
 
-    def reset(self, t_ns: int, x: Array, p: Array, m: Array) -> None:
-        """Forget everything and start from one state."""
+    def reset(self, t_ns: int, x: Array, p: Array, m: Records) -> None:
+        """Forget everything and start from one state (20,), covariance (20, 20) and memory (1,)."""
         self.marks[:] = 0, 1, 0, 0
-        self.t_ns[0], self.kinds[0], self.seqs[0] = t_ns, L.RESET, 0
-        self.data[0] = 0.0
-        self.x[0], self.p[0], self.m[0] = x, p, m
+        self.t_ns[0], self.numbers[0], self.seqs[0] = t_ns, MARK, 0
+        self._data[0] = 0.0
+        self.x[0], self.p[0], self.m[0] = x, p, m[0]
 
     @property
     def first(self) -> int:
@@ -182,7 +192,7 @@ class History:
         s = staged
         return int(
             enter(
-                self.marks, self.t_ns, self.kinds, self.seqs, self.data, self.span_ns, now_ns,
-                s.count, s.t_ns, s.kinds, s.seqs, s.rows,
+                self.marks, self.t_ns, self.numbers, self.seqs, self._data, self.span_ns, now_ns,
+                s.count, s.t_ns, s.numbers, s.seqs, s.data,
             )
         )  # fmt: skip

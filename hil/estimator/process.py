@@ -1,6 +1,6 @@
 """Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisances.
 
-Every kernel works in place on one state (20,) and covariance (20, 20), layout in `hil.estimator.layout`.
+Every kernel works in place on one state (20,) and covariance (20, 20), their order in `hil.estimator.state`.
 """
 
 from __future__ import annotations
@@ -9,9 +9,74 @@ import math
 
 import numpy as np
 
-from hil.estimator import layout as L
-from hil.estimator.compiled import compiled
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.records import Record
+from hil.estimator.state import (
+    BIAS,
+    CREEP_X,
+    CREEP_Y,
+    FRAME_THETA,
+    FRAME_X,
+    FRAME_Y,
+    OMEGA,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    THETA,
+    V_X,
+    V_Y,
+    YAW_SLIP,
+    X,
+    Y,
+)
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+
+
+class ProcessParameters(Record):
+    """Noise of the process: variance per second, per rolled metre, or (slip) in the long run.
+
+    Attributes:
+        acceleration, angular_acceleration: power densities, m^2/s^3 and rad^2/s^3.
+        slip_x, slip_y: stationary variance of the slip velocity, m^2/s^2; `slip_s` is its time constant.
+        creep_x, creep_y: of the slip per rolled metre, 1/m.
+        yaw_slip: of the turn per rolled metre, rad^2/m^3.
+        bias: of the gyro bias, rad^2/s^3.
+        frame_per_m, frame_per_s, frame_turn: drift of the camera's frame, m^2/m, m^2/s and rad^2/s.
+    """
+
+    acceleration: float
+    angular_acceleration: float
+    slip_x: float
+    slip_y: float
+    slip_s: float
+    creep_x: float
+    creep_y: float
+    yaw_slip: float
+    bias: float
+    frame_per_m: float
+    frame_per_s: float
+    frame_turn: float
+
+
+def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
+    """Values of `ProcessParameters`."""
+    slip, camera, noise = config.wall if surface == "wall" else config.floor, config.tracker, config.process
+    drifts = camera.use == "relative"
+    walk_x, walk_y = (
+        slip.creep_per_sqrt_m * (part / slip.creep if slip.creep > 0 else 0.0)
+        for part in (slip.creep, slip.creep_across)
+    )
+    return {
+        "acceleration": noise.acceleration_m_s2_sqrt_hz**2,
+        "angular_acceleration": noise.angular_acceleration_rad_s2_sqrt_hz**2,
+        "slip_x": slip.slip_m_s**2, "slip_y": slip.slip_across_m_s**2, "slip_s": slip.slip_time_s,
+        "creep_x": walk_x**2, "creep_y": walk_y**2, "yaw_slip": slip.yaw_per_sqrt_m**2,
+        "bias": config.gyro.bias_rad_s_sqrt_s**2,
+        "frame_per_m": camera.drift_per_sqrt_m**2 * drifts,
+        "frame_per_s": camera.drift_per_sqrt_s**2 * drifts,
+        "frame_turn": camera.yaw_drift_per_sqrt_s**2 * drifts,
+    }  # fmt: skip
 
 
 @compiled
@@ -33,158 +98,108 @@ def sinc_slope(h: float) -> float:
 @compiled
 def move(x: Array, dt_s: float, slip_s: float) -> None:
     """State (20,) after `dt_s`: SE(2) exponential of the body twist, decay of the slip velocity."""
-    h = 0.5 * x[5] * dt_s
+    h = 0.5 * x[OMEGA] * dt_s
     k = sinc(h) * dt_s
-    c, s = math.cos(x[2] + h), math.sin(x[2] + h)
-    x[0] += k * (c * x[3] - s * x[4])
-    x[1] += k * (s * x[3] + c * x[4])
-    x[2] += x[5] * dt_s
+    c, s = math.cos(x[THETA] + h), math.sin(x[THETA] + h)
+    x[X] += k * (c * x[V_X] - s * x[V_Y])
+    x[Y] += k * (s * x[V_X] + c * x[V_Y])
+    x[THETA] += x[OMEGA] * dt_s
     decay = math.exp(-dt_s / slip_s)
-    x[8] *= decay
-    x[9] *= decay
+    x[SLIP_X] *= decay
+    x[SLIP_Y] *= decay
 
 
 @compiled
 def transition(x: Array, dt_s: float, slip_s: float) -> Array:
     """Derivative (20, 20) of `move` by the state."""
-    f = np.eye(L.STATES)
-    h = 0.5 * x[5] * dt_s
+    f = np.eye(STATES)
+    h = 0.5 * x[OMEGA] * dt_s
     k = sinc(h) * dt_s
-    c, s = math.cos(x[2] + h), math.sin(x[2] + h)
-    ahead, left = c * x[3] - s * x[4], s * x[3] + c * x[4]
+    c, s = math.cos(x[THETA] + h), math.sin(x[THETA] + h)
+    ahead, left = c * x[V_X] - s * x[V_Y], s * x[V_X] + c * x[V_Y]
     slope = 0.5 * dt_s * dt_s * sinc_slope(h)
-    f[0, 2], f[1, 2] = -k * left, k * ahead
-    f[0, 3], f[0, 4] = k * c, -k * s
-    f[1, 3], f[1, 4] = k * s, k * c
-    f[0, 5] = slope * ahead - 0.5 * dt_s * k * left
-    f[1, 5] = slope * left + 0.5 * dt_s * k * ahead
-    f[2, 5] = dt_s
-    f[8, 8] = f[9, 9] = math.exp(-dt_s / slip_s)
+    f[X, THETA], f[Y, THETA] = -k * left, k * ahead
+    f[X, V_X], f[X, V_Y] = k * c, -k * s
+    f[Y, V_X], f[Y, V_Y] = k * s, k * c
+    f[X, OMEGA] = slope * ahead - 0.5 * dt_s * k * left
+    f[Y, OMEGA] = slope * left + 0.5 * dt_s * k * ahead
+    f[THETA, OMEGA] = dt_s
+    f[SLIP_X, SLIP_X] = f[SLIP_Y, SLIP_Y] = math.exp(-dt_s / slip_s)
     return f
 
 
 @compiled
-def add_noise(x: Array, p: Array, dt_s: float, par: Array) -> None:
+def _drift(x: Array, p: Array, dt_s: float, rolled: float, par: ProcessParameters) -> None:
+    """Drift of the camera's frame: it shifts, and it turns about the robot, not about its own origin."""
+    shift = par.frame_per_m * rolled + par.frame_per_s * dt_s
+    p[FRAME_X, FRAME_X] += shift
+    p[FRAME_Y, FRAME_Y] += shift
+    q = par.frame_turn * dt_s
+    gx, gy = x[Y] - x[FRAME_Y], x[FRAME_X] - x[X]
+    p[FRAME_X, FRAME_X] += q * gx * gx
+    p[FRAME_Y, FRAME_Y] += q * gy * gy
+    p[FRAME_THETA, FRAME_THETA] += q
+    p[FRAME_X, FRAME_Y] += q * gx * gy
+    p[FRAME_Y, FRAME_X] += q * gx * gy
+    p[FRAME_X, FRAME_THETA] += q * gx
+    p[FRAME_THETA, FRAME_X] += q * gx
+    p[FRAME_Y, FRAME_THETA] += q * gy
+    p[FRAME_THETA, FRAME_Y] += q * gy
+
+
+@compiled
+def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     """Add the process noise of a step that began at state x, with exact powers of its length."""
-    speed = math.sqrt(x[3] * x[3] + x[4] * x[4])
+    speed = math.sqrt(x[V_X] * x[V_X] + x[V_Y] * x[V_Y])
     rolled = speed * dt_s
-    c, s = math.cos(x[2]), math.sin(x[2])
-    q, turn = par[L.Q_SPEED], par[L.Q_TURN]
+    c, s = math.cos(x[THETA]), math.sin(x[THETA])
+    q, turn = par.acceleration, par.angular_acceleration
     half, third = 0.5 * dt_s * dt_s, dt_s * dt_s * dt_s / 3.0
-    p[0, 0] += q * third
-    p[1, 1] += q * third
-    p[2, 2] += turn * third
-    p[3, 3] += q * dt_s
-    p[4, 4] += q * dt_s
-    p[5, 5] += turn * dt_s
-    for i, j, value in ((0, 3, c), (1, 3, s), (0, 4, -s), (1, 4, c)):
+    p[X, X] += q * third
+    p[Y, Y] += q * third
+    p[THETA, THETA] += turn * third
+    p[V_X, V_X] += q * dt_s
+    p[V_Y, V_Y] += q * dt_s
+    p[OMEGA, OMEGA] += turn * dt_s
+    for i, j, value in ((X, V_X, c), (Y, V_X, s), (X, V_Y, -s), (Y, V_Y, c)):
         p[i, j] += value * q * half
         p[j, i] += value * q * half
-    p[2, 5] += turn * half
-    p[5, 2] += turn * half
-    p[6, 6] += par[L.BIAS_WALK] * dt_s
-    p[7, 7] += par[L.YAW_WALK] * rolled
-    renewed = 1.0 - math.exp(-2.0 * dt_s / par[L.SLIP_S])
-    p[8, 8] += par[L.SLIP_M_S] * renewed
-    p[9, 9] += par[L.SLIP_ACROSS_M_S] * renewed
-    p[10, 10] += par[L.CREEP_WALK] * rolled
-    p[11, 11] += par[L.CREEP_WALK_ACROSS] * rolled
+    p[THETA, OMEGA] += turn * half
+    p[OMEGA, THETA] += turn * half
+    p[BIAS, BIAS] += par.bias * dt_s
+    p[YAW_SLIP, YAW_SLIP] += par.yaw_slip * rolled
+    renewed = 1.0 - math.exp(-2.0 * dt_s / par.slip_s)
+    p[SLIP_X, SLIP_X] += par.slip_x * renewed
+    p[SLIP_Y, SLIP_Y] += par.slip_y * renewed
+    p[CREEP_X, CREEP_X] += par.creep_x * rolled
+    p[CREEP_Y, CREEP_Y] += par.creep_y * rolled
     _drift(x, p, dt_s, rolled, par)
 
 
 @compiled
-def _drift(x: Array, p: Array, dt_s: float, rolled: float, par: Array) -> None:
-    """Drift of the camera's frame: it shifts, and it turns about the robot, not about its own origin."""
-    shift = par[L.DRIFT_M] * rolled + par[L.DRIFT_S] * dt_s
-    p[14, 14] += shift
-    p[15, 15] += shift
-    q = par[L.YAW_DRIFT] * dt_s
-    gx, gy = x[1] - x[15], x[14] - x[0]
-    p[14, 14] += q * gx * gx
-    p[15, 15] += q * gy * gy
-    p[16, 16] += q
-    p[14, 15] += q * gx * gy
-    p[15, 14] += q * gx * gy
-    p[14, 16] += q * gx
-    p[16, 14] += q * gx
-    p[15, 16] += q * gy
-    p[16, 15] += q * gy
-
-
-@compiled
-def advance_linear(x: Array, p: Array, dt_s: float, par: Array) -> None:
+def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     """Extended Kalman prediction, in place; the product F P F' is written out for the rows that change."""
-    h = 0.5 * x[5] * dt_s
+    h = 0.5 * x[OMEGA] * dt_s
     k = sinc(h) * dt_s
-    c, s = math.cos(x[2] + h), math.sin(x[2] + h)
-    ahead, left = c * x[3] - s * x[4], s * x[3] + c * x[4]
+    c, s = math.cos(x[THETA] + h), math.sin(x[THETA] + h)
+    ahead, left = c * x[V_X] - s * x[V_Y], s * x[V_X] + c * x[V_Y]
     slope = 0.5 * dt_s * dt_s * sinc_slope(h)
     ax, bx, cx = -k * left, k * c, -k * s
     ay, by, cy = k * ahead, k * s, k * c
     wx, wy = slope * ahead - 0.5 * dt_s * k * left, slope * left + 0.5 * dt_s * k * ahead
-    decay = math.exp(-dt_s / par[L.SLIP_S])
+    decay = math.exp(-dt_s / par.slip_s)
     for _ in range(2):
-        for i in range(L.STATES):
-            p[0, i] += ax * p[2, i] + bx * p[3, i] + cx * p[4, i] + wx * p[5, i]
-            p[1, i] += ay * p[2, i] + by * p[3, i] + cy * p[4, i] + wy * p[5, i]
-            p[2, i] += dt_s * p[5, i]
-            p[8, i] *= decay
-            p[9, i] *= decay
-        for i in range(L.STATES):
+        for i in range(STATES):
+            p[X, i] += ax * p[THETA, i] + bx * p[V_X, i] + cx * p[V_Y, i] + wx * p[OMEGA, i]
+            p[Y, i] += ay * p[THETA, i] + by * p[V_X, i] + cy * p[V_Y, i] + wy * p[OMEGA, i]
+            p[THETA, i] += dt_s * p[OMEGA, i]
+            p[SLIP_X, i] *= decay
+            p[SLIP_Y, i] *= decay
+        for i in range(STATES):
             for j in range(i):
                 p[i, j], p[j, i] = p[j, i], p[i, j]
-    for i in range(L.STATES):
+    for i in range(STATES):
         for j in range(i):
             p[i, j] = p[j, i]
     add_noise(x, p, dt_s, par)
-    move(x, dt_s, par[L.SLIP_S])
-
-
-@compiled
-def copy_pose(x: Array, p: Array, at: int) -> None:
-    """Clone the pose and its correlations into the three states from `at`."""
-    for i in range(3):
-        x[at + i] = x[i]
-        p[at + i, :] = p[i, :]
-    for i in range(3):
-        p[:, at + i] = p[:, i]
-
-
-@compiled
-def anchor_matrix(rx: float, ry: float, size: float, scaled: float) -> Array:
-    """Derivative (20, 20) of the anchored state by the one before; r: from the frame to the body."""
-    a = np.eye(L.STATES)
-    a[14, :] = 0.0
-    a[15, :] = 0.0
-    a[16, :] = 0.0
-    a[14, 0] = a[15, 1] = a[16, 2] = 1.0
-    a[14, 2], a[15, 2] = ry, -rx
-    a[14, 12], a[15, 12] = scaled * rx / size, scaled * ry / size
-    return a
-
-
-@compiled
-def anchor_frame(x: Array, p: Array, z: Array, var_m: float, var_rad: float, scaled: float) -> None:
-    """Clone the camera's frame so that the pose z (3,) is what it shows now, and spread its uncertainty.
-
-    theta_f = theta - z_theta; p_f = p - R(theta_f) z / (1 + scale). Source: the measurement's inverse.
-    """
-    n = L.STATES
-    heading = x[2] - z[2]
-    size = 1.0 + scaled * x[12]
-    c, s = math.cos(heading), math.sin(heading)
-    rx, ry = (c * z[0] - s * z[1]) / size, (s * z[0] + c * z[1]) / size
-    a = anchor_matrix(rx, ry, size, scaled)
-    p[:, :] = a @ p @ a.T
-    x[14], x[15], x[16] = x[0] - rx, x[1] - ry, heading
-    b = np.zeros((3, 3))
-    b[0, 2], b[1, 2], b[2, 2] = -ry, rx, -1.0
-    b[0, 0] = b[1, 1] = 1.0 / size
-    for i in range(3):
-        for j in range(3):
-            p[14 + i, 14 + j] += b[i, 2] * b[j, 2] * var_rad
-            if i == j and i < 2:
-                p[14 + i, 14 + j] += var_m / (size * size)
-    for i in range(n):
-        for j in range(i):
-            p[i, j] = p[j, i]
+    move(x, dt_s, par.slip_s)

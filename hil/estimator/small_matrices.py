@@ -10,8 +10,8 @@ import math
 
 import numpy as np
 
-from hil.estimator.compiled import AVAILABLE, compiled
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import AVAILABLE, compiled
 
 _ZERO_PIVOT = 1e-14
 

@@ -13,15 +13,29 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import layout as L
-from hil.estimator.compiled import compiled
-from hil.estimator.fusion import start_of
+from hil.estimator.events import run
 from hil.estimator.intake import Intake
-from hil.estimator.process import advance_linear, anchor_matrix, transition
-from hil.estimator.replay import Ints, admit, innovations, moments, run
-from hil.estimator.sensors import jacobian, observe
+from hil.estimator.layout import (
+    MEMORY,
+    ROW,
+    ROW_FLOATS,
+    EventRow,
+    Ints,
+    Memory,
+    Parameters,
+    first_memory,
+    parameters,
+)
+from hil.estimator.process import advance_linear, transition
+from hil.estimator.records import Records
+from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
+from hil.estimator.sensors.sensor import NEW_FRAME, USED
+from hil.estimator.small_matrices import seen
+from hil.estimator.start import start_of
+from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 from hil.vocabulary.signals import Measurements, RobotState
 
 _SEGMENT = 512
@@ -47,24 +61,23 @@ def smooth(
         One state per cycle, with pose, twist and their covariance; no diagnostics.
     """
     linear = config.model_copy(update={"kind": "ekf"})
-    par = L.parameters(linear, surface)
-    wheels, rows = L.wheel_tables(linear, geometry)
-    tape = _Tape(*_ordered(linear, measurements, start.t_ns), start.t_ns)
-    begins = [start_of(linear, surface, start)]
-    for segment in tape.segments():
-        x, p, m = segment.forward(*begins[-1], par, wheels, rows)
-        begins.append((x[-1].copy(), p[-1].copy(), m[-1].copy()))
-    late, spread = np.zeros(L.STATES), np.zeros((L.STATES, L.STATES))
+    par = parameters(linear, geometry, surface)
+    segments = _segments(*_ordered(linear, measurements, start.t_ns), start.t_ns)
+    begins = [(*start_of(linear, surface, start), first_memory())]
+    for segment in segments:
+        x, p, m = segment.forward(*begins[-1], par)
+        begins.append((x[-1].copy(), p[-1].copy(), m[-1:].copy()))
+    late, spread = np.zeros(STATES), np.zeros((STATES, STATES))
     states: list[RobotState] = []
-    for segment, begin in zip(reversed(tape.segments()), reversed(begins[:-1]), strict=True):
-        x, p, m = segment.forward(*begin, par, wheels, rows)
-        xs, ps = np.zeros_like(x), np.zeros((len(x), 6, 6))
+    for segment, begin in zip(reversed(segments), reversed(begins[:-1]), strict=True):
+        x, p, m = segment.forward(*begin, par)
+        xs, ps = np.zeros_like(x), np.zeros((len(x), MOTION, MOTION))
         backward(
-            segment.zero_ns, segment.t_ns, segment.kinds, segment.data, x, p, m, par, wheels, rows,
-            late, spread, xs, ps,
-        )  # fmt: skip
-        for k in reversed(np.flatnonzero(segment.kinds[1:] == L.RESET) + 1):
-            states.append(RobotState(int(segment.t_ns[k]), xs[k, :3].copy(), xs[k, 3:6].copy(), ps[k].copy()))
+            segment.zero_ns, segment.t_ns, segment.numbers, segment.rows, x, p, m, par, late, spread, xs, ps
+        )
+        for k in reversed(np.flatnonzero(segment.numbers[1:] == MARK) + 1):
+            pose, twist = xs[k, POSE].copy(), xs[k, TWIST].copy()
+            states.append(RobotState(int(segment.t_ns[k]), pose, twist, ps[k].copy()))
     return tuple(reversed(states))
 
 
@@ -74,16 +87,16 @@ def _ordered(
     """Every usable sample once, and a mark per cycle, in the filter's total order (NaN after all numbers).
 
     Returns:
-        (n, 3) stamps, sensor ids, sequence numbers; (n, 16) event rows.
+        (n, 3) stamps, numbers of sensors, sequence numbers; (n, floats of a row) event rows.
     """
-    intake, nothing = Intake(config), np.zeros((1, L.ROW_DATA))
+    intake, nothing = Intake(config), np.zeros((1, ROW_FLOATS))
     found: list[tuple[int, ...]] = []
     rows = [nothing[:0]]
     for m in measurements:
         s = intake.stage(m, start_ns)
-        found += zip(*(a[: s.count].tolist() for a in (s.t_ns, s.kinds, s.seqs)), strict=True)
-        found.append((m.t_ns, L.RESET, m.cycle))
-        rows += [s.rows[: s.count].copy(), nothing]
+        found += zip(*(a[: s.count].tolist() for a in (s.t_ns, s.numbers, s.seqs)), strict=True)
+        found.append((m.t_ns, MARK, m.cycle))
+        rows += [s.data[: s.count].copy(), nothing]
     keys, data = np.array(found, dtype=np.int64).reshape(-1, 3), np.concatenate(rows)
     order = np.lexsort((*data.T[::-1], *keys.T[::-1]))
     keys, data = keys[order], data[order]
@@ -96,73 +109,60 @@ def _ordered(
 class _Segment:
     """A stretch of events; row 0 is the one before it."""
 
-    def __init__(self, zero_ns: int, t_ns: Ints, kinds: Ints, data: Array) -> None:
-        self.zero_ns, self.t_ns, self.kinds, self.data = zero_ns, t_ns, kinds, data
+    def __init__(self, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records) -> None:
+        self.zero_ns, self.t_ns, self.numbers, self.rows = zero_ns, t_ns, numbers, rows
 
-    def forward(
-        self, x0: Array, p0: Array, m0: Array, par: Array, wheels: Array, rows: Array
-    ) -> tuple[Array, Array, Array]:
-        """States, covariances and memories after each event, the one before it included."""
+    def forward(self, x0: Array, p0: Array, m0: Records, par: Records) -> tuple[Array, Array, Records]:
+        """States (n, 20), covariances and memories after each event, the one before it included."""
         n = len(self.t_ns)
-        x, p, m = np.empty((n, L.STATES)), np.empty((n, L.STATES, L.STATES)), np.empty((n, L.MEMORY))
-        x[0], p[0], m[0] = x0, p0, m0
-        run(0, 1, n, self.zero_ns, self.t_ns, self.kinds, self.data, x, p, m, par, wheels, rows)
+        x, p, m = np.empty((n, STATES)), np.empty((n, STATES, STATES)), np.empty(n, MEMORY)
+        x[0], p[0], m[0] = x0, p0, m0[0]
+        run(
+            np.array([0, n, 0, 0]), 1, self.zero_ns, self.t_ns, self.numbers, self.rows, x, p, m, par,
+            self.t_ns[-1], x0.copy(), p0.copy(), m0.copy(),
+        )  # fmt: skip
         return x, p, m
 
 
-class _Tape:
-    """All events of a run."""
-
-    def __init__(self, keys: Ints, data: Array, start_ns: int) -> None:
-        self._zero_ns = start_ns
-        self._t_ns, self._kinds = np.r_[start_ns, keys[:, 0]], np.r_[L.RESET, keys[:, 1]]
-        self._data = np.concatenate([np.zeros((1, L.ROW_DATA)), data])
-
-    def segments(self) -> list[_Segment]:
-        """The run in stretches whose states fit in memory; neighbours share one event."""
-        return [
-            _Segment(self._zero_ns, self._t_ns[k : k + _SEGMENT + 1], self._kinds[k : k + _SEGMENT + 1],
-                     self._data[k : k + _SEGMENT + 1])
-            for k in range(0, len(self._t_ns) - 1, _SEGMENT)
-        ]  # fmt: skip
+def _segments(keys: Ints, data: Array, start_ns: int) -> list[_Segment]:
+    """The run in stretches whose states fit in memory; neighbours share one event."""
+    t_ns, numbers = np.r_[start_ns, keys[:, 0]], np.r_[MARK, keys[:, 1]]
+    rows = np.concatenate([np.zeros((1, ROW_FLOATS)), data]).view(ROW)[:, 0]
+    cuts = [slice(k, k + _SEGMENT + 1) for k in range(0, len(t_ns) - 1, _SEGMENT)]
+    return [_Segment(start_ns, t_ns[cut], numbers[cut], rows[cut]) for cut in cuts]
 
 
 @compiled
 def pull_update(
-    kind: int, t_ns: float, x: Array, p: Array, m: Array, data: Array, par: Array, wheels: Array, rows: Array,
-    accepted: int, late: Array, spread: Array,
+    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters,
+    late: Array, spread: Array,
 ) -> None:  # fmt: skip
     """Carry what later samples say back through one sample's update, row by row in reverse, in place.
 
     Args:
-        kind: sensor id.
+        number: of the sensor.
         t_ns: stamp since the start.
         x: (20,) predicted state.
         p: (20, 20) its covariance.
-        m: (72,) memory before the sample; used up.
-        data: (16,) event row.
-        par: `layout.parameters`.
-        wheels: (6, 4), and
-        rows: (8, 11), of `layout.wheel_tables`.
-        accepted: number of rows that the forward pass used.
+        m: memory before the sample; used up.
+        row: the sample.
+        par: of all kernels.
         late: (20,) and
         spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
     """
-    z, var, aux = np.zeros(L.ROWS), np.zeros(L.ROWS), np.zeros(2)
-    count = observe(kind, t_ns, m, data, par, wheels, rows, z, var, aux)
-    if count == 0 or accepted == 0:
-        return
-    mean = np.zeros(L.ROWS)
-    cross, own = np.zeros((L.STATES, L.ROWS)), np.zeros((L.ROWS, L.ROWS))
-    moments(kind, x, p, aux, par, rows, count, mean, cross, own)
-    h = np.zeros((L.ROWS, L.STATES))
-    jacobian(kind, x, aux, par, rows, h)
-    nu = innovations(kind, z, mean, var, count)
-    size, used = np.zeros(L.ROWS), np.zeros(L.ROWS)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    count = observe(number, t_ns, m, row, par, z, var, aux)
+    mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
+    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
+    predicted(number, x, aux, par, mean)
+    jacobian(number, x, aux, par, h)
+    seen(p, h, count, cross, own)
+    nu = innovation(number, m, z, mean, var, count)
+    size, used = np.zeros(ROWS), np.zeros(ROWS)
+    gate = np.inf if GATED_TOGETHER[number] else par.filter.gate_row
     for i in range(count):
         size[i] = own[i, i] + var[i]
-        whole = kind == L.TRACKER or kind == L.MOCAP
-        if var[i] < 0.0 or not size[i] > 0.0 or (nu[i] * nu[i] / size[i] > par[L.GATE1] and not whole):
+        if var[i] < 0.0 or not size[i] > 0.0 or nu[i] * nu[i] / size[i] > gate:
             continue
         used[i] = 1.0
         for j in range(i + 1, count):
@@ -173,86 +173,49 @@ def pull_update(
                 own[j, k] -= gain * own[i, k]
     for i in range(count - 1, -1, -1):
         if used[i] > 0.0:
-            back = np.eye(L.STATES) - np.outer(cross[:, i] / size[i], h[i])
+            back = np.eye(STATES) - np.outer(cross[:, i] / size[i], h[i])
             late[:] = back.T @ late - h[i] * (nu[i] / size[i])
             spread[:, :] = back.T @ spread @ back + np.outer(h[i], h[i]) / size[i]
 
 
 @compiled
-def pull_anchor(x: Array, data: Array, par: Array, late: Array, spread: Array) -> None:
-    """Carry back through a new frame of the camera, set at state x."""
-    heading = x[2] - data[2]
-    size = 1.0 + par[L.CAMERA_SCALED] * x[12]
-    c, s = np.cos(heading), np.sin(heading)
-    rx, ry = (c * data[0] - s * data[1]) / size, (s * data[0] + c * data[1]) / size
-    a = anchor_matrix(rx, ry, size, par[L.CAMERA_SCALED])
-    late[:] = a.T @ late
-    spread[:, :] = a.T @ spread @ a
-
-
-@compiled
-def pull_clone(late: Array, spread: Array) -> None:
-    """Carry back through the cloning of the pose at a servo read."""
-    g = np.eye(L.STATES)
-    for i in range(3):
-        g[L.CLONE + i, L.CLONE + i] = 0.0
-        g[L.CLONE + i, i] = 1.0
-    late[:] = g.T @ late
-    spread[:, :] = g.T @ spread @ g
-
-
-@compiled
 def backward(
-    zero_ns: int, t_ns: Ints, kinds: Ints, data: Array, x: Array, p: Array, m: Array, par: Array,
-    wheels: Array, rows: Array, late: Array, spread: Array, xs: Array, ps: Array,
+    zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records, x: Array, p: Array, m: Records, pars: Records,
+    late: Array, spread: Array, xs: Array, ps: Array,
 ) -> None:  # fmt: skip
     """Backward pass over one stretch; `late` and `spread` go on to the one before it.
 
     Args:
         zero_ns: stamp that sensor memory counts from.
         t_ns: (n,) stamps; row 0 of every array is the event before the stretch.
-        kinds: (n,) sensor ids.
-        data: (n, 16) event rows.
+        numbers: (n,) of sensors.
+        rows: (n,) samples.
         x: (n, 20) states of the forward pass after each event.
         p: (n, 20, 20) their covariances.
-        m: (n, 72) sensor memories.
-        par: `layout.parameters`.
-        wheels: (6, 4), and
-        rows: (8, 11), of `layout.wheel_tables`.
+        m: (n,) sensor memories; used up.
+        pars: (1,) parameters of all kernels.
         late: (20,) and
         spread: (20, 20), see `pull_update`; changed in place.
         xs: (n, 20) and
         ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
     """
+    par = pars[0]
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
-        kind, stamp = kinds[k], float(t_ns[k] - zero_ns)
-        use = 0
-        if kind == L.RESET:
+        number, stamp = numbers[k], float(t_ns[k] - zero_ns)
+        if number == MARK:
             xs[k] = x[k] - p[k] @ late
-            ps[k] = (p[k] - p[k] @ spread @ p[k])[:6, :6]
+            ps[k] = (p[k] - p[k] @ spread @ p[k])[:MOTION, :MOTION]
         else:
-            use = admit(kind, stamp, m[k - 1], data[k], par)
-        if use == 1 or use == 2:
-            before, spread_before = x[k - 1].copy(), p[k - 1].copy()
-            if dt_s > 0.0:
-                advance_linear(before, spread_before, dt_s, par)
-            tracker = kind == L.TRACKER
-            again = m[k, L.REANCHORED + L.TRACKER] > m[k - 1, L.REANCHORED + L.TRACKER]
-            if kind == L.WHEELS:
-                pull_clone(late, spread)
-            elif tracker and (use == 2 or again or m[k, L.FRAME_T] == stamp):
-                pull_anchor(x[k], data[k], par, late, spread)
-            if use == 1:
-                slot = L.ACCEPTED + kind
-                accepted = int(m[k, slot] - m[k - 1, slot])
-                if kind == L.GYRO:
-                    accepted += int(m[k, L.ACCEPTED + L.GRAVITY] - m[k - 1, L.ACCEPTED + L.GRAVITY])
-                pull_update(
-                    kind, stamp, before, spread_before, m[k - 1].copy(), data[k], par, wheels, rows,
-                    accepted, late, spread,
-                )  # fmt: skip
+            use = admit(number, stamp, m[k - 1], rows[k], par)
+            if use in (USED, NEW_FRAME):
+                undo(number, stamp, x[k], m[k], rows[k], par, late, spread)
+            if use == USED and m[k].accepted > m[k - 1].accepted:
+                before, spread_before = x[k - 1].copy(), p[k - 1].copy()
+                if dt_s > 0.0:
+                    advance_linear(before, spread_before, dt_s, par.process)
+                pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, late, spread)
         if dt_s > 0.0:
-            f = transition(x[k - 1], dt_s, par[L.SLIP_S])
+            f = transition(x[k - 1], dt_s, par.process.slip_s)
             late[:] = f.T @ late
             spread[:, :] = f.T @ spread @ f

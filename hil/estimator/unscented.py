@@ -16,35 +16,48 @@ in which nothing cancels. What the model leaves linear keeps its covariance exac
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from hil.estimator import layout as L
-from hil.estimator.compiled import compiled
-from hil.estimator.process import add_noise, sinc
+from hil.estimator.layout import FilterParameters, Parameters
+from hil.estimator.process import ProcessParameters, add_noise, sinc
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
+from hil.estimator.state import MOTION, OMEGA, ROWS, SLIP_X, SLIP_Y, STATES, THETA, V_X, V_Y, X, Y
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
 
-_MOVING = 6
-"""Leading states that the new position depends on: later columns of the root leave them alone."""
+
+class Weights(NamedTuple):
+    """How sigma points are spread and added up.
+
+    Attributes:
+        reach: how many columns of the root a point lies from the centre.
+        pair: 2 w, the weight of two opposite points.
+        centre: beta - alpha^2, for the square of the mean's offset.
+    """
+
+    reach: float
+    pair: float
+    centre: float
 
 
 @compiled
-def weights(n: int, alpha: float, beta: float, kappa: float) -> Array:
-    """Spread of the points, 2 w, and beta - alpha^2."""
-    total = alpha * alpha * (n + kappa)
-    return np.array([math.sqrt(total), 1.0 / total, beta - alpha * alpha])
+def weights(n: int, points: FilterParameters) -> Weights:
+    """Weights for `n` states."""
+    total = points.alpha * points.alpha * (n + points.kappa)
+    return Weights(math.sqrt(total), 1.0 / total, points.beta - points.alpha * points.alpha)
 
 
 @compiled
 def moved_position(x: Array, dt_s: float, out: Array) -> None:
     """Position (2,) of a state after `dt_s`, as `process.move` does it: the only nonlinear part."""
-    h = 0.5 * x[5] * dt_s
+    h = 0.5 * x[OMEGA] * dt_s
     k = sinc(h) * dt_s
-    c, s = math.cos(x[2] + h), math.sin(x[2] + h)
-    out[0] = x[0] + k * (c * x[3] - s * x[4])
-    out[1] = x[1] + k * (s * x[3] + c * x[4])
+    c, s = math.cos(x[THETA] + h), math.sin(x[THETA] + h)
+    out[0] = x[X] + k * (c * x[V_X] - s * x[V_Y])
+    out[1] = x[Y] + k * (s * x[V_X] + c * x[V_Y])
 
 
 @compiled
@@ -57,58 +70,20 @@ def parts(high: Array, low: Array, centre: Array, k: int, count: int, odd: Array
 
 @compiled
 def collect(
-    w: Array, root: Array, odd: Array, even: Array, count: int, offset: Array, cross: Array, own: Array
+    w: Weights, root: Array, odd: Array, even: Array, count: int, offset: Array, cross: Array, own: Array
 ) -> None:
     """Offset of the mean (8,), covariance with the state (20, 8) and of the values (8, 8), zeroed before."""
     n = root.shape[0]
     for k in range(n):
         for i in range(count):
-            offset[i] += w[1] * even[k, i]
+            offset[i] += w.pair * even[k, i]
             for j in range(i + 1):
-                own[i, j] += w[1] * (odd[k, i] * odd[k, j] + even[k, i] * even[k, j])
+                own[i, j] += w.pair * (odd[k, i] * odd[k, j] + even[k, i] * even[k, j])
     for i in range(count):
         for j in range(i + 1):
-            own[i, j] += w[2] * offset[i] * offset[j]
+            own[i, j] += w.centre * offset[i] * offset[j]
             own[j, i] = own[i, j]
-    spread(root, odd, count, w[0] * w[1], cross)
-
-
-@compiled
-def advance_unscented(x: Array, p: Array, dt_s: float, par: Array) -> None:
-    """Unscented prediction, in place: points for the position, the rest of the model is linear."""
-    n = L.STATES
-    w = weights(n, par[L.ALPHA], par[L.BETA], par[L.KAPPA])
-    root = square_root(p, _MOVING)
-    odd, even = np.zeros((n, L.ROWS)), np.zeros((n, L.ROWS))
-    centre, high, low = np.zeros(2), np.zeros(2), np.zeros(2)
-    up, down = np.zeros(_MOVING), np.zeros(_MOVING)
-    moved_position(x, dt_s, centre)
-    for k in range(_MOVING):
-        for i in range(_MOVING):
-            up[i], down[i] = x[i] + w[0] * root[i, k], x[i] - w[0] * root[i, k]
-        moved_position(up, dt_s, high)
-        moved_position(down, dt_s, low)
-        parts(high, low, centre, k, 2, odd, even)
-    offset, cross, own = np.zeros(L.ROWS), np.zeros((n, L.ROWS)), np.zeros((L.ROWS, L.ROWS))
-    collect(w, root, odd, even, 2, offset, cross, own)
-    start = x.copy()
-    x[0], x[1] = centre[0] + offset[0], centre[1] + offset[1]
-    x[2] += x[5] * dt_s
-    decay = math.exp(-dt_s / par[L.SLIP_S])
-    x[8] *= decay
-    x[9] *= decay
-    for i in range(2):
-        for j in range(n):
-            p[i, j] = p[j, i] = cross[j, i]
-    for i in range(2):
-        for j in range(2):
-            p[i, j] = own[i, j]
-    for _ in range(2):
-        p[2] += dt_s * p[5]
-        p[8] *= decay
-        p[9] *= decay
-        transpose(p)
-    add_noise(start, p, dt_s, par)
+    spread(root, odd, count, w.reach * w.pair, cross)
 
 
 @compiled
@@ -121,23 +96,63 @@ def transpose(p: Array) -> None:
 
 
 @compiled
+def advance_unscented(
+    x: Array, p: Array, dt_s: float, points: FilterParameters, par: ProcessParameters
+) -> None:
+    """Unscented prediction, in place: points for the position, the rest of the model is linear."""
+    n = STATES
+    w = weights(n, points)
+    root = square_root(p, MOTION)
+    odd, even = np.zeros((n, ROWS)), np.zeros((n, ROWS))
+    centre, high, low = np.zeros(2), np.zeros(2), np.zeros(2)
+    up, down = np.zeros(MOTION), np.zeros(MOTION)
+    moved_position(x, dt_s, centre)
+    for k in range(MOTION):
+        for i in range(MOTION):
+            up[i], down[i] = x[i] + w.reach * root[i, k], x[i] - w.reach * root[i, k]
+        moved_position(up, dt_s, high)
+        moved_position(down, dt_s, low)
+        parts(high, low, centre, k, 2, odd, even)
+    offset, cross, own = np.zeros(ROWS), np.zeros((n, ROWS)), np.zeros((ROWS, ROWS))
+    collect(w, root, odd, even, 2, offset, cross, own)
+    start = x.copy()
+    x[X], x[Y] = centre[0] + offset[0], centre[1] + offset[1]
+    x[THETA] += x[OMEGA] * dt_s
+    decay = math.exp(-dt_s / par.slip_s)
+    x[SLIP_X] *= decay
+    x[SLIP_Y] *= decay
+    for i in range(2):
+        for j in range(n):
+            p[i, j] = p[j, i] = cross[j, i]
+    for i in range(2):
+        for j in range(2):
+            p[i, j] = own[i, j]
+    for _ in range(2):
+        p[THETA] += dt_s * p[OMEGA]
+        p[SLIP_X] *= decay
+        p[SLIP_Y] *= decay
+        transpose(p)
+    add_noise(start, p, dt_s, par)
+
+
+@compiled
 def moments_unscented(
-    kind: int, x: Array, p: Array, aux: Array, par: Array, rows: Array, count: int,
+    number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
     mean: Array, cross: Array, own: Array,
 ) -> None:  # fmt: skip
-    """Mean (count,), cross covariance (20, count) with the state and covariance of predicted rows."""
-    n = L.STATES
-    w = weights(n, par[L.ALPHA], par[L.BETA], par[L.KAPPA])
+    """Mean, covariance with the state and covariance of predicted rows, as `events.moments` fills them."""
+    n = STATES
+    w = weights(n, par.filter)
     root = square_root(p, n)
-    odd, even = np.zeros((n, L.ROWS)), np.zeros((n, L.ROWS))
-    high, low, offset = np.zeros(L.ROWS), np.zeros(L.ROWS), np.zeros(L.ROWS)
-    predicted(kind, x, aux, par, rows, mean)
+    odd, even = np.zeros((n, ROWS)), np.zeros((n, ROWS))
+    high, low, offset = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
+    predicted(number, x, aux, par, mean)
     up, down = x.copy(), x.copy()
     for k in range(n):
         for i in range(n):
-            up[i], down[i] = x[i] + w[0] * root[i, k], x[i] - w[0] * root[i, k]
-        predicted(kind, up, aux, par, rows, high)
-        predicted(kind, down, aux, par, rows, low)
+            up[i], down[i] = x[i] + w.reach * root[i, k], x[i] - w.reach * root[i, k]
+        predicted(number, up, aux, par, high)
+        predicted(number, down, aux, par, low)
         parts(high, low, mean, k, count, odd, even)
     collect(w, root, odd, even, count, offset, cross, own)
     for i in range(count):

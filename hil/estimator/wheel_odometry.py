@@ -11,16 +11,23 @@ import math
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import windowed_twist
-from hil.estimator.fusion import check_state
-from hil.estimator.layout import contacts
+from hil.estimator.friction import contacts, windowed_twist
+from hil.estimator.records import Records
+from hil.estimator.start import check_state
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection, wheel_vectors
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, compose, se2_exp
 from hil.vocabulary.interfaces import Estimator
+from hil.vocabulary.kernels import compiled
 from hil.vocabulary.signals import Measurements, RobotState, WheelMeasurement
 
 _LEAST_WHEELS = 2
+
+
+@compiled
+def _windowed(u: Array, window: Array, decay: float, wheels: Records, creeping: bool) -> Array:
+    """`windowed_twist` with the wheels as an array (1,), which is quicker to pass from Python."""
+    return windowed_twist(u, window, decay, wheels[0], creeping)
 
 
 class OdometryEstimator(Estimator):
@@ -94,7 +101,7 @@ class OdometryEstimator(Estimator):
         if all(usable):
             if self._model in ("dry-friction", "creep"):
                 decay = math.exp(-dt / self._noise.friction_window_s)
-                return windowed_twist(u, self._window, decay, self._contacts, self._model == "creep")
+                return _windowed(u, self._window, decay, self._contacts, self._model == "creep")
             return np.asarray(self._forward @ u, dtype=np.float64)
         rows = np.repeat(usable, 2)
         return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)

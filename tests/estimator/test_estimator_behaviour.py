@@ -236,15 +236,16 @@ sys.path.insert(0, {here!r})
 import numpy as np
 from estimator_drives import drive
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import compiled, make_estimator
+from hil.estimator import make_estimator
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary import kernels
 d = drive(seconds=0.4, seed=1, outliers=True)
 for kind in ("ekf", "ukf"):
     e = make_estimator(EstimatorConfig(kind=kind), WheelGeometry.nominal(), surface="wall")
     e.reset(d.start)
     for m in d.measurements:
         s = e.update(m)
-    print(compiled.AVAILABLE, " ".join(repr(float(v)) for v in (*s.pose_body_in_wall, *s.covariance.ravel())))
+    print(kernels.AVAILABLE, " ".join(repr(float(v)) for v in (*s.pose_body_in_wall, *s.covariance.ravel())))
 """
 
 

@@ -5,23 +5,26 @@ import pytest
 from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import layout as L
 from hil.estimator import make_estimator
 from hil.estimator.conditioning import condition, joint_nis
 from hil.estimator.consistency import autocorrelation, band, nees, whiteness
-from hil.estimator.process import add_noise, anchor_frame, copy_pose, move
-from hil.estimator.replay import advance, moments
-from hil.estimator.sensors import predicted
+from hil.estimator.events import advance, moments
+from hil.estimator.layout import ROW, parameters
+from hil.estimator.process import add_noise, move
+from hil.estimator.sensors import NUMBERS, predicted
+from hil.estimator.sensors.tracker import anchor_frame
+from hil.estimator.sensors.wheels import clone_pose
 from hil.estimator.small_matrices import square_root
 from hil.estimator.smoother import smooth
+from hil.estimator.state import CLONE, MOTION, POSE, ROWS, STATES, V_X, prior_variances
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
 DT_S = 0.01
 VARIANCE = {
-    L.WHEELS: np.full(8, (1e-4) ** 2),
-    L.GYRO: np.array([0.003**2, 0.02**2]),
-    L.TRACKER: np.array([1.5e-3**2, 1.5e-3**2, 3e-3**2]),
+    "wheels": np.full(8, (1e-4) ** 2),
+    "gyro": np.array([0.003**2, 0.02**2]),
+    "tracker": np.array([1.5e-3**2, 1.5e-3**2, 3e-3**2]),
 }
 
 
@@ -30,40 +33,41 @@ class World:
 
     def __init__(self, kind, seed, heading_sigma=0.02):
         config = EstimatorConfig(kind=kind)
-        self.par = L.parameters(config, "wall")
-        _, self.rows = L.wheel_tables(config, WheelGeometry.nominal())
+        self.par = parameters(config, WheelGeometry.nominal(), "wall")[0]
         self.rng = np.random.default_rng(seed)
-        self.x, self.p = np.zeros(L.STATES), np.diag(L.prior_variances(config, "wall"))
-        self.x[3] = 0.1
+        self.x, self.p = np.zeros(STATES), np.diag(prior_variances(config, "wall"))
+        self.x[V_X] = 0.1
         sigma = np.array([5e-3, 5e-3, heading_sigma, 0.01, 0.01, 0.05])
-        self.p[:6, :6] = np.diag(sigma**2)
-        anchor_frame(self.x, self.p, np.zeros(3), 1e-6, 1e-6, 1.0)
-        copy_pose(self.x, self.p, L.CLONE)
-        self.true = self.x + square_root(self.p, L.STATES) @ self.rng.normal(size=L.STATES)
-        self.nis = {kind: [] for kind in VARIANCE}
+        self.p[:MOTION, :MOTION] = np.diag(sigma**2)
+        close = EstimatorConfig(tracker={"position_m": 1e-3, "heading_rad": 1e-3})
+        close_par = parameters(close, WheelGeometry.nominal(), "wall")[0].tracker
+        anchor_frame(self.x, self.p, np.zeros(1, ROW)[0].tracker, close_par)
+        clone_pose(self.x, self.p)
+        self.true = self.x + square_root(self.p, STATES) @ self.rng.normal(size=STATES)
+        self.nis = {sensor: [] for sensor in VARIANCE}
 
     def step(self):
-        noise = np.zeros((L.STATES, L.STATES))
-        add_noise(self.true, noise, DT_S, self.par)
-        move(self.true, DT_S, self.par[L.SLIP_S])
-        self.true += square_root(noise, L.STATES) @ self.rng.normal(size=L.STATES)
+        noise = np.zeros((STATES, STATES))
+        add_noise(self.true, noise, DT_S, self.par.process)
+        move(self.true, DT_S, self.par.process.slip_s)
+        self.true += square_root(noise, STATES) @ self.rng.normal(size=STATES)
         advance(self.x, self.p, DT_S, self.par)
 
-    def sense(self, kind):
-        count = len(VARIANCE[kind])
+    def sense(self, sensor):
+        number, count = NUMBERS[sensor], len(VARIANCE[sensor])
         aux = np.array([DT_S, 0.1 * DT_S])
-        z, mean, nu = np.zeros(L.ROWS), np.zeros(L.ROWS), np.zeros(L.ROWS)
-        predicted(kind, self.true, aux, self.par, self.rows, z)
-        z[:count] += np.sqrt(VARIANCE[kind]) * self.rng.normal(size=count)
-        cross, own, var = np.zeros((L.STATES, L.ROWS)), np.zeros((L.ROWS, L.ROWS)), np.zeros(L.ROWS)
-        var[:count] = VARIANCE[kind]
-        moments(kind, self.x, self.p, aux, self.par, self.rows, count, mean, cross, own)
+        z, mean, nu = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
+        predicted(number, self.true, aux, self.par, z)
+        z[:count] += np.sqrt(VARIANCE[sensor]) * self.rng.normal(size=count)
+        cross, own, var = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS)), np.zeros(ROWS)
+        var[:count] = VARIANCE[sensor]
+        moments(number, self.x, self.p, aux, self.par, count, mean, cross, own)
         nu[:count] = (z - mean)[:count]
-        self.nis[kind].append(joint_nis(nu, own, var, count))
-        condition(self.x, self.p, nu, cross, own, var, count, np.inf, np.zeros(L.ROWS))
-        if kind == L.WHEELS:
-            copy_pose(self.x, self.p, L.CLONE)
-            self.true[L.CLONE : L.CLONE + 3] = self.true[:3]
+        self.nis[sensor].append(joint_nis(nu, own, var, count, np.zeros(ROWS)))
+        condition(self.x, self.p, nu, cross, own, var, count, np.inf, np.zeros(ROWS))
+        if sensor == "wheels":
+            clone_pose(self.x, self.p)
+            self.true[CLONE] = self.true[POSE]
 
     def nees(self):
         return float(nees((self.true - self.x)[None, :3], self.p[None, :3, :3])[0])
@@ -76,10 +80,10 @@ def monte_carlo(kind, runs, steps=150):
         world, found = World(kind, seed), []
         for k in range(1, steps + 1):
             world.step()
-            world.sense(L.WHEELS)
-            world.sense(L.GYRO)
+            world.sense("wheels")
+            world.sense("gyro")
             if k % 2 == 0:
-                world.sense(L.TRACKER)
+                world.sense("tracker")
             if k % (steps // 3) == 0:
                 found.append(world.nees())
         errors.append(found)
@@ -94,7 +98,7 @@ def assert_consistent(kind, runs):
     assert np.all((low <= errors) & (errors <= high)), (errors, low, high)
     for sensor, (value, samples) in innovations.items():
         low, high = band(len(VARIANCE[sensor]), runs * samples)
-        assert low <= value <= high, (L.SENSORS[sensor], value, low, high)
+        assert low <= value <= high, (sensor, value, low, high)
 
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])

@@ -4,20 +4,16 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import layout as L
 from hil.estimator import make_estimator
 from hil.estimator import small_matrices as small
 from hil.estimator.conditioning import condition
-from hil.estimator.process import (
-    add_noise,
-    advance_linear,
-    anchor_frame,
-    copy_pose,
-    move,
-    transition,
-)
-from hil.estimator.replay import advance, compare
-from hil.estimator.sensors import jacobian, predicted
+from hil.estimator.events import advance, compare
+from hil.estimator.layout import ROW, first_memory, parameters
+from hil.estimator.process import add_noise, advance_linear, move, transition
+from hil.estimator.records import dtype_of, filled
+from hil.estimator.sensors import NUMBERS, jacobian, predicted, tracker
+from hil.estimator.sensors.wheels import clone_pose
+from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
@@ -25,13 +21,13 @@ SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e
 
 
 def some_state(rng):
-    x = SCALE * rng.normal(size=L.STATES)
-    x[L.CLONE : L.CLONE + 3] = x[:3] + 0.05 * rng.normal(size=3)
+    x = SCALE * rng.normal(size=STATES)
+    x[CLONE] = x[:3] + 0.05 * rng.normal(size=3)
     return x
 
 
 def some_covariance(rng):
-    a = SCALE[:, None] * rng.normal(size=(L.STATES, L.STATES))
+    a = SCALE[:, None] * rng.normal(size=(STATES, STATES))
     return a @ a.T
 
 
@@ -44,16 +40,15 @@ def slope(f, x, step=1e-6):
     return np.array(columns).T
 
 
-def tables(**changes):
-    config = EstimatorConfig(**changes)
-    return L.parameters(config, "wall"), *L.wheel_tables(config, WheelGeometry.nominal())
+def kernel_parameters(surface="wall", **changes):
+    return parameters(EstimatorConfig(**changes), WheelGeometry.nominal(), surface)[0]
 
 
 @pytest.mark.parametrize("omega", [0.0, 1e-7, 0.4, -2.0])
 def test_transition_is_the_derivative_of_move(omega):
     rng = np.random.default_rng(1)
     x = some_state(rng)
-    x[5] = omega
+    x[OMEGA] = omega
 
     def moved(y):
         out = y.copy()
@@ -65,9 +60,9 @@ def test_transition_is_the_derivative_of_move(omega):
 
 def test_written_out_prediction_equals_the_matrix_product():
     rng = np.random.default_rng(2)
-    par = tables()[0]
+    par = kernel_parameters().process
     x, p = some_state(rng), some_covariance(rng)
-    f = transition(x, 0.02, par[L.SLIP_S])
+    f = transition(x, 0.02, par.slip_s)
     want = f @ p @ f.T
     add_noise(x, want, 0.02, par)
     advance_linear(x, p, 0.02, par)
@@ -75,7 +70,7 @@ def test_written_out_prediction_equals_the_matrix_product():
     assert np.array_equal(p, p.T)
 
 
-@pytest.mark.parametrize("kind", [L.WHEELS, L.GYRO, L.TRACKER, L.MOCAP])
+@pytest.mark.parametrize("sensor", NUMBERS)
 @pytest.mark.parametrize(
     "changes",
     [
@@ -84,33 +79,39 @@ def test_written_out_prediction_equals_the_matrix_product():
         {"wheel_scale_sigma": 0.01, "tracker": {"scale_sigma": 0.0}},
     ],
 )
-def test_measurement_jacobians(kind, changes):
+def test_measurement_jacobians(sensor, changes):
     rng = np.random.default_rng(3)
-    par, _, rows = tables(**changes)
+    par, number = kernel_parameters(**changes), NUMBERS[sensor]
     aux = np.array([0.016, 0.0011])
     for _ in range(5):
         x = some_state(rng)
 
         def seen(y):
-            out = np.zeros(L.ROWS)
-            predicted(kind, y, aux, par, rows, out)
+            out = np.zeros(ROWS)
+            predicted(number, y, aux, par, out)
             return out
 
-        h = np.zeros((L.ROWS, L.STATES))
-        jacobian(kind, x, aux, par, rows, h)
+        h = np.zeros((ROWS, STATES))
+        jacobian(number, x, aux, par, h)
         assert np.allclose(h, slope(seen, x), atol=2e-8)
+
+
+def seen_pose(pose):
+    """Event row of a camera that shows a pose."""
+    where = dict(zip(("x_m", "y_m", "heading_rad"), pose, strict=True))
+    return filled(dtype_of(tracker.Row), {**where, "quality": 3.0, "valid": 1.0})[0]
 
 
 def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertainty():
     """Right after anchoring the predicted pose is the measured one, with the measurement's variance."""
     rng = np.random.default_rng(4)
-    par, _, rows = tables()
+    par = kernel_parameters(tracker={"position_m": 2e-3, "heading_rad": 3e-3, "scale_sigma": 0.01}).tracker
     x, p = some_state(rng), some_covariance(rng)
     z = np.array([0.4, -0.2, 0.3])
-    anchor_frame(x, p, z, 4e-6, 9e-6, 1.0)
-    mean, h = np.zeros(L.ROWS), np.zeros((L.ROWS, L.STATES))
-    predicted(L.TRACKER, x, np.zeros(2), par, rows, mean)
-    jacobian(L.TRACKER, x, np.zeros(2), par, rows, h)
+    tracker.anchor_frame(x, p, seen_pose(z), par)
+    mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
+    tracker.predicted(x, np.zeros(2), par, mean)
+    tracker.jacobian(x, np.zeros(2), par, h)
     assert np.allclose(mean[:3], z, atol=1e-12)
     assert np.allclose((h @ p @ h.T)[:3, :3], np.diag([4e-6, 4e-6, 9e-6]), atol=1e-12)
 
@@ -118,10 +119,10 @@ def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertai
 def test_cloning_correlates_fully():
     rng = np.random.default_rng(5)
     x, p = some_state(rng), some_covariance(rng)
-    copy_pose(x, p, L.CLONE)
-    assert np.array_equal(x[:3], x[L.CLONE : L.CLONE + 3])
-    difference = np.zeros((3, L.STATES))
-    difference[:, :3], difference[:, L.CLONE : L.CLONE + 3] = np.eye(3), -np.eye(3)
+    clone_pose(x, p)
+    assert np.array_equal(x[POSE], x[CLONE])
+    difference = np.zeros((3, STATES))
+    difference[:, :3], difference[:, CLONE] = np.eye(3), -np.eye(3)
     assert np.allclose(difference @ p @ difference.T, 0.0, atol=1e-12)
 
 
@@ -129,12 +130,12 @@ def test_row_by_row_conditioning_is_the_stacked_kalman_update():
     rng = np.random.default_rng(6)
     for count in (1, 3, 8):
         x, p = some_state(rng), some_covariance(rng)
-        h = rng.normal(size=(count, L.STATES))
+        h = rng.normal(size=(count, STATES))
         r, z = rng.uniform(0.1, 2.0, count), rng.normal(size=count)
         s = h @ p @ h.T + np.diag(r)
         gain = p @ h.T @ np.linalg.inv(s)
         want_x, want_p = x + gain @ (z - h @ x), p - gain @ s @ gain.T
-        nu, cross, own, var = np.zeros(8), np.zeros((L.STATES, 8)), np.zeros((8, 8)), np.zeros(8)
+        nu, cross, own, var = np.zeros(8), np.zeros((STATES, 8)), np.zeros((8, 8)), np.zeros(8)
         nu[:count], var[:count], cross[:, :count] = z - h @ x, r, p @ h.T
         own[:count, :count] = h @ p @ h.T
         assert condition(x, p, nu, cross, own, var, count, np.inf, np.zeros(8)) == count
@@ -174,14 +175,14 @@ def test_exact_scalar_cases(kind, engine):
 def test_several_updates_after_one_prediction(kind):
     """n updates with P = R = 1 and z = 1 give x = n / (n + 1), P = 1 / (n + 1) (filterpy: 1 and 0)."""
     config = EstimatorConfig(kind=kind, process=STILL, **PLAIN)
-    par, (wheels, rows) = L.parameters(config, "floor"), L.wheel_tables(config, WheelGeometry.nominal())
-    x, p, m = np.zeros(L.STATES), np.zeros((L.STATES, L.STATES)), np.zeros(L.MEMORY)
+    par = parameters(config, WheelGeometry.nominal(), "floor")[0]
+    x, p, m = np.zeros(STATES), np.zeros((STATES, STATES)), first_memory()[0]
     p[0, 0] = 1.0
     advance(x, p, 1e-6, par)
-    data = np.zeros(L.ROW_DATA)
-    data[:5] = 1.0, 0.0, 0.0, 3.0, 1.0
+    row = np.zeros(1, ROW)[0]
+    row["mocap"] = 1.0, 0.0, 0.0, 3.0, 1.0
     for n in (1, 2, 3, 4):
-        compare(L.MOCAP, 1e3, x, p, m, data, par, wheels, rows)
+        compare(NUMBERS["mocap"], 1e3, x, p, m, row, par)
         assert x[0] == pytest.approx(n / (n + 1), abs=1e-9)
         assert p[0, 0] == pytest.approx(1 / (n + 1), abs=1e-9)
 
@@ -222,22 +223,23 @@ def hard_steps(kind, count, seed=0):
         gyro={"rate_rad_s": 1e-6},
         gates={"on": False},
     )
-    par, (wheels, rows) = L.parameters(config, "wall"), L.wheel_tables(config, WheelGeometry.nominal())
+    par = parameters(config, WheelGeometry.nominal(), "wall")[0]
+    sharp = kernel_parameters(tracker={"position_m": 1e-6, "heading_rad": 1e-6}).tracker
     rng = np.random.default_rng(seed)
-    x, m = np.zeros(L.STATES), np.zeros(L.MEMORY)
-    p = np.diag(np.maximum(L.prior_variances(config, "wall"), 1e-4))
+    x, m = np.zeros(STATES), first_memory()[0]
+    p = np.diag(np.maximum(prior_variances(config, "wall"), 1e-4))
     p[:6, :6] = 1e2 * np.eye(6)
-    kinds, noise = (L.MOCAP, L.GYRO, L.TRACKER, L.GYRO), 1e-6 * rng.normal(size=(1000, 3))
-    worst, data = 0.0, np.zeros(L.ROW_DATA)
-    anchor_frame(x, p, np.zeros(3), 1e-12, 1e-12, 1.0)
+    names, noise = ("mocap", "gyro", "tracker", "gyro"), 1e-6 * rng.normal(size=(1000, 3))
+    worst, row = 0.0, np.zeros(1, ROW)[0]
+    tracker.anchor_frame(x, p, seen_pose(np.zeros(3)), sharp)
     for k in range(count):
         advance(x, p, 0.0025, par)
-        data[:3], data[3:5] = noise[k % 1000], (3.0, 1.0)
-        if kinds[k % 4] == L.GYRO:
-            data[2:4] = 0.0
-        compare(kinds[k % 4], k * 2.5e6, x, p, m, data, par, wheels, rows)
+        a, b, c = noise[k % 1000]
+        row["mocap"] = row["tracker"] = a, b, c, 3.0, 1.0
+        row["gyro"] = a, b, 0.0, 0.0
+        compare(NUMBERS[names[k % 4]], k * 2.5e6, x, p, m, row, par)
         if k % 10 == 0:
-            copy_pose(x, p, L.CLONE)
+            clone_pose(x, p)
         if k % 997 == 0 or k < 50:
             worst = min(worst, least_correlation_eigenvalue(p))
     return worst, x, p
@@ -268,7 +270,7 @@ def test_covariance_stays_a_covariance_for_a_million_steps(kind):
 
 def test_both_forms_of_the_costly_operations_agree():
     rng = np.random.default_rng(8)
-    p, h = some_covariance(rng), rng.normal(size=(L.ROWS, L.STATES))
+    p, h = some_covariance(rng), rng.normal(size=(ROWS, STATES))
     p[5], p[:, 5] = 0.0, 0.0
     loops, arrays = small.square_root_loops(p, 20), small.square_root_arrays(p, 20)
     assert np.allclose(loops, arrays, atol=1e-12)
@@ -280,13 +282,13 @@ def test_both_forms_of_the_costly_operations_agree():
     assert np.array_equal(one, other)
     results = []
     for form in (small.seen_loops, small.seen_arrays):
-        cross, own = np.zeros((L.STATES, L.ROWS)), np.zeros((L.ROWS, L.ROWS))
+        cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
         form(p, h, 5, cross, own)
         results.append((cross, own))
     assert np.allclose(results[0][0], results[1][0], atol=1e-12)
     assert np.allclose(results[0][1], results[1][1], atol=1e-11)
-    a, b = np.zeros((L.STATES, L.ROWS)), np.zeros((L.STATES, L.ROWS))
-    odd = rng.normal(size=(L.STATES, L.ROWS))
+    a, b = np.zeros((STATES, ROWS)), np.zeros((STATES, ROWS))
+    odd = rng.normal(size=(STATES, ROWS))
     small.spread_loops(loops, odd, 3, 0.7, a)
     small.spread_arrays(loops, odd, 3, 0.7, b)
     assert np.allclose(a, b, atol=1e-12)

@@ -1,19 +1,29 @@
 """No kernel runs with an old version of what it is made of, however that is imported."""
 
 import importlib
+import inspect
+import math
 import os
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 
-from hil.estimator.compiled import fingerprint, sources
+from hil.vocabulary.kernels import AVAILABLE, compiled, compiled_with_parts, fingerprint, parts, plain
 
-INNER = (
-    "from hil.estimator.compiled import (\n    compiled,\n)\n\n\n@compiled\ndef step(x):\n    return x + {}\n"
-)
+INNER = """
+from hil.vocabulary.kernels import compiled
+
+STEP = {}
+
+
+@compiled
+def step(x):
+    return x + STEP
+"""
 OUTER = """
-from hil.estimator.compiled import compiled as machine_code
+from hil.vocabulary.kernels import compiled as machine_code
 {how}
 
 
@@ -22,25 +32,30 @@ def outer(x):
     return {call}
 """
 FORMS = {
-    "parenthesised": ("from kernels.inner import (\n    step,\n)", "step(x)"),
     "alias": ("from kernels.inner import step as stride", "stride(x)"),
-    "module": ("from kernels import inner", "inner.step(x)"),
-    "module_alias": ("import kernels.inner as i", "i.step(x)"),
-    "relative": ("from .inner import step", "step(x)"),
-    "relative_module": ("from . import inner as i", "i.step(x)"),
-    "in_a_branch": ("try:\n    from kernels.inner import step\nexcept ImportError:\n    raise", "step(x)"),
-    "with_a_comment": ("from kernels.inner import step  # quick", "step(x)"),
-    "by_a_third": ("from kernels.third import step", "step(x)"),
+    "through_another": ("from kernels.third import once", "once(x)"),
+    "constant": ("from kernels.inner import STEP", "x + STEP"),
 }
+THIRD = """
+from hil.vocabulary.kernels import compiled
+from kernels.inner import (
+    step,
+)
+
+
+@compiled
+def once(x):
+    return step(x)
+"""
 
 
 @pytest.fixture
 def package(tmp_path):
-    """Writes a package `kernels` whose outer kernel calls an inner one that adds a number."""
+    """Writes a package `kernels` whose outer kernel adds a number that another file holds."""
     folder = tmp_path / "kernels"
     folder.mkdir()
     (folder / "__init__.py").write_text("")
-    (folder / "third.py").write_text("from kernels.inner import (\n    step,\n)\n")
+    (folder / "third.py").write_text(THIRD)
 
     def write(form, added):
         how, call = FORMS[form]
@@ -52,18 +67,7 @@ def package(tmp_path):
 
 
 @pytest.mark.parametrize("form", FORMS)
-def test_a_fingerprint_covers_every_file_that_is_used(package, form, monkeypatch):
-    monkeypatch.syspath_prepend(package(form, 1.0))
-    for name in [n for n in sys.modules if n.partition(".")[0] == "kernels"]:
-        monkeypatch.delitem(sys.modules, name)
-    importlib.import_module("kernels")
-    used = set(sources("kernels.outer"))
-    assert used >= {"kernels.outer", "kernels.inner", "hil.estimator.compiled"}
-    assert ("kernels.third" in used) is (form == "by_a_third")
-
-
-@pytest.mark.parametrize("form", ["parenthesised", "module_alias"])
-def test_an_edited_inner_kernel_changes_what_the_outer_one_says(package, form, tmp_path):
+def test_an_edited_inner_file_changes_what_the_outer_kernel_says(package, form, tmp_path):
     pytest.importorskip("numba")
     environment = {
         **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1",
@@ -83,15 +87,78 @@ def test_an_edited_inner_kernel_changes_what_the_outer_one_says(package, form, t
     assert says(7.0) == ["8.0", "0"]
 
 
-def test_what_only_an_annotation_names_is_no_part_of_a_kernel():
-    used = set(sources("hil.estimator.process"))
-    assert {"hil.estimator.layout", "hil.estimator.compiled"} <= used
-    assert not used & {"hil.vocabulary.geometry", "hil.config.estimator", "hil.estimator.fusion"}
-    assert "hil.robot.contact_laws" in sources("hil.estimator.friction")
-    assert len({fingerprint(f"hil.estimator.{name}") for name in ("process", "friction", "replay")}) == 3
+def made(body, **scope):
+    """Function `f(x)` of one line, with these globals."""
+    exec(f"def f(x):\n    return {body}", scope)
+    return scope["f"]
 
 
-def test_the_physics_of_the_plant_is_one_file():
-    """Compiled apart, by numba's own stamp of that file (`hil.fakes.plant.compiled`)."""
-    importlib.import_module("hil.fakes.plant.kernel")
-    assert set(sources("hil.fakes.plant.kernel")) == {"hil.fakes.plant.kernel"}
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        (made("x + 1"), made("x + 2")),
+        (made("x + 1"), made("x - 1")),
+        (made("x + k", k=1), made("x + k", k=1.0)),
+        (made("k[0] + x", k=(0.0, 2.0)), made("k[0] + x", k=(-0.0, 2.0))),
+        (made("k[0] + x", k=np.array([1.0])), made("k[0] + x", k=np.array([2.0]))),
+        (made("g(x)", g=made("x + 1")), made("g(x)", g=made("x + 2"))),
+        (made("g(x)", g=made("h(x)", h=made("x"))), made("g(x)", g=made("h(x)", h=made("-x")))),
+        (made("sum([(lambda y: y + 1)(x)])"), made("sum([(lambda y: y + 2)(x)])")),
+    ],
+)
+def test_whatever_a_kernel_is_made_of_is_in_its_fingerprint(one, other):
+    assert fingerprint(one) != fingerprint(other)
+
+
+def test_names_of_files_comments_and_descriptions_are_not():
+    scope = {}
+    described = "# a comment\n\ndef f(x):\n    'A description.'\n    # another comment\n    return x + {}"
+    for added in (1, 2):
+        exec(compile(described.format(added), "elsewhere.py", "exec"), scope)
+        undescribed = "def f(x):\n    'Another.'\n    return x + 1"
+        exec(undescribed, other := {})
+        assert (fingerprint(scope["f"]) == fingerprint(other["f"])) is (added == 1)
+
+
+@pytest.mark.parametrize(
+    ("body", "scope", "why"),
+    [
+        ("later(x)", {}, "f uses later: a kernel stands below what it uses"),
+        ("inspect.stack", {"inspect": inspect}, "f uses inspect, a module"),
+        ("x + k[0]", {"k": [1.0]}, "f uses k, a list"),
+        ("x + k['a']", {"k": {"a": 1.0}}, "f uses k, a dict"),
+    ],
+)
+def test_what_has_no_fingerprint_is_refused_when_the_kernel_is_defined(body, scope, why):
+    if not AVAILABLE:
+        pytest.skip("numba is not installed")
+    with pytest.raises(TypeError, match=why):
+        compiled(made(body, **scope))
+
+
+def test_mathematics_needs_no_fingerprint():
+    assert fingerprint(made("math.cos(x) + np.pi + abs(x)", math=math, np=np))
+
+
+def test_the_kernels_of_the_filter_hang_together():
+    """The event loop is made of the sensors' kernels, although they are called by number."""
+    events, wheels = (importlib.import_module(f"hil.estimator.{n}") for n in ("events", "sensors.wheels"))
+    friction = importlib.import_module("hil.estimator.friction")
+    used = parts(events.run)
+    assert {plain(f) for f in (wheels.observe, wheels.jacobian, friction.creep_twist)} <= used
+    assert len({fingerprint(plain(f)) for f in (events.run, events.take, wheels.observe)}) == 3
+
+
+def test_the_physics_of_the_plant_is_compiled_with_all_its_parts():
+    """Its functions stay plain, so that lists can be put through them, too."""
+    pytest.importorskip("numba")
+    kernel = importlib.import_module("hil.fakes.plant.kernel")
+    assert {f.__module__ for f in parts(kernel.advance)} == {kernel.__name__}
+    assert {kernel.motor, kernel.solve, kernel.origin_velocity, kernel.clip} <= parts(kernel.advance)
+
+
+def test_a_function_is_compiled_with_the_plain_functions_that_it_calls():
+    pytest.importorskip("numba")
+    inner = made("x + 1.0")
+    assert compiled_with_parts(made("2.0 * g(x)", g=inner))(3.0) == 8.0
+    assert inner(1.0) == 2.0

@@ -9,17 +9,11 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable
 from functools import cache
-from typing import cast
 
 from hil.fakes.plant import kernel
 from hil.vocabulary.geometry import Array
 
 Advance = Callable[[int, float, Array, Array, Array], None]
-
-_PARTS = (
-    "clip", "threshold", "demand", "motor", "finish_joint", "steer", "loads", "contacts", "judge",
-    "solve", "move", "origin_velocity",
-)  # fmt: skip
 
 
 def numba_available() -> bool:
@@ -34,15 +28,9 @@ def compiled_advance() -> Advance:
     Raises:
         ImportError: numba is not installed.
     """
-    import numba
-    from numba.extending import register_jitable
+    from hil.vocabulary.kernels import compiled_with_parts
 
-    for name in _PARTS:
-        register_jitable(getattr(kernel, name))
-    try:
-        return cast(Advance, numba.njit(cache=True)(kernel.advance))
-    except RuntimeError:  # nowhere to write the cache
-        return cast(Advance, numba.njit(kernel.advance))
+    return compiled_with_parts(kernel.advance)
 
 
 def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:

@@ -1,8 +1,7 @@
 """The physics of the robot on a surface: `n` internal steps on preallocated numbers, nothing else.
 
 Plain Python on indexed numbers, written once: interpreted on lists, or compiled by numba on arrays
-(`hil.fakes.plant.compiled`); both give the same figures. All functions stay in this one file, because
-numba's cache looks at no other. `docs/wall.md` describes the model.
+(`hil.fakes.plant.compiled`); both give the same figures. `docs/wall.md` describes the model.
 
 * Body: rigid, velocities of the centre of mass in wall axes, so inertia is diagonal and exact.
 * Contact of each wheel: bristle z with relaxation length L, z' = s - |r Om| / L z, F = -k z - c s,

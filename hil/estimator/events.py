@@ -1,0 +1,182 @@
+"""The event loop of the filter: predict to each sample's stamp, compare, condition, remember.
+
+`run` is the only kernel that a control cycle calls: it goes through every event from the first new one on.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.estimator.conditioning import condition, guard, joint_nis
+from hil.estimator.layout import EventRow, Ints, Memory, Parameters
+from hil.estimator.process import advance_linear
+from hil.estimator.records import Records
+from hil.estimator.sensors import (
+    BENT,
+    GATED_TOGETHER,
+    MARK,
+    account,
+    admit,
+    innovation,
+    jacobian,
+    let_in,
+    new_frame,
+    observe,
+    predicted,
+    remember,
+)
+from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
+from hil.estimator.small_matrices import seen
+from hil.estimator.state import ROWS, STATES
+from hil.estimator.unscented import advance_unscented, moments_unscented
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+
+NONE_ACCEPTED = -1.0
+"""A gate that no row passes."""
+
+
+@compiled
+def advance(x: Array, p: Array, dt_s: float, par: Parameters) -> None:
+    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place."""
+    if dt_s <= 0.0:
+        return
+    if par.filter.unscented > 0.0:
+        advance_unscented(x, p, dt_s, par.filter, par.process)
+    else:
+        advance_linear(x, p, dt_s, par.process)
+
+
+@compiled
+def moments(
+    number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
+    mean: Array, cross: Array, own: Array,
+) -> None:  # fmt: skip
+    """Mean, cross covariance and covariance of the predicted rows; linear rows need no sigma points.
+
+    Args:
+        number: of the sensor.
+        x: (20,) state.
+        p: (20, 20) covariance.
+        aux: (2,) figures of `observe`.
+        par: of all kernels.
+        count: number of rows.
+        mean: (8,) filled with the rows that the state predicts.
+        cross: (20, 8) filled with their covariance with the state; zeroed before.
+        own: (8, 8) filled with their covariance; zeroed before.
+    """
+    if par.filter.unscented > 0.0 and BENT[number]:
+        moments_unscented(number, x, p, aux, par, count, mean, cross, own)
+        return
+    predicted(number, x, aux, par, mean)
+    h = np.zeros((ROWS, STATES))
+    jacobian(number, x, aux, par, h)
+    seen(p, h, count, cross, own)
+
+
+@compiled
+def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
+    """Update with one sample at its own time; the state is already there. Arguments as for `take`."""
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    count = observe(number, t_ns, m, row, par, z, var, aux)
+    if count == 0:
+        return
+    mean, nis = np.zeros(ROWS), np.full(ROWS, -1.0)
+    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
+    moments(number, x, p, aux, par, count, mean, cross, own)
+    nu = innovation(number, m, z, mean, var, count)
+    gate = par.filter.gate_row
+    if GATED_TOGETHER[number]:
+        gate = math.inf
+        if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
+            gate = NONE_ACCEPTED
+    if gate > 0.0:
+        condition(x, p, nu, cross, own, var, count, gate, nis)
+    m.accepted += account(number, m, nis, var, count, gate, par.filter.samples)
+
+
+@compiled
+def begin(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> int:
+    """What becomes of a sample: `USED` when it is to be compared; begins new frames. As for `take`."""
+    use: int = admit(number, t_ns, m, row, par)
+    if use == DUPLICATE:
+        m.duplicates += 1.0
+    elif use == NEW_FRAME:
+        new_frame(number, t_ns, x, p, m, row, par)
+    return use
+
+
+@compiled
+def finish(
+    number: int, use: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters
+) -> None:
+    """What is left to do when a sample, of which `begin` said `use`, has been compared. As for `take`."""
+    if use == USED:
+        let_in(number, par.filter.limit, t_ns, x, p, m, row, par)
+    if use in (USED, NEW_FRAME):
+        remember(number, t_ns, x, p, m, row, par)
+        m.guarded += guard(p)
+
+
+@compiled
+def take(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
+    """One sample, the state being predicted to its stamp.
+
+    Args:
+        number: of the sensor.
+        t_ns: stamp since the start.
+        x: (20,) state, and
+        p: (20, 20) its covariance, and
+        m: memory; all three changed in place.
+        row: the sample.
+        par: of all kernels.
+    """
+    use = begin(number, t_ns, x, p, m, row, par)
+    if use == USED:
+        compare(number, t_ns, x, p, m, row, par)
+    finish(number, use, t_ns, x, p, m, row, par)
+
+
+@compiled
+def run(
+    marks: Ints, start: int, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records,
+    x: Array, p: Array, m: Records, pars: Records, now_ns: int, now_x: Array, now_p: Array, now_m: Records,
+) -> None:  # fmt: skip
+    """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
+
+    Checkpoint k is the state after event k, which is in slot (first + k) % capacity of every array.
+
+    Args:
+        marks: first slot and number of events, then what does not matter here.
+        start: first event to go through, at least 1.
+        zero_ns: stamp that sensor memory counts from.
+        t_ns: (capacity,) stamps.
+        numbers: (capacity,) of sensors.
+        rows: (capacity,) samples.
+        x: (capacity, 20) states, and
+        p: (capacity, 20, 20) covariances, and
+        m: (capacity,) memories; filled from `start` on.
+        pars: (1,) parameters of all kernels.
+        now_ns: where this is later than the newest event, the state is predicted to it.
+        now_x: (20,) and
+        now_p: (20, 20) and
+        now_m: (1,), filled with the newest state.
+    """
+    first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
+    for k in range(start, count):
+        i, j = (first + k) % capacity, (first + k - 1) % capacity
+        x[i] = x[j]
+        p[i] = p[j]
+        m[i] = m[j]
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par)
+        if numbers[i] != MARK:
+            take(numbers[i], float(t_ns[i] - zero_ns), x[i], p[i], m[i], rows[i], par)
+    last = (first + count - 1) % capacity
+    now_x[:] = x[last]
+    now_p[:] = p[last]
+    now_m[0] = m[last]
+    ahead_ns = now_ns - t_ns[last]
+    if ahead_ns > 0:
+        advance(now_x, now_p, ahead_ns / 1e9, par)

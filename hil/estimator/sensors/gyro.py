@@ -1,0 +1,191 @@
+"""Gyro: yaw rate plus bias; and of the same sample, on a wall, the heading from gravity plus an offset.
+
+Two rows, each with its own variance, gate and tally: gravity lies in the motion plane on a wall only, and is
+the less certain the harder the body is accelerated.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.records import Record
+from hil.estimator.sensors.sensor import (
+    DUPLICATE,
+    FARTHEST_RAD,
+    USED,
+    Tally,
+    difference,
+    is_repeated,
+    no_frame,
+    tally,
+    undo_nothing,
+    wrapped,
+)
+from hil.estimator.state import BIAS, OFFSET, OMEGA, THETA
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+from hil.vocabulary.signals import GyroMeasurement
+
+NAME = "gyro"
+BENT = False
+GATED_TOGETHER = False
+START = {"t_ns": -1.0, "rate.nis_mean": 1.0, "gravity.nis_mean": 1.0}
+FIGURES = {
+    "nis_gyro": "rate.nis", "nis_gravity": "gravity.nis",
+    "nis_mean_gyro": "rate.nis_mean", "nis_mean_gravity": "gravity.nis_mean",
+    "innovation_gyro_rad_s": "innovation_rad_s",
+    "rejected_gyro": "rate.rejected", "rejected_gravity": "gravity.rejected",
+}  # fmt: skip
+
+RATE, GRAVITY = 0, 1
+"""Rows of a sample."""
+_FASTEST_RAD_S, _HARDEST_M_S2 = 1e2, 1e3
+_TWO = (2,)
+
+new_frame = no_frame
+undo = undo_nothing
+
+
+class Parameters(Record):
+    """What the gyro's kernels go by.
+
+    Attributes:
+        rate: variance of the rate, rad^2/s^2.
+        gravity, gravity_pulled: variance of the gravity heading, rad^2, and more per squared body
+            acceleration, rad^2/(m/s^2)^2.
+        gravity_used: 1 where the gravity heading is taken, else 0.
+    """
+
+    rate: float
+    gravity: float
+    gravity_pulled: float
+    gravity_used: float
+
+
+class Memory(Record):
+    """Stamp of the last sample (negative before the first), its innovation, and a tally for each row."""
+
+    t_ns: float
+    innovation_rad_s: float
+    rate: Tally
+    gravity: Tally
+
+
+class Row(Record):
+    """One sample; NaN where there is no rate or no heading. Acceleration of the body without gravity."""
+
+    rate_rad_s: float
+    heading_rad: float
+    ahead_m_s2: float
+    left_m_s2: float
+
+
+def is_used(config: EstimatorConfig) -> bool:
+    """Always."""
+    return True
+
+
+def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, float]:
+    """Values of `Parameters`."""
+    g = config.gyro
+    return {
+        "rate": g.rate_rad_s**2, "gravity": g.gravity_rad**2, "gravity_pulled": g.gravity_per_m_s2**2,
+        "gravity_used": g.use_gravity and surface == "wall",
+    }  # fmt: skip
+
+
+def pack(sample: GyroMeasurement, row: Array) -> str:
+    """Event row (4,); an acceleration beyond any robot takes the gravity heading with it."""
+    pull = np.asarray(sample.acceleration_m_s2, dtype=np.float64)
+    if pull.shape != _TWO:
+        return "shape"
+    rate, heading = sample.yaw_rate_rad_s, sample.gravity_heading_rad
+    if not (math.isfinite(rate) or math.isfinite(heading)):
+        return "not_finite"
+    ahead, left = pull.tolist()
+    if abs(rate) > _FASTEST_RAD_S or abs(heading) > FARTHEST_RAD:
+        return "implausible"
+    if not (abs(ahead) < _HARDEST_M_S2 and abs(left) < _HARDEST_M_S2):
+        heading, ahead, left = math.nan, 0.0, 0.0
+    row[:] = rate, heading, ahead, left
+    return ""
+
+
+@compiled
+def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
+    """Every sample is usable, once."""
+    return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
+
+
+@compiled
+def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
+    """Rate and gravity heading."""
+    z[RATE], z[GRAVITY] = row.rate_rad_s, row.heading_rad
+    var[RATE] = par.rate if math.isfinite(row.rate_rad_s) else -1.0
+    pull = row.ahead_m_s2 * row.ahead_m_s2 + row.left_m_s2 * row.left_m_s2
+    known = par.gravity_used > 0.0 and math.isfinite(row.heading_rad)
+    var[GRAVITY] = par.gravity + par.gravity_pulled * pull if known else -1.0
+    return 2
+
+
+@compiled
+def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
+    """Rate plus bias, heading plus offset."""
+    out[RATE] = x[OMEGA] + x[BIAS]
+    out[GRAVITY] = x[THETA] + x[OFFSET]
+
+
+@compiled
+def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
+    """Derivative of `predicted`."""
+    h[RATE, OMEGA] = h[RATE, BIAS] = 1.0
+    h[GRAVITY, THETA] = h[GRAVITY, OFFSET] = 1.0
+
+
+@compiled
+def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Differences, the heading's by the shorter way round."""
+    nu = difference(z, mean, var, count)
+    nu[GRAVITY] = wrapped(nu[GRAVITY])
+    m.innovation_rad_s = nu[RATE]
+    return nu
+
+
+@compiled
+def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+    """Each row in its own tally, and only where it was there."""
+    used = 0
+    if var[RATE] > 0.0:
+        passed = 1 if 0.0 <= nis[RATE] <= gate else 0
+        tally(m.rate, nis[RATE], passed, 1, samples)
+        used += passed
+    if var[GRAVITY] > 0.0:
+        passed = 1 if 0.0 <= nis[GRAVITY] <= gate else 0
+        tally(m.gravity, nis[GRAVITY], passed, 1, samples)
+        used += passed
+    return used
+
+
+@compiled
+def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """Heading and offset are no longer trusted, or rate and bias."""
+    if m.gravity.in_row >= limit:
+        m.gravity.in_row = 0.0
+        m.gravity.reanchored += 1.0
+        p[THETA, THETA] += 0.0025
+        p[OFFSET, OFFSET] += 0.0025
+    if m.rate.in_row >= limit:
+        m.rate.in_row = 0.0
+        m.rate.reanchored += 1.0
+        p[OMEGA, OMEGA] += 0.01
+        p[BIAS, BIAS] += 0.01
+
+
+@compiled
+def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The stamp."""
+    m.t_ns = t_ns

@@ -1,0 +1,122 @@
+"""Motion capture: the pose in the wall frame. Off by default: it is the truth that the others are held to."""
+
+from __future__ import annotations
+
+import math
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.records import Record
+from hil.estimator.sensors.poses import PoseRow, pack_pose, pose_difference, read
+from hil.estimator.sensors.sensor import (
+    DUPLICATE,
+    REFUSED,
+    USED,
+    Tally,
+    account_together,
+    is_repeated,
+    no_frame,
+    undo_nothing,
+)
+from hil.estimator.state import THETA, X, Y
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+
+NAME = "mocap"
+BENT = False
+GATED_TOGETHER = True
+START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
+FIGURES = {"rejected_mocap": "tally.rejected"}
+
+new_frame = no_frame
+undo = undo_nothing
+Row = PoseRow
+pack = pack_pose
+
+
+class Parameters(Record):
+    """Whether its poses are used (1 or 0), and their variances, m^2 and rad^2."""
+
+    used: float
+    position: float
+    heading: float
+
+
+class Memory(Record):
+    """Stamp of the last pose (negative before the first), its innovation, and a tally of the rows."""
+
+    t_ns: float
+    innovation_m: float
+    tally: Tally
+
+
+def is_used(config: EstimatorConfig) -> bool:
+    """Where the configuration says so."""
+    return config.mocap.use
+
+
+def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, float]:
+    """Values of `Parameters`."""
+    c = config.mocap
+    return {"used": c.use, "position": c.position_m**2, "heading": c.heading_rad**2}
+
+
+@compiled
+def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
+    """Every tracked pose is usable, once."""
+    if is_repeated(t_ns, m.t_ns):
+        return DUPLICATE
+    if par.used > 0.0 and row.valid > 0.0:
+        return USED
+    m.tally.rejected += 1.0
+    return REFUSED
+
+
+@compiled
+def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
+    """The pose."""
+    return read(row, par.position, par.heading, z, var)
+
+
+@compiled
+def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
+    """The pose."""
+    out[0], out[1], out[2] = x[X], x[Y], x[THETA]
+
+
+@compiled
+def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
+    """Derivative of `predicted`."""
+    h[0, X] = h[1, Y] = h[2, THETA] = 1.0
+
+
+@compiled
+def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Differences of the pose."""
+    nu = pose_difference(z, mean, var, count)
+    m.innovation_m = math.hypot(nu[0], nu[1])
+    return nu
+
+
+@compiled
+def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+    """All rows in one tally."""
+    return account_together(m.tally, nis, var, count, gate, samples)
+
+
+@compiled
+def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The pose is no longer trusted."""
+    if m.tally.in_row < limit:
+        return
+    m.tally.in_row = 0.0
+    m.tally.reanchored += 1.0
+    p[X, X] += 1.0
+    p[Y, Y] += 1.0
+    p[THETA, THETA] += 1.0
+
+
+@compiled
+def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The stamp."""
+    m.t_ns = t_ns

@@ -1,0 +1,57 @@
+"""What the sensors of a whole pose have in common: event row, intake and differences."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.estimator.records import Record
+from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD, difference, wrapped
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+from hil.vocabulary.signals import PoseMeasurement
+
+POSE_ROWS = 3
+_THREE = (3,)
+
+
+class PoseRow(Record):
+    """One pose (m, m, rad) in the sensor's frame; `quality` is 0 to 3, `valid` 1 or 0."""
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    quality: float
+    valid: float
+
+
+def pack_pose(sample: PoseMeasurement, row: Array) -> str:
+    """Event row (5,) of a pose."""
+    pose = np.asarray(sample.pose)
+    if pose.shape != _THREE:
+        return "shape"
+    x_m, y_m, heading_rad = pose.tolist()
+    if not math.isfinite(x_m + y_m + heading_rad):
+        return "not_finite"
+    if max(abs(x_m), abs(y_m)) > FARTHEST_M or abs(heading_rad) > FARTHEST_RAD:
+        return "implausible"
+    row[:] = x_m, y_m, heading_rad, sample.quality, sample.valid
+    return ""
+
+
+@compiled
+def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> int:
+    """The pose as three rows with these variances, m^2 and rad^2."""
+    z[0], z[1], z[2] = row.x_m, row.y_m, row.heading_rad
+    var[0] = var[1] = var_m
+    var[2] = var_rad
+    return POSE_ROWS
+
+
+@compiled
+def pose_difference(z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Measured minus predicted rows (8,), the heading's by the shorter way round."""
+    nu = difference(z, mean, var, count)
+    nu[2] = wrapped(nu[2])
+    return nu

@@ -1,0 +1,249 @@
+"""Tracking camera: pose in a frame of its own.
+
+The frame is cloned from the robot's pose, drifts, and begins anew after a jump. With the frame (p_f, theta_f)
+in the wall frame the camera sees (1 + scale) R(theta_f)' (p - p_f) and theta - theta_f.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.records import Record
+from hil.estimator.sensors.poses import PoseRow, pack_pose, pose_difference, read
+from hil.estimator.sensors.sensor import (
+    DUPLICATE,
+    NEW_FRAME,
+    REFUSED,
+    USED,
+    Tally,
+    account_together,
+    is_repeated,
+)
+from hil.estimator.state import FRAME_THETA, FRAME_X, FRAME_Y, SCALE, STATES, THETA, X, Y
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+
+NAME = "tracker"
+BENT = True
+GATED_TOGETHER = True
+START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
+FIGURES = {
+    "nis_tracker": "tally.nis", "nis_mean_tracker": "tally.nis_mean", "innovation_tracker_m": "innovation_m",
+    "rejected_tracker": "tally.rejected", "reanchored_tracker": "tally.reanchored",
+}  # fmt: skip
+
+DOUBTED = 4.0
+"""Variances of a pose below the best quality, as a multiple."""
+_BEST_QUALITY = 3.0
+_NO_GATE = 1e300
+
+Row = PoseRow
+pack = pack_pose
+
+
+class Parameters(Record):
+    """What the camera's kernels go by.
+
+    Attributes:
+        used: 1 or 0.
+        position, heading: variances of a pose, m^2 and rad^2.
+        quality: below it a pose is dropped.
+        baseline_s: after this time the frame begins anew; 0: never.
+        jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
+        scaled: 1 where the state's scale error is that of the camera, else 0.
+    """
+
+    used: float
+    position: float
+    heading: float
+    quality: float
+    baseline_s: float
+    jump_m: float
+    jump_rad: float
+    fastest_m_s: float
+    fastest_rad_s: float
+    scaled: float
+
+
+class Memory(Record):
+    """The last pose.
+
+    Attributes:
+        t_ns: its stamp; negative before the first.
+        frame_t_ns: when the present frame began; negative before the first.
+        x_m, y_m, heading_rad: in the camera's frame.
+        innovation_m: of the position.
+        tally: of all rows.
+    """
+
+    t_ns: float
+    frame_t_ns: float
+    x_m: float
+    y_m: float
+    heading_rad: float
+    innovation_m: float
+    tally: Tally
+
+
+def is_used(config: EstimatorConfig) -> bool:
+    """Always: poses of a camera that is off are counted as refused."""
+    return True
+
+
+def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, float]:
+    """Values of `Parameters`."""
+    t, relative = config.tracker, config.tracker.use == "relative"
+    return {
+        "used": t.use != "off", "position": t.position_m**2, "heading": t.heading_rad**2,
+        "quality": t.least_quality, "baseline_s": t.baseline_s * relative,
+        "jump_m": t.jump_m if relative else _NO_GATE, "jump_rad": t.jump_rad if relative else _NO_GATE,
+        "fastest_m_s": t.fastest_m_s, "fastest_rad_s": t.fastest_rad_s, "scaled": t.scale_sigma > 0,
+    }  # fmt: skip
+
+
+@compiled
+def anchor_matrix(rx: float, ry: float, size: float, scaled: float) -> Array:
+    """Derivative (20, 20) of the anchored state by the one before; r: from the frame to the body."""
+    a = np.eye(STATES)
+    a[FRAME_X, :] = 0.0
+    a[FRAME_Y, :] = 0.0
+    a[FRAME_THETA, :] = 0.0
+    a[FRAME_X, X] = a[FRAME_Y, Y] = a[FRAME_THETA, THETA] = 1.0
+    a[FRAME_X, THETA], a[FRAME_Y, THETA] = ry, -rx
+    a[FRAME_X, SCALE], a[FRAME_Y, SCALE] = scaled * rx / size, scaled * ry / size
+    return a
+
+
+@compiled
+def anchor_frame(x: Array, p: Array, row: Row, par: Parameters) -> None:
+    """Clone the camera's frame so that this pose z is what it shows now, and spread its uncertainty.
+
+    theta_f = theta - z_theta; p_f = p - R(theta_f) z / (1 + scale). Source: the measurement's inverse.
+    """
+    heading = x[THETA] - row.heading_rad
+    size = 1.0 + par.scaled * x[SCALE]
+    c, s = math.cos(heading), math.sin(heading)
+    rx, ry = (c * row.x_m - s * row.y_m) / size, (s * row.x_m + c * row.y_m) / size
+    a = anchor_matrix(rx, ry, size, par.scaled)
+    p[:, :] = a @ p @ a.T
+    x[FRAME_X], x[FRAME_Y], x[FRAME_THETA] = x[X] - rx, x[Y] - ry, heading
+    b = np.zeros((3, 3))
+    b[0, 2], b[1, 2], b[2, 2] = -ry, rx, -1.0
+    b[0, 0] = b[1, 1] = 1.0 / size
+    for i in range(3):
+        for j in range(3):
+            p[FRAME_X + i, FRAME_X + j] += b[i, 2] * b[j, 2] * par.heading
+            if i == j and i < 2:
+                p[FRAME_X + i, FRAME_X + j] += par.position / (size * size)
+    for i in range(STATES):
+        for j in range(i):
+            p[i, j] = p[j, i]
+
+
+@compiled
+def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """Let the frame begin at this pose; the first one is not counted as re-anchoring."""
+    if m.frame_t_ns >= 0.0:
+        m.tally.reanchored += 1.0
+    anchor_frame(x, p, row, par)
+    m.frame_t_ns = t_ns
+    m.tally.in_row = 0.0
+
+
+@compiled
+def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
+    """A pose of too little quality is dropped; a step that the robot cannot have made starts a new frame."""
+    if is_repeated(t_ns, m.t_ns):
+        return DUPLICATE
+    if par.used <= 0.0 or row.valid <= 0.0 or row.quality < par.quality:
+        m.tally.rejected += 1.0
+        return REFUSED
+    if m.frame_t_ns < 0.0:
+        return NEW_FRAME
+    dt_s = (t_ns - m.t_ns) * 1e-9
+    far_m = math.hypot(row.x_m - m.x_m, row.y_m - m.y_m)
+    turn_rad = abs(row.heading_rad - m.heading_rad)
+    if far_m > par.jump_m + par.fastest_m_s * dt_s or turn_rad > par.jump_rad + par.fastest_rad_s * dt_s:
+        return NEW_FRAME
+    return USED
+
+
+@compiled
+def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
+    """The pose, with less weight below the best quality."""
+    factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
+    return read(row, par.position * factor, par.heading * factor, z, var)
+
+
+@compiled
+def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
+    """The pose in the camera's frame."""
+    c, s = math.cos(x[FRAME_THETA]), math.sin(x[FRAME_THETA])
+    dx, dy = x[X] - x[FRAME_X], x[Y] - x[FRAME_Y]
+    size = 1.0 + par.scaled * x[SCALE]
+    out[0] = size * (c * dx + s * dy)
+    out[1] = size * (c * dy - s * dx)
+    out[2] = x[THETA] - x[FRAME_THETA]
+
+
+@compiled
+def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
+    """Derivative of `predicted`."""
+    c, s = math.cos(x[FRAME_THETA]), math.sin(x[FRAME_THETA])
+    dx, dy = x[X] - x[FRAME_X], x[Y] - x[FRAME_Y]
+    size = 1.0 + par.scaled * x[SCALE]
+    ahead, left = c * dx + s * dy, c * dy - s * dx
+    h[0, X], h[0, Y], h[1, X], h[1, Y] = size * c, size * s, -size * s, size * c
+    h[0, FRAME_X], h[0, FRAME_Y], h[1, FRAME_X], h[1, FRAME_Y] = -size * c, -size * s, size * s, -size * c
+    h[0, FRAME_THETA], h[1, FRAME_THETA] = size * left, -size * ahead
+    h[0, SCALE], h[1, SCALE] = par.scaled * ahead, par.scaled * left
+    h[2, THETA], h[2, FRAME_THETA] = 1.0, -1.0
+
+
+@compiled
+def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Differences of the pose."""
+    nu = pose_difference(z, mean, var, count)
+    m.innovation_m = math.hypot(nu[0], nu[1])
+    return nu
+
+
+@compiled
+def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+    """All rows in one tally."""
+    return account_together(m.tally, nis, var, count, gate, samples)
+
+
+@compiled
+def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """A new frame."""
+    if m.tally.in_row >= limit:
+        new_frame(t_ns, x, p, m, row, par)
+
+
+@compiled
+def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The pose; and with baselines, a new frame when one has ended."""
+    m.t_ns = t_ns
+    m.x_m, m.y_m, m.heading_rad = row.x_m, row.y_m, row.heading_rad
+    if par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s:
+        anchor_frame(x, p, row, par)
+        m.frame_t_ns = t_ns
+
+
+@compiled
+def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
+    """Back through a new frame, where one began at this pose."""
+    if m.frame_t_ns != t_ns:
+        return
+    heading = x[THETA] - row.heading_rad
+    size = 1.0 + par.scaled * x[SCALE]
+    c, s = math.cos(heading), math.sin(heading)
+    rx, ry = (c * row.x_m - s * row.y_m) / size, (s * row.x_m + c * row.y_m) / size
+    a = anchor_matrix(rx, ry, size, par.scaled)
+    late[:] = a.T @ late
+    spread[:, :] = a.T @ spread @ a

@@ -1,0 +1,369 @@
+"""Wheels: displacement of the body since the last servo read, cloned pose to present pose.
+
+Compared as eight scalar equations u_i = (P d)_i, each with a gate of its own, or as one body displacement.
+With d = (d_x, d_y, turn) in the frame half-way: rolled = d_xy - R' (s dt + c rho), turned = turn - kappa rho,
+both times (1 + scale) where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
+displacement of the wheels at their speed of the last half second: with the step's own displacement its errors
+would correlate with the row and be taken for slip.
+
+`aux` is (dt_s, rho_m).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any
+
+import numpy as np
+
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.friction import Contacts, contact_values, windowed_twist
+from hil.estimator.process import sinc, sinc_slope
+from hil.estimator.records import Eight, Four, Record
+from hil.estimator.sensors.sensor import (
+    DUPLICATE,
+    FARTHEST_RAD,
+    USED,
+    Tally,
+    difference,
+    is_repeated,
+    no_frame,
+    tally,
+)
+from hil.estimator.state import (
+    CLONE_THETA,
+    CLONE_X,
+    CLONE_Y,
+    CREEP_X,
+    CREEP_Y,
+    OMEGA,
+    ROWS,
+    SCALE,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    THETA,
+    V_X,
+    V_Y,
+    YAW_SLIP,
+    X,
+    Y,
+)
+from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+from hil.vocabulary.signals import WheelMeasurement
+
+NAME = "wheels"
+BENT = True
+GATED_TOGETHER = False
+START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
+FIGURES = {
+    "nis_wheels": "tally.nis", "nis_mean_wheels": "tally.nis_mean", "innovation_wheels_m": "innovation_m",
+    "rejected_wheels": "tally.rejected", "reanchored_wheels": "tally.reanchored",
+    "rejected_wheel_fl": "refused.0", "rejected_wheel_bl": "refused.1", "rejected_wheel_br": "refused.2",
+    "rejected_wheel_fr": "refused.3",
+}  # fmt: skip
+
+ROLLING_S = 0.5
+BODY_ROWS = 3
+_FOUR = (4,)
+
+new_frame = no_frame
+
+
+class Parameters(Record):
+    """What the wheels' kernels go by.
+
+    Attributes:
+        step, per_m, per_s, steering: variances of a displacement: m^2, m^2/m, m^2/s, m^2/rad^2.
+        longest_gap_s: a longer interval is not taken for one displacement.
+        from_rate: 1 where the displacement comes from the rate, 0 from the angle.
+        rows: 8 equations, or 3 of one body displacement.
+        friction_window_s: of `hil.estimator.friction`; 0: least squares.
+        creeping: 1 for creep, 0 for dry friction.
+        scaled: 1 where the state's scale error is that of the wheels, else 0.
+        contacts: the wheels on the surface.
+        of_body: (8, 3): body displacement to what is compared.
+        of_wheels: (8, 8): wheel displacements to what is compared.
+    """
+
+    step: float
+    per_m: float
+    per_s: float
+    steering: float
+    longest_gap_s: float
+    from_rate: float
+    rows: float
+    friction_window_s: float
+    creeping: float
+    scaled: float
+    contacts: Contacts
+    of_body: Annotated[Array, 8, 3]
+    of_wheels: Annotated[Array, 8, 8]
+
+
+class Memory(Record):
+    """The last servo read.
+
+    Attributes:
+        t_ns: its stamp; negative before the first.
+        angle_rad, steering_rad: NaN where a wheel was not usable.
+        speed_m_s: mean speed of the wheels over the last half second.
+        window_m: sum of the last displacements, for friction.
+        innovation_m: of the first two rows, as a length.
+        refused: how often each wheel's equations were left out.
+        tally: of all rows.
+    """
+
+    t_ns: float
+    angle_rad: Four
+    steering_rad: Four
+    speed_m_s: float
+    window_m: Eight
+    innovation_m: float
+    refused: Four
+    tally: Tally
+
+
+class Row(Record):
+    """One servo read; `valid` is 1 or 0."""
+
+    angle_rad: Four
+    steering_rad: Four
+    rate_rad_s: Four
+    valid: Four
+
+
+def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, Any]:
+    """Values of `Parameters`."""
+    w = config.wheels
+    of_body, of_wheels = np.zeros((ROWS, BODY_ROWS)), np.zeros((ROWS, ROWS))
+    if w.model == "equations":
+        of_body[:], of_wheels[:] = projection(geometry.x_m, geometry.y_m), np.eye(ROWS)
+    else:
+        model = "paper" if w.model == "paper" else "exact"
+        of_body[:BODY_ROWS] = np.eye(BODY_ROWS)
+        of_wheels[:BODY_ROWS] = forward_matrix(geometry.x_m, geometry.y_m, model)
+    return {
+        "step": w.step_m**2, "per_m": w.per_sqrt_m**2, "per_s": w.per_sqrt_s**2,
+        "steering": w.steering_m_rad**2, "longest_gap_s": w.longest_gap_s,
+        "from_rate": w.source == "velocity", "rows": ROWS if w.model == "equations" else BODY_ROWS,
+        "friction_window_s": w.friction_window_s if w.model in ("dry-friction", "creep") else 0.0,
+        "creeping": w.model == "creep", "scaled": config.wheel_scale_sigma > 0,
+        "contacts": contact_values(geometry), "of_body": of_body, "of_wheels": of_wheels,
+    }  # fmt: skip
+
+
+def is_used(config: EstimatorConfig) -> bool:
+    """Always."""
+    return True
+
+
+def pack(sample: WheelMeasurement, row: Array) -> str:
+    """Event row (16,) of a servo read; a wheel beyond any robot is marked, not the sample refused."""
+    turned, steered = np.asarray(sample.wheel_angle_rad), np.asarray(sample.steering_rad)
+    rates, valid = np.asarray(sample.wheel_rate_rad_s), sample.valid
+    if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
+        return "shape"
+    row[:4], row[4:8], row[8:12], row[12:] = turned, steered, rates, valid
+    sizes = np.abs(row[:8]).tolist()
+    if not sum(sizes) < FARTHEST_RAD:
+        for i in range(4):
+            if not (sizes[i] < FARTHEST_RAD and sizes[4 + i] < FARTHEST_RAD):
+                row[12 + i] = 0.0
+        valid = row[12:].tolist()
+    return "" if any(valid) else "not_finite"
+
+
+@compiled
+def clone_pose(x: Array, p: Array) -> None:
+    """Clone the pose and its correlations."""
+    for i in range(3):
+        x[CLONE_X + i] = x[X + i]
+        p[CLONE_X + i, :] = p[X + i, :]
+    for i in range(3):
+        p[:, CLONE_X + i] = p[:, X + i]
+
+
+@compiled
+def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
+    """Every read is usable, once."""
+    return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
+
+
+@compiled
+def body_rows(
+    u: Array, noise: Array, count: int, dt_s: float, m: Memory, par: Parameters, z: Array, var: Array
+) -> int:
+    """One body displacement of all four wheels; nothing when a wheel is missing.
+
+    Args:
+        u: (8,) displacement of each wheel, m, body frame.
+        noise: (8,) its variances.
+        count: how many wheels are known.
+        dt_s: duration of the step.
+        m: memory.
+        par: parameters.
+        z: (8,) filled.
+        var: (8,) filled.
+    """
+    if count < 4:
+        return 0
+    friction = par.friction_window_s > 0.0
+    if friction:
+        decay = math.exp(-dt_s / par.friction_window_s)
+        b = windowed_twist(u, m.window_m, decay, par.contacts, par.creeping > 0.0)
+        for j in range(BODY_ROWS):
+            z[j] = b[j]
+    for j in range(BODY_ROWS):
+        total, spread = 0.0, 0.0
+        for i in range(ROWS):
+            f = par.of_wheels[j, i]
+            total += f * u[i]
+            spread += f * f * noise[i]
+        if not friction:
+            z[j] = total
+        var[j] = spread
+    return BODY_ROWS
+
+
+@compiled
+def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
+    """Wheel displacements since the last read as eight or three rows."""
+    dt = (t_ns - m.t_ns) * 1e-9
+    if m.t_ns < 0.0 or dt > par.longest_gap_s:
+        return 0
+    u, noise = np.zeros(ROWS), np.full(ROWS, -1.0)
+    rolled, count = 0.0, 0
+    for i in range(4):
+        angle = row.rate_rad_s[i] * dt if par.from_rate > 0.0 else row.angle_rad[i] - m.angle_rad[i]
+        turned = row.steering_rad[i] - m.steering_rad[i]
+        if not (math.isfinite(angle) and math.isfinite(turned)):
+            continue
+        length = angle * par.contacts.radius_m[i]
+        heading = 0.5 * (row.steering_rad[i] + m.steering_rad[i]) - par.contacts.steering_zero_rad[i]
+        u[2 * i], u[2 * i + 1] = length * math.cos(heading), length * math.sin(heading)
+        spread = par.step + par.per_m * abs(length) + par.per_s * dt
+        noise[2 * i] = noise[2 * i + 1] = spread + par.steering * turned * turned
+        rolled += abs(length)
+        count += 1
+    if count == 0:
+        return 0
+    m.speed_m_s += (1.0 - math.exp(-dt / ROLLING_S)) * (rolled / (count * dt) - m.speed_m_s)
+    aux[0], aux[1] = dt, m.speed_m_s * dt
+    if par.rows > BODY_ROWS:
+        z[:] = u
+        var[:] = noise
+        return ROWS
+    return body_rows(u, noise, count, dt, m, par, z, var)
+
+
+@compiled
+def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
+    """Rows from the displacement between the cloned pose and the present one, less the slip."""
+    dt, rho = aux[0], aux[1]
+    mid, h = 0.5 * (x[THETA] + x[CLONE_THETA]), 0.5 * (x[THETA] - x[CLONE_THETA])
+    g = 1.0 / sinc(h)
+    c, s = math.cos(mid), math.sin(mid)
+    qx = g * (x[X] - x[CLONE_X]) - x[SLIP_X] * dt - x[CREEP_X] * rho
+    qy = g * (x[Y] - x[CLONE_Y]) - x[SLIP_Y] * dt - x[CREEP_Y] * rho
+    size = 1.0 + par.scaled * x[SCALE]
+    dx, dy = size * (c * qx + s * qy), size * (c * qy - s * qx)
+    turn = size * (2.0 * h - x[YAW_SLIP] * rho)
+    for j in range(int(par.rows)):
+        out[j] = par.of_body[j, 0] * dx + par.of_body[j, 1] * dy + par.of_body[j, 2] * turn
+
+
+@compiled
+def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
+    """Derivative of `predicted`: first (3, 20) of the body displacement, then of the rows."""
+    dt, rho = aux[0], aux[1]
+    mid, half = 0.5 * (x[THETA] + x[CLONE_THETA]), 0.5 * (x[THETA] - x[CLONE_THETA])
+    k = sinc(half)
+    g, bend = 1.0 / k, -sinc_slope(half) / (k * k)
+    c, s = math.cos(mid), math.sin(mid)
+    px, py = x[X] - x[CLONE_X], x[Y] - x[CLONE_Y]
+    qx = g * px - x[SLIP_X] * dt - x[CREEP_X] * rho
+    qy = g * py - x[SLIP_Y] * dt - x[CREEP_Y] * rho
+    ahead, left = c * qx + s * qy, c * qy - s * qx
+    bend_x, bend_y = bend * (c * px + s * py), bend * (c * py - s * px)
+    size = 1.0 + par.scaled * x[SCALE]
+    d = np.zeros((3, STATES))
+    d[0, X], d[0, Y], d[1, X], d[1, Y] = g * c, g * s, -g * s, g * c
+    d[0, THETA], d[0, CLONE_THETA] = 0.5 * (left + bend_x), 0.5 * (left - bend_x)
+    d[1, THETA], d[1, CLONE_THETA] = 0.5 * (-ahead + bend_y), 0.5 * (-ahead - bend_y)
+    d[2, THETA], d[2, CLONE_THETA], d[2, YAW_SLIP] = 1.0, -1.0, -rho
+    for j in range(2):
+        d[j, CLONE_X], d[j, CLONE_Y] = -d[j, X], -d[j, Y]
+        for i in range(2):
+            axis = d[j, X + i] / g
+            d[j, SLIP_X + i], d[j, CREEP_X + i] = -axis * dt, -axis * rho
+    for i in range(STATES):
+        d[0, i] *= size
+        d[1, i] *= size
+        d[2, i] *= size
+    if par.scaled > 0.0:
+        d[0, SCALE], d[1, SCALE], d[2, SCALE] = ahead, left, 2.0 * half - x[YAW_SLIP] * rho
+    for j in range(int(par.rows)):
+        for i in range(STATES):
+            h[j, i] = par.of_body[j, 0] * d[0, i] + par.of_body[j, 1] * d[1, i] + par.of_body[j, 2] * d[2, i]
+
+
+@compiled
+def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Differences of displacements; no angle goes round."""
+    nu = difference(z, mean, var, count)
+    m.innovation_m = math.hypot(nu[0], nu[1])
+    return nu
+
+
+@compiled
+def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+    """All rows in one tally, and of eight equations those of each wheel that were left out."""
+    total, usable, used = 0.0, 0, 0
+    for i in range(count):
+        if var[i] < 0.0:
+            continue
+        usable += 1
+        if nis[i] <= gate:
+            used += 1
+            total += nis[i]
+        elif count > BODY_ROWS:
+            m.refused[i // 2] += 1.0
+    tally(m.tally, total, used, usable, samples)
+    return used
+
+
+@compiled
+def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The twist is no longer trusted."""
+    if m.tally.in_row < limit:
+        return
+    m.tally.in_row = 0.0
+    m.tally.reanchored += 1.0
+    p[V_X, V_X] += 0.01
+    p[V_Y, V_Y] += 0.01
+    p[OMEGA, OMEGA] += 0.1
+
+
+@compiled
+def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+    """The read, and the pose at which it was made."""
+    m.t_ns = t_ns
+    for i in range(4):
+        valid = row.valid[i] > 0.0
+        m.angle_rad[i] = row.angle_rad[i] if valid else math.nan
+        m.steering_rad[i] = row.steering_rad[i] if valid else math.nan
+    clone_pose(x, p)
+
+
+@compiled
+def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
+    """Back through the cloning of the pose."""
+    g = np.eye(STATES)
+    for i in range(3):
+        g[CLONE_X + i, CLONE_X + i] = 0.0
+        g[CLONE_X + i, X + i] = 1.0
+    late[:] = g.T @ late
+    spread[:, :] = g.T @ spread @ g
