@@ -66,7 +66,8 @@ def load_bench(
     Args:
         source: path, profile name, or a model that is already built.
         emulate: `all` or device names whose backend is switched to emulated.
-        overrides: dotted key -> value, applied before validation.
+        overrides: dotted key -> value, applied before validation. With another model of a device
+            (`imu.model`) the keys of its table that only the model of the source has are left out.
 
     Raises:
         ConfigError: listing every problem with its dotted path.
@@ -77,12 +78,24 @@ def load_bench(
         tree, origin = find_bench(source)
         if origin == str(source):
             _anchor(tree, Path(source).parent)
+    _change_models(tree, overrides or {})
     for dotted, value in (overrides or {}).items():
         _overlay(tree, dotted, value)
     _anchor(tree, Path.cwd())
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"
     return validate(tree, origin)
+
+
+def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:
+    """Leave out what a table says of a model that it is no longer to be of."""
+    for kind in kinds().values():
+        table, name = tree.get(kind.name), overrides.get(f"{kind.name}.model")
+        model = next((m for m in kind.models if m.name == name), None)
+        if model is None or not isinstance(table, dict):
+            continue
+        if table.get("model", kind.models[0].name) != name:
+            tree[kind.name] = {key: v for key, v in table.items() if key in model.config.model_fields}
 
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:

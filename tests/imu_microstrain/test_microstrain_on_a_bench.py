@@ -9,6 +9,7 @@ from hil.bench.discover import discover
 from hil.bench.doctor import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
+from hil.config.imu import Bno055Config
 from hil.config.loading import load_bench, validate
 from hil.devices.imu.microstrain import MICROSTRAIN
 from hil.devices.imu.microstrain.config import MicrostrainConfig
@@ -51,6 +52,17 @@ def test_the_bench_file_chooses_the_model():
         ConfigError, match=r"imu: model 'microstran' is unknown; .*did you mean microstrain\?"
     ):
         validate({**ALONE, "imu": {**IMU, "model": "microstran"}}, "it")
+
+
+def test_an_override_of_the_model_leaves_out_what_only_the_other_has():
+    """The shipped profile has `prefetch = true`, which is a matter of the BNO055's bursts."""
+    config = load_bench("emulated", overrides={"imu.model": "microstrain", "imu.rate_hz": 100.0})
+    table = config.of(MicrostrainConfig)
+    assert (table.backend, table.rate_hz) == ("emulated", 100.0)
+    for overrides in ({"imu.model": "microstrain", "imu.prefetch": True}, {"imu.rate_hz": 100.0}):
+        with pytest.raises(ConfigError, match="unknown key"):
+            load_bench("emulated", overrides=overrides)
+    assert load_bench("emulated", overrides={"imu.model": "bno055"}).of(Bno055Config).prefetch
 
 
 @pytest.mark.parametrize(
@@ -197,7 +209,7 @@ def test_a_bno055_is_not_taken_for_it():
 
 def test_the_calibration_of_a_bno055_is_refused_for_it(tmp_path, capsys):
     path = tmp_path / "bench.toml"
-    tree = load_bench("emulated", overrides={"imu": IMU}).model_dump(
+    tree = load_bench("emulated", overrides={"imu.model": "microstrain"}).model_dump(
         mode="json", by_alias=True, exclude_unset=True, exclude_none=True
     )
     path.write_text(tomli_w.dumps(tree))
