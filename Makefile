@@ -7,8 +7,6 @@ VENV := $(if $(LOCK),.venv,.venv-newest)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign test lint
-# Tests in virtual time: two processes may share them. All others talk in real time, one after the other.
-VIRTUAL := calibration campaign cli controller docs estimator install kinematics plant plugin procedure procedures report trajectories
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
 .PHONY: help demo demo-calibration docs test test-long lint lock bench clean
@@ -53,10 +51,11 @@ demo-calibration: $(BIN)/.installed
 	@echo "calibration file: out/demo-calibration/calibration.toml"
 	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
+# Tests in virtual time share the cores; those that talk in real time follow, one after the other.
 test: $(BIN)/.installed
 	@failed=0; \
-	$(BIN)/python -m pytest -n 2 --dist loadfile $(VIRTUAL:%=tests/%) || failed=1; \
-	$(BIN)/python -m pytest $(VIRTUAL:%=--ignore=tests/%) || failed=1; \
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long and not real_time" || failed=1; \
+	$(BIN)/python -m pytest -m "real_time and not long" || failed=1; \
 	exit $$failed
 
 test-long: $(BIN)/.installed

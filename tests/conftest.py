@@ -1,4 +1,4 @@
-"""For all tests: where the public recordings are, and property tests without limits of wall-clock time."""
+"""For all tests: public recordings, property tests without limits of wall-clock time, who needs the clock."""
 
 import errno
 import os
@@ -12,6 +12,30 @@ from hil.recording import mcap_file
 settings.register_profile("hil", deadline=None)
 settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
+REAL_TIME = (
+    "emulate/", "live/", "bench/test_bench_assembly.py", "bench/test_doctor_slow_adapter.py",
+    "core/test_loop_and_server.py", "encoders/test_can_face.py", "imu/test_imu_on_a_pty.py",
+    "imu_microstrain/test_microstrain_on_a_pty.py", "imu_microstrain/test_microstrain_on_a_bench.py",
+    "mocap/test_mocap_flood.py", "mocap/test_mocap_udp.py", "monitor/test_monitor_listens.py",
+    "servos/test_servo_on_a_pty.py", "tracker/test_tracker_across_processes.py",
+    "tracker_mavlink/test_mavlink_links.py", "tracker_mavlink/test_mavlink_on_the_bench.py",
+)  # fmt: skip
+"""Tests that talk in real time, by the beginning of their path; so do all with `wire` among their parameters."""
+
+
+def pytest_configure(config):
+    config.addinivalue_line("markers", "real_time: talks in real time; runs alone, not beside other tests")
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        path = (
+            item.path.relative_to(ROOT / "tests").as_posix()
+            if item.path.is_relative_to(ROOT / "tests")
+            else ""
+        )
+        if path.startswith(REAL_TIME) or "wire" in item.name.partition("[")[2]:
+            item.add_marker(pytest.mark.real_time)
 
 
 @pytest.fixture(scope="session")

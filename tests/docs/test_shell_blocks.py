@@ -89,7 +89,7 @@ def folder(tmp_path_factory):
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     (script,) = (b for b in re.findall(r"^```python\n(.*?)^```", text, re.S | re.M) if "@procedure" in b)
     (place / "short_line.py").write_text(script)
-    shutil.copy(ROOT / "hil" / "profiles" / "emulated.toml", place / "my.toml")
+    shutil.copy(ROOT / "hil" / "config" / "profiles" / "emulated.toml", place / "my.toml")
     (place / "bin").mkdir()
     python = place / "bin" / "python"
     python.write_text(f'#!/bin/sh\nexec {sys.executable} "$@"\n')
