@@ -155,11 +155,11 @@ def test_discover_looks_once_where_no_camera_is_plugged_in(with_library, tmp_pat
     found, said = asked(bench, usb(tmp_path, ("1d6b", "0002")))
     assert found.sections == {}
     assert library.looks == 1
-    assert "no T265 is connected" in said[-1]
+    assert any("no T265 is connected" in text for text in said)
 
 
 def test_discover_says_what_the_library_says(with_library, tmp_path):
     bench, _, _ = with_library(fails="context")
     found, said = asked(bench, usb(tmp_path))
     assert found.sections == {}
-    assert "failed to context" in said[-1]
+    assert any("failed to context" in text for text in said)

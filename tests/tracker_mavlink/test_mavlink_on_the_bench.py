@@ -32,6 +32,8 @@ SIDEWAYS = line((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), duration_s=6.0)
 """The robot sags on its way along the wall, which no wheel sees."""
 SHORT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 MODEL = {"tracker.model": "mavlink"}
+PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02, "safety.servo_stale_s": 1.0}
+"""At the wire this computer's load must not count as a servo's silence: this is about the tracker."""
 
 
 def drive(*faults, trajectory=SIDEWAYS, recorder=None, **overrides):
@@ -77,7 +79,7 @@ def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays():
 
 
 def test_the_same_drive_at_the_wire_in_real_time():
-    with hil.open_bench("emulated", seed=1, realtime=True, overrides=MODEL) as bench:
+    with hil.open_bench("emulated", seed=1, realtime=True, overrides={**MODEL, **PATIENT}) as bench:
         motion = bench.drive(SHORT, hold_s=0.5)
         measured = motion.mocap[np.isfinite(motion.mocap[:, 0])][-1]
         assert np.linalg.norm(motion.estimate[-1][:2] - measured[:2]) < 0.01
