@@ -24,9 +24,10 @@ from pathlib import Path
 import hil
 from hil.recording.mcap_writer import McapRecorder
 from hil.replay.comparison import compare_run, table
-from hil.replay.recordings import open_recording, without_collector
+from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import scan
+from hil.vocabulary.collector import without_collector
 
 TARGET = 20.0
 LANE_M = 0.6

@@ -20,7 +20,7 @@ REAL_TIME = (
     "servos/test_servo_on_a_pty.py", "tracker/test_tracker_across_processes.py",
     "tracker_mavlink/test_mavlink_links.py", "tracker_mavlink/test_mavlink_on_the_bench.py",
 )  # fmt: skip
-"""Tests that talk in real time, by the beginning of their path; so do all with `wire` among their parameters."""
+"""Tests that talk in real time, by how their path begins; so do all with `wire` among their parameters."""
 
 
 def pytest_configure(config):
@@ -29,11 +29,7 @@ def pytest_configure(config):
 
 def pytest_collection_modifyitems(items):
     for item in items:
-        path = (
-            item.path.relative_to(ROOT / "tests").as_posix()
-            if item.path.is_relative_to(ROOT / "tests")
-            else ""
-        )
+        path = item.path.as_posix().removeprefix(f"{ROOT.as_posix()}/tests/")
         if path.startswith(REAL_TIME) or "wire" in item.name.partition("[")[2]:
             item.add_marker(pytest.mark.real_time)
 

@@ -24,6 +24,7 @@ from hil.ring.rig import Rig
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import Sink
@@ -279,8 +280,7 @@ class Bench(Blueprint):
         """
         warm_up(brain, start.state)
         with ExitStack() as stack:
-            if self.real_time is not None:
-                stack.enter_context(self.real_time)
+            stack.enter_context(without_collector() if self.real_time is None else self.real_time)
             if drop_old:
                 self.rig.read(0)
             loop = self.make_loop(brain, start)

@@ -110,7 +110,7 @@ def _compared(
     opened: OpenedRecording, run: RecordedRun, kinds: tuple[str, ...]
 ) -> tuple[dict[str, Motion], dict[str, dict[str, float | None]]]:
     from hil.replay.comparison import compare_run, table
-    from hil.replay.recordings import without_collector
+    from hil.vocabulary.collector import without_collector
 
     with without_collector():
         motions = compare_run(run, opened.bench, kinds, source=str(opened.path), recorded=not opened.foreign)

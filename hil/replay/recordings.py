@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import gc
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +23,7 @@ from hil.recording.rosbag import read_bag, read_topic_map
 from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import DataError, HilError, UsageError
 
 _FOREIGN_BENCH = "emulated_floor"
@@ -138,21 +137,3 @@ def _bench(
         config = with_wheel_model(config, found.model, given=False if recorded else None)
     geometry = geometry_of(config) if geometry is None else geometry
     return Blueprint(config, geometry=geometry, seed=int(header.get("seed", 0)))
-
-
-@contextmanager
-def without_collector() -> Iterator[None]:
-    """Records hold no cycles of references: looking for garbage among them takes a fifth of the time.
-
-    What was made meanwhile counts as old afterwards, so that nobody looks through it at once either.
-    """
-    was_enabled = gc.isenabled()
-    gc.disable()
-    try:
-        yield
-    finally:
-        if not gc.get_freeze_count():
-            gc.freeze()
-            gc.unfreeze()
-        if was_enabled:
-            gc.enable()

@@ -13,9 +13,10 @@ from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED
 from hil.recording.cycle_decoder import StoredCycle
 from hil.recording.runs import RecordedRun, RunStart, read_stored_cycles
-from hil.replay.recordings import OpenedRecording, without_collector
+from hil.replay.recordings import OpenedRecording
 from hil.ring.loop import OUTSIDE, Brain, Decision
 from hil.robot.trajectories import Trajectory
+from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
 
