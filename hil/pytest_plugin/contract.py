@@ -246,7 +246,8 @@ def test_samples_are_recorded_bit_for_bit(watched: Watched) -> None:
     kind = kinds()[watched.kind]
     own = () if kind.name in OURS else (kind,)
     samples = tuple(watched.samples)
-    inputs = Inputs(0, 0, added={kind.name: samples}) if own else Inputs(0, 0, **{kind.name: samples})
+    delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
+    inputs = Inputs(0, 0, **delivered)
     record = _record_of(inputs)
     again = CycleDecoder(describe(own)).decode(CycleEncoder(own).encode(record))
     assert first_difference({"inputs": inputs}, {"inputs": again.inputs}) is None

@@ -55,5 +55,7 @@ class TfLunaConfig(MountedConfig):
     @classmethod
     def _whole(cls, value: int) -> int:
         if value != int(_MEASURED_HZ / round(_MEASURED_HZ / value)):
-            raise ValueError(f"{value} Hz is not 500 divided by a whole number, for example 50, 100, 125 or 250")
+            raise ValueError(
+                f"{value} Hz is not 500 divided by a whole number, for example 50, 100, 125 or 250"
+            )
         return value
