@@ -76,7 +76,7 @@ class TfLunaChip(SerialChip):
         self._saved = self.settings = Settings(baud=config.baud)
         self._client_baud = config.baud
         self._packets = p.Packets()
-        self._due_ns = world.now_ns + _BOOT_NS
+        self._due_ns = world.now_ns + NS_PER_S // self.settings.rate_hz
         self._silent_until_ns = 0
 
     def distance_m(self) -> float:

@@ -71,8 +71,9 @@ class Packets:
             length = self._length()
             if length > len(waiting):
                 break
-            if length and _sum(waiting[: length - 1]) == waiting[length - 1]:
-                found.append(_read(bytes(waiting[:length])))
+            packet = bytes(waiting[:length])
+            if packet and _sum(packet[:-1]) == packet[-1]:
+                found.append(_read(packet))
                 del waiting[:length]
                 self._in_step = True
                 continue
