@@ -68,6 +68,7 @@ class TfLuna(Sensor[RangeSample]):
         self._heard_ns = self._read_ns = now_ns
         self._unconfirmed: set[int] = set()
         self._set_again_ns = now_ns
+        self._settled_ns = now_ns + 2 * self._period_ns
         self._stuck.reset(now_ns)
 
     def close(self) -> None:
@@ -139,12 +140,16 @@ class TfLuna(Sensor[RangeSample]):
                 )  # fmt: skip
 
     def _watch_settings(self, link: Link, arrived: list[p.Reading | p.Answer | p.Lost], now_ns: int) -> None:
-        """After a silence send the settings again: without power the sensor forgets them."""
+        """After a silence send the settings again: without power the sensor forgets them.
+
+        What was measured before they were taken may come after their answer.
+        """
         if now_ns - self._heard_ns > self._silence_ns:
             self._unconfirmed = set(self._settings)
         for item in arrived:
             if isinstance(item, p.Answer) and self._settings.get(item.command) == item.payload:
                 self._unconfirmed.discard(item.command)
+                self._settled_ns = now_ns + 2 * self._period_ns
         if self._unconfirmed and now_ns >= self._set_again_ns:
             self._set_again_ns = now_ns + _SET_AGAIN_NS
             for command in self._unconfirmed:
@@ -159,13 +164,13 @@ class TfLuna(Sensor[RangeSample]):
         limits = (LEAST_M, MOST_M, FIELD_OF_VIEW_RAD)
         if not isinstance(item, p.Reading):
             return RangeSample(stamp, math.nan, 0, math.nan, *limits, Status.CRC)
-        status = self._judge(item)
+        status = self._judge(item, host_ns)
         distance_m = item.distance * self._unit_m if status is Status.OK else math.nan
         return RangeSample(stamp, distance_m, item.strength, item.temperature_c, *limits, status)
 
-    def _judge(self, reading: p.Reading) -> Status:
+    def _judge(self, reading: p.Reading, host_ns: int) -> Status:
         stuck = self._stuck.stuck(reading, self._t_ns)
-        if self._unconfirmed:
+        if self._unconfirmed or host_ns < self._settled_ns:
             return Status.STARTING
         if reading.strength < p.WEAK or reading.strength == p.OVEREXPOSED:
             return Status.LOW_CONFIDENCE
