@@ -1,6 +1,6 @@
 """A ready-made test module: what every device promises, whoever answers on the wire.
 
-In a project of your own, `tests/test_contract.py` needs one line::
+In a project of your own, a test module needs one line::
 
     from hil.pytest_plugin.contract import *
 

@@ -1,13 +1,12 @@
-"""Recordings and the packages of their devices: with them all works, without them the missing one is named."""
+"""Recordings and the packages of their devices: the one that is missing is named."""
 
 import shutil
 import subprocess
 import sys
 
 import pytest
-from mcap.reader import make_reader
-
 from conftest import EXAMPLE, ROOT, environment
+from mcap.reader import make_reader
 
 OLD = ROOT / "tests" / "recording" / "data" / "recorded_by_0_1_0.mcap"
 TWIN = """

@@ -1,4 +1,4 @@
-"""docs/add-your-own-device.md as a reader follows it: its files are written, its shell blocks run as printed."""
+"""docs/add-your-own-device.md as a reader follows it: files are written, shell blocks run as printed."""
 
 import os
 import re
@@ -8,8 +8,8 @@ import sys
 from dataclasses import fields
 
 import pytest
-
 from conftest import ROOT
+
 from hil.vocabulary.kinds import DeviceKind, DeviceModel
 
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
@@ -21,7 +21,7 @@ PROGRAMS = {"python": "", "hil": "-m hil.cli "}
 
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
-    """A folder like a checkout, and an environment of its own without network; the guide's files are in it."""
+    """A folder like a checkout with the guide's files in it, and an environment without network."""
     place, target = tmp_path_factory.mktemp("reader"), tmp_path_factory.mktemp("site")
     ignored = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT / "examples", place / "examples", ignore=ignored)
@@ -71,7 +71,7 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader):
     told = reader("pip install ./examples/rangefinder")
     assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", told)
     assert "rangefinder distance: 1.8" in told
-    told = reader("--rerun out/approach.rrd")
+    told = reader("--rerun approach.rrd")
     assert "PASS: approach" in told
     assert told.count("identical in") == 2
     told = reader("--fault rangefinder:off")

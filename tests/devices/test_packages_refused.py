@@ -93,7 +93,8 @@ REFUSED = {
         changed("BNO055"), ("hil-new 1.0", "there is a model bno055 of imu already (hil)", "another name"),
     ),
     "two models of one name": (
-        changed("replace(THING, models=(ONE, ONE))"), ("there is a model one of thing already (hil-new 1.0)",),
+        changed("replace(THING, models=(ONE, ONE))"),
+        ("there is a model one of thing already (hil-new 1.0)",),
     ),
     "a model of another kind": (
         changed("replace(THING, models=(BNO055,))"), ("the kind thing lists bno055, a model of imu",),
