@@ -40,15 +40,16 @@ def command(
 
     findings = []
     opened = open_bench(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
+    width = max((9, *map(len, opened.config.devices())))
     for finding in examine(opened, watch_s=watch_s):
         findings.append(finding)
         if not as_json:
             mark, colour = _MARKS[finding.level]
-            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {finding.device:9} {finding.check}: "
+            click.echo(f"{click.style(f'{mark:4}', fg=colour)} {finding.device:{width}} {finding.check}: "
                        f"{finding.found}")  # fmt: skip
             if finding.level != "ok":
                 hints = [f"expected {finding.expected}"] * bool(finding.expected) + [finding.remedy]
-                click.echo(" " * 15 + "; ".join(h for h in hints if h))
+                click.echo(" " * (width + 6) + "; ".join(h for h in hints if h))
     failed = [f for f in findings if f.level == "failure"]
     if as_json:
         result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}

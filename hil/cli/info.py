@@ -1,4 +1,4 @@
-"""`hil info`: versions for a bug report; compiles the numerical kernels ahead of time on request."""
+"""`hil info`: versions and devices for a bug report; compiles the numerical kernels on request."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import platform
 import click
 
 from hil import __version__
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.vocabulary.extras import MODULES, is_installed
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
 
 _PACKAGES = (
@@ -30,11 +32,21 @@ def _compile() -> None:
             smoothed(records, bench.config.estimator, bench.geometry, bench.config.environment.kind, start)
 
 
+def _devices() -> dict[str, list[dict[str, str]]]:
+    """Models of every kind of device, each with its title and the package that it comes from."""
+    return {
+        kind.name: [{"model": m.name, "title": m.title, "package": m.package} for m in kind.models]
+        for kind in kinds().values()
+    }
+
+
 @click.command()
 @click.option("--compile", "compiling", is_flag=True, help="First compile all numerical kernels.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(compiling: bool, as_json: bool) -> int:
-    """Print the versions that matter for a bug report.
+    """Print the versions that matter for a bug report, and the devices that a bench file may name.
+
+    Ends with 2 when an installed package adds a device that cannot be used.
 
     With --compile the machine code of estimators, smoother and emulated wall is made now (about a minute,
     once for each version) instead of at the start of the first run.
@@ -44,12 +56,24 @@ def command(compiling: bool, as_json: bool) -> int:
     packages = {name: version_of(name) for name in _PACKAGES}
     extras = {name: is_installed(name) for name in MODULES}
     host = platform.platform()
+    devices, problem = dict[str, list[dict[str, str]]](), ""
+    try:
+        devices = _devices()
+    except HilError as error:
+        problem = str(error)
+    code = EXIT_USAGE if problem else EXIT_PASS
     if as_json:
         found = {"hil": __version__, "python": platform.python_version(), "platform": host}
-        click.echo(json.dumps({**found, "packages": packages, "extras": extras}))
-        return 0
+        told = {"devices": devices, **({"problem": problem} if problem else {})}
+        click.echo(json.dumps({**found, "packages": packages, "extras": extras, **told}))
+        return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
     for name, version in packages.items():
         click.echo(f"  {name:16} {version}")
     click.echo("extras: " + ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in extras.items()))
-    return 0
+    click.echo("devices:" if devices else f"devices: {problem}")
+    for kind, models in devices.items():
+        for model in models:
+            origin = f" ({model['package']})" if model["package"] != "hil" else ""
+            click.echo(f"  {kind:16} {model['model']:12} {model['title']}{origin}")
+    return code

@@ -25,7 +25,7 @@ from hil.config.sections import (
 )
 from hil.config.servos import ServosConfig
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import DeviceKind, kinds
+from hil.vocabulary.kinds import DeviceKind, added, kinds
 
 C = TypeVar("C", bound=DeviceConfig)
 
@@ -118,6 +118,7 @@ def bench_model() -> type[BenchConfig]:
     Raises:
         ConfigError: an installed package adds a device that cannot be used.
     """
+    _check_added()
     imperfections: dict[str, Any] = {name: (dict[str, Any], {}) for name in kinds()}
     emulation = create_model("EmulationConfig", __base__=EmulationConfig, **imperfections)
     emulation.__doc__ = EmulationConfig.__doc__
@@ -125,6 +126,24 @@ def bench_model() -> type[BenchConfig]:
     model = create_model("BenchConfig", __base__=BenchConfig, emulation=(emulation, emulation()), **tables)
     model.__doc__ = BenchConfig.__doc__
     return model
+
+
+def _check_added() -> None:
+    """Hold what other packages add against the bench file: its names are taken, tables are tables."""
+    ours = {*BenchConfig.model_fields, *EmulationConfig.model_fields}
+    for kind in added():
+        if kind.name in ours or hasattr(BenchConfig, kind.name):
+            raise ConfigError(
+                f"device package {kind.package}: {kind.name} is the name of another part of the bench file",
+                remedy="give the kind another name",
+            )
+    for model in (m for kind in kinds().values() for m in kind.models):
+        if not issubclass(model.config, DeviceConfig):
+            raise ConfigError(
+                f"device package {model.package}: the table of model {model.name} of {model.kind} is a "
+                f"{model.config.__name__}",
+                expected="a class that inherits hil.config.device.DeviceConfig",
+            )
 
 
 def table_of(kind: DeviceKind) -> Any:

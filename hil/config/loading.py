@@ -100,7 +100,8 @@ def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> Non
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:
     """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
-    of_devices = (f"{k.name}.{path}" for k in kinds().values() for m in k.models for path in m.config.PATHS)
+    models = (m for kind in kinds().values() for m in kind.models)
+    of_devices = (f"{m.kind}.{path}" for m in models for path in getattr(m.config, "PATHS", ()))
     for dotted in dict.fromkeys((*_PATHS, *of_devices)):
         *tables, key = dotted.split(".")
         table: Any = tree
@@ -204,7 +205,7 @@ def _reason(item: Any) -> str:
         *above, key = tables
         known = ", ".join(kinds())
         near = did_you_mean(str(key), _keys(item["loc"][:-1]))
-        table = not above and isinstance(item["input"], Mapping)
+        table = above in ([], ["emulation"]) and isinstance(item["input"], Mapping)
         device = f"no device or table of that name (devices: {known}); install the package that adds it, or "
         return f"unknown key; {near or (device if table else '') + 'remove it or check the spelling'}"
     if item["type"] == "union_tag_invalid":

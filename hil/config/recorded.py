@@ -12,6 +12,7 @@ from hil.config.loading import explained
 from hil.config.older import lifted
 from hil.config.values import RECORDED
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import kinds
 
 
 def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
@@ -27,10 +28,23 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
         ConfigError: listing every problem with its dotted path.
     """
     try:
-        return bench_model().model_validate(lifted(tree), context=RECORDED)
+        return bench_model().model_validate(_without_absent(lifted(tree)), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
     raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+
+
+def _without_absent(tree: dict[str, Any]) -> dict[str, Any]:
+    """A configuration without the kinds of devices that the bench lacked and that nothing here knows.
+
+    Their package was installed then, and is not now: no reason to refuse the recording.
+    """
+    emulation = tree.get("emulation")
+    if isinstance(emulation, Mapping):
+        said = {key: value for key, value in emulation.items() if key in kinds() or value != {}}
+        tree = {**tree, "emulation": said}
+    known = bench_model().model_fields
+    return {key: value for key, value in tree.items() if key in known or value is not None}
 
 
 def changed_since(tree: object, config: BenchConfig) -> list[str]:

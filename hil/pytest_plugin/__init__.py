@@ -26,7 +26,7 @@ MARKERS = (
 )
 _OPENED = pytest.StashKey["Bench"]()
 
-pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck")
+pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

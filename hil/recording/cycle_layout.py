@@ -105,7 +105,7 @@ def record_types(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
         added: kinds of other packages whose samples it may hold.
 
     Raises:
-        ConfigError: a kind's sample has the name of another class.
+        ConfigError: a kind's sample has the name of another class, or holds what cannot be recorded.
     """
     found: dict[str, Any] = {}
     _collect(CycleRecord, found)
@@ -117,6 +117,15 @@ def record_types(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
                 remedy="give the class another name",
             )
         _collect(kind.sample, found)
+        try:
+            for hint in typing.get_type_hints(kind.sample).values():
+                layout_of(hint)
+        except (TypeError, NameError) as error:
+            raise ConfigError(
+                f"samples of the kind {kind.name} ({kind.package}) cannot be recorded ({error})",
+                expected="fields of type int, float, bool, str, Array, Status, Stamp, a dataclass of them, "
+                "X | None, tuple[X, ...] or Mapping[str, X]",
+            ) from None
     return found
 
 
@@ -149,11 +158,31 @@ def added_in(description: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
         ConfigError: a package that it needs is not installed; it names all that are missing.
     """
     named: Mapping[str, str] = dict(description.get("packages", {}))
-    missing = [f"{name} ({package})" for name, package in named.items() if name not in kinds()]
-    if missing:
-        raise ConfigError(
-            f"the recording holds samples of devices that nothing here knows: {', '.join(missing)}",
-            expected="the package that adds each",
-            remedy="pip install " + " ".join(str(p).split()[0] for n, p in named.items() if n not in kinds()),
-        )
+    check_packages(named)
     return tuple(kinds()[name] for name in named)
+
+
+def check_packages(named: Mapping[str, Any]) -> None:
+    """Refuse a recording of devices that nothing here knows.
+
+    Args:
+        named: name and version of the package by what it adds, `KIND` or `KIND.MODEL`.
+
+    Raises:
+        ConfigError: it names all that are missing.
+    """
+    missing = {name: str(package) for name, package in named.items() if not _is_known(name)}
+    if missing:
+        told = ", ".join(f"{name} ({package})" for name, package in missing.items())
+        packages = dict.fromkeys(package.split()[0] for package in missing.values() if package.split())
+        raise ConfigError(
+            f"the recording holds samples of devices that nothing here knows: {told}",
+            expected="the package that adds each",
+            remedy="pip install " + " ".join(packages),
+        )
+
+
+def _is_known(name: str) -> bool:
+    kind_name, _, model = name.partition(".")
+    kind = kinds().get(kind_name)
+    return kind is not None and (not model or any(m.name == model for m in kind.models))

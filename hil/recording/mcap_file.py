@@ -23,6 +23,7 @@ from hil.vocabulary.signals import KINDS, CycleRecord
 LOG = logging.getLogger(__name__)
 
 METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
+PACKAGES = "packages"
 _FLUSH_NS = NS_PER_S // 2
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _LATCHED = "- " + "\n  ".join(
@@ -55,7 +56,21 @@ def _definition(kind: str) -> str:
 def _recorded(header: Mapping[str, Any]) -> tuple[DeviceKind, ...]:
     """Kinds whose samples a recording holds: all of ours, and those of other packages that its bench has."""
     present = header.get("config", {})
-    return tuple(kind for name, kind in kinds().items() if name in KINDS or name in present)
+    return tuple(kind for name, kind in kinds().items() if name in KINDS or present.get(name) is not None)
+
+
+def _packages(header: Mapping[str, Any]) -> dict[str, str]:
+    """Packages without which a recording cannot be read, by kind, or `KIND.MODEL` where they add a model."""
+    found = {}
+    for name, table in header.get("config", {}).items():
+        kind = kinds().get(name)
+        if kind is not None and isinstance(table, Mapping):
+            model = next((m for m in kind.models if m.name == table.get("model")), kind.models[0])
+            if name not in KINDS:
+                found[name] = kind.package
+            if model.package != kind.package:
+                found[f"{name}.{model.name}"] = model.package
+    return found
 
 
 class _WholeWrites:
@@ -125,7 +140,11 @@ class RecordingFile:
         self._mcap.start(profile="ros2", library="hil")
         self._mcap.add_metadata(
             METADATA,
-            {"header": json.dumps(header, default=str), "layout": json.dumps(describe(own))},
+            {
+                "header": json.dumps(header, default=str),
+                "layout": json.dumps(describe(own)),
+                PACKAGES: json.dumps(_packages(header)),
+            },
         )
         if self._offset is not None:
             self._mcap.add_metadata(CLOCK_AT_START, _texts(self._offset))

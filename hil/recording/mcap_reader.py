@@ -14,7 +14,8 @@ from typing import Any, BinaryIO, TypeVar
 
 from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
-from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA
+from hil.recording.cycle_layout import check_packages
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA, PACKAGES
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
@@ -69,6 +70,7 @@ class RecordingReader:
         for record in _records(self.path, []):
             if isinstance(record, Metadata) and record.name == METADATA:
                 try:
+                    check_packages(json_object(record.metadata.get(PACKAGES, "{}")))
                     header = json_object(record.metadata["header"])
                     return header, CycleDecoder(json_object(record.metadata["layout"]))
                 except ConfigError as error:

@@ -13,14 +13,14 @@ from __future__ import annotations
 
 import importlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import ConfigError, HilError
+from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Device
@@ -105,6 +105,7 @@ class DeviceModel:
         ask_after: models with a smaller number are asked first: those that answer quickly.
         look: what `hil doctor` says of it beside the kind's own look; as `DeviceKind.look`.
         reach: keys of its table from the endpoint that `hil emulate` printed; the same keys when None.
+        package: name and version of the package that it comes from; filled in when it is loaded.
     """
 
     kind: str
@@ -119,6 +120,7 @@ class DeviceModel:
     ask_after: int = 5
     look: Callable[[Any], Iterable[Finding]] | None = None
     reach: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+    package: str = "hil"
 
 
 class Topic(NamedTuple):
@@ -184,7 +186,7 @@ class DeviceKind:
         plots: where the monitor draws them.
         witness: how it tells whether the robot moves; None if it cannot.
         look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
-        package: name and version of the package that it comes from.
+        package: name and version of the package that it comes from; filled in when it is loaded.
     """
 
     name: str
@@ -228,9 +230,14 @@ def kinds() -> Mapping[str, DeviceKind]:
     found: dict[str, DeviceKind] = {}
     for name in KINDS:
         found[name] = importlib.import_module(f"{_OURS}.{name}").KIND
-    for entry in sorted(entry_points(group=GROUP), key=lambda e: (e.value, e.name)):
-        for item in _loaded(entry):
-            _add(found, item, entry)
+    entries = sorted(entry_points(group=GROUP), key=lambda e: (e.value, e.name))
+    items = [(item, _origin(entry)) for entry in entries for item in _loaded(entry)]
+    for item, origin in items:
+        if isinstance(item, DeviceKind):
+            _add_kind(found, item, origin)
+    for item, origin in items:
+        if isinstance(item, DeviceModel):
+            _add_model(found, item, origin)
     return found
 
 
@@ -268,38 +275,65 @@ def _loaded(entry: EntryPoint) -> tuple[DeviceKind | DeviceModel, ...]:
     return items
 
 
-def _add(found: dict[str, DeviceKind], item: DeviceKind | DeviceModel, entry: EntryPoint) -> None:
-    """Add what a package brings; raises `ConfigError` for what is there already or cannot work."""
-    origin = _origin(entry)
-    models = item.models if isinstance(item, DeviceKind) else (item,)
-    for model in models:
-        if not callable(model.driver):
-            raise ConfigError(f"device package {origin}: model {model.name} of {model.kind} has no driver")
-        if getattr(model.config.model_fields.get("model"), "default", None) != model.name:
-            raise ConfigError(
-                f"device package {origin}: the table of model {model.name} has no key for its own name",
-                expected=f'model: Literal["{model.name}"] = "{model.name}" in {model.config.__name__}',
-            )
-    if isinstance(item, DeviceModel):
-        kind = found.get(item.kind)
-        if kind is None:
-            raise ConfigError(
-                f"device package {origin}: model {item.name} is of the kind {item.kind}, which there is not",
-                expected="one of " + ", ".join(found),
-            )
-        if any(m.name == item.name for m in kind.models):
-            raise ConfigError(f"device package {origin}: there is a model {item.name} of {kind.name} already")
-        found[kind.name] = replace(kind, models=(*kind.models, item))
-        return
+def _add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> None:
+    """Add a kind that a package brings; raises `ConfigError` for one that is there already or cannot work."""
     taken = {name: k for k in found.values() for name in (k.name, *k.aliases)}
-    if item.name in taken:
+    for name in (kind.name, *kind.aliases):
+        if name in taken:
+            raise ConfigError(
+                f"device package {origin}: the kind {name} is there already ({taken[name].package})",
+                remedy="uninstall one of the two packages",
+            )
+    if not kind.name.isidentifier() or not kind.models:
         raise ConfigError(
-            f"device package {origin}: the kind {item.name} is there already ({taken[item.name].package})",
-            remedy="uninstall one of the two packages",
-        )
-    if not item.name.isidentifier() or not models:
-        raise ConfigError(
-            f"device package {origin}: kind {item.name!r} with {len(models)} models",
+            f"device package {origin}: kind {kind.name!r} with {len(kind.models)} models",
             expected="a name of letters, digits and _, and at least one model",
         )
-    found[item.name] = replace(item, package=origin)
+    if kind.actuates:
+        raise ConfigError(
+            f"device package {origin}: the kind {kind.name} says that it moves the robot",
+            expected="servos only: actuates=False, or a model of the kind servos",
+        )
+    named = {f.name for f in fields(kind.sample)} if is_dataclass(kind.sample) else set()
+    if not {"stamp", "status"} <= named:
+        raise ConfigError(
+            f"device package {origin}: samples of the kind {kind.name} are {kind.sample!r}",
+            expected="a dataclass with the fields stamp and status",
+        )
+    found[kind.name] = replace(kind, models=(), package=origin)
+    for model in kind.models:
+        if model.kind != kind.name:
+            raise ConfigError(
+                f"device package {origin}: the kind {kind.name} lists {model.name}, a model of {model.kind}"
+            )
+        _add_model(found, model, origin)
+
+
+def _add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) -> None:
+    """Add a model to its kind; raises `ConfigError` for one that is there already or cannot work."""
+    kind = found.get(model.kind)
+    if kind is None:
+        raise ConfigError(
+            f"device package {origin}: model {model.name} is of the kind {model.kind}, which there is not",
+            expected="one of " + ", ".join(found),
+            remedy=did_you_mean(model.kind, found),
+        )
+    known = {m.name: m for m in kind.models}
+    if model.name in known:
+        raise ConfigError(
+            f"device package {origin}: there is a model {model.name} of {kind.name} already "
+            f"({known[model.name].package})",
+            remedy="uninstall one of the two packages, or give the model another name",
+        )
+    if not callable(model.driver):
+        raise ConfigError(
+            f"device package {origin}: model {model.name} of {model.kind} has no driver",
+            expected="driver: a function of (config, clock)",
+        )
+    key = getattr(model.config, "model_fields", {}).get("model")
+    if getattr(key, "default", None) != model.name:
+        raise ConfigError(
+            f"device package {origin}: the table of model {model.name} has no key for its own name",
+            expected=f'model: Literal["{model.name}"] = "{model.name}" in its DeviceConfig',
+        )
+    found[kind.name] = replace(kind, models=(*kind.models, replace(model, package=origin)))

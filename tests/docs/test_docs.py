@@ -62,7 +62,14 @@ def test_the_test_runs_as_printed(tmp_path):
     assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
 
 
-OF_A_USER = {"path/to/mine.py", "data/odom_11.csv", "hil/config/my_imu.py"}
+OF_A_USER = {
+    "path/to/mine.py",
+    "data/odom_11.csv",
+    "my-imu/pyproject.toml",
+    "my-imu/my_imu.py",
+    "my-imu/bench.toml",
+    "my-imu/test_contract.py",
+}
 FILE = re.compile(
     r"(?<![\w/.:<-])([\w-]+/[\w./-]*\.(?:md|py|toml|json|csv|dbc|png|svg|html|mcap|lock|yml|sh))\b"
 )

@@ -1,0 +1,92 @@
+"""Device packages as a user has them: in folders beside `hil`."""
+
+import importlib
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from hil.cli import main
+from hil.config.bench import bench_model
+from hil.recording.cycle_layout import record_types
+from hil.vocabulary.kinds import kinds
+
+ROOT = Path(__file__).resolve().parents[2]
+EXAMPLE = ROOT / "examples" / "rangefinder"
+
+
+def environment(*folders):
+    """Variables of a process that finds this checkout, and packages in further folders."""
+    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *folders)))}
+
+
+def install(folder, target):
+    """Install the package of a folder into another folder; nothing is asked of the network."""
+    options = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
+    subprocess.run(
+        [sys.executable, "-m", "pip", "install", *options, "--target", str(target), str(folder)], check=True
+    )
+
+
+@pytest.fixture(scope="session")
+def rangefinder(tmp_path_factory):
+    """A folder into which the example package is installed, from a copy of it."""
+    source, target = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("installed")
+    shutil.copytree(EXAMPLE, source / "rangefinder", ignore=shutil.ignore_patterns("build", "*.egg-info"))
+    install(source / "rangefinder", target)
+    return target
+
+
+@pytest.fixture
+def forget():
+    """Forgets which kinds there are; what a test has made known is forgotten after it."""
+
+    def now():
+        importlib.invalidate_caches()
+        for cached in (kinds, bench_model, record_types):
+            cached.cache_clear()
+
+    known = set(sys.modules)
+    yield now
+    for name in set(sys.modules) - known:
+        if name.startswith("hil_"):
+            del sys.modules[name]
+    now()
+
+
+@pytest.fixture
+def hil(tmp_path, monkeypatch, capsys, forget):
+    """Runs the command line, with packages in the given folders beside it."""
+    monkeypatch.chdir(tmp_path)
+    path = list(sys.path)
+
+    def run(*words, packages=()):
+        monkeypatch.setattr(sys, "path", [*map(str, packages), *path])
+        forget()
+        code = main([str(word) for word in words])
+        printed = capsys.readouterr()
+        return SimpleNamespace(code=code, out=printed.out, said=printed.err)
+
+    return run
+
+
+@pytest.fixture
+def package(tmp_path):
+    """Makes a folder with an installed package of one module, and entry points into it."""
+
+    def make(name, source, *entries, version="1.0"):
+        folder = tmp_path / "packages" / name
+        about = folder / f"{name.replace('-', '_')}-{version}.dist-info"
+        about.mkdir(parents=True)
+        module = name.replace("-", "_")
+        (folder / f"{module}.py").write_text(source)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: {version}\n")
+        lines = [f"e{k} = {module}:{entry}" for k, entry in enumerate(entries)]
+        (about / "entry_points.txt").write_text("[hil.devices]\n" + "\n".join(lines) + "\n")
+        return folder
+
+    return make

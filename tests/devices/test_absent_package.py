@@ -1,0 +1,134 @@
+"""Recordings and the packages of their devices: the one that is missing is named."""
+
+import shutil
+import subprocess
+import sys
+
+import pytest
+from conftest import EXAMPLE, ROOT, environment
+from mcap.reader import make_reader
+
+OLD = ROOT / "tests" / "recording" / "data" / "recorded_by_0_1_0.mcap"
+TWIN = """
+from dataclasses import replace
+from typing import Literal
+
+from hil.config.imu import Bno055Config
+from hil.devices.imu.bno055 import BNO055
+
+
+class Config(Bno055Config):
+    model: Literal["twin"] = "twin"
+
+
+MODEL = replace(BNO055, name="twin", title="a twin", config=Config, ask=None)
+"""
+TABLES = """
+schema = 1
+name = "lab"
+
+[servos]
+backend = "emulated"
+
+[imu]
+backend = "emulated"
+"""
+STAND = """
+from hil.procedure import procedure
+
+
+@procedure(name="stand", needs=("servos", "imu"))
+def run(ctx):
+    with ctx.step("look"):
+        ctx.bench.observe(0.5)
+"""
+
+
+@pytest.fixture(scope="module")
+def climb(rangefinder, tmp_path_factory):
+    """A results folder of the example's procedure, made where its package is installed."""
+    out = tmp_path_factory.mktemp("climb") / "out"
+    subprocess.run(
+        [sys.executable, "-m", "hil.cli", "run", EXAMPLE / "approach.py", "--bench", EXAMPLE / "bench.toml",
+         "--out", out],
+        env=environment(rangefinder), check=True, capture_output=True,
+    )  # fmt: skip
+    return out
+
+
+@pytest.fixture
+def stand(tmp_path):
+    """A bench without anything that is added, and a procedure that looks at it."""
+    (tmp_path / "bench.toml").write_text(TABLES)
+    (tmp_path / "stand.py").write_text(STAND)
+
+
+def topics(recording):
+    with recording.open("rb") as file:
+        summary = make_reader(file).get_summary()
+        return {channel.topic for channel in summary.channels.values()}
+
+
+def test_a_recording_repeats_is_exported_and_drawn_with_its_package(climb, rangefinder, hil, tmp_path):
+    recording = climb / "recording.mcap"
+    assert hil("replay", recording, "--verify", packages=[rangefinder]).code == 0
+    done = hil("export", recording, "--out", "table.csv", packages=[rangefinder])
+    assert done.code == 0, done.said
+    assert len((tmp_path / "table.csv").read_text().splitlines()) > 200
+    assert "/range" in topics(recording)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("replay", "{}"),
+        ("replay", "{}", "--verify"),
+        ("replay", "{}", "--rerun", "x.rrd"),
+        ("replay", "{}", "--page", "x.html"),
+        ("export", "{}"),
+        ("evaluate", "{}"),
+        ("tune", "{}"),
+        ("doctor", "--bench", "replay.toml"),
+    ],
+    ids=" ".join,
+)
+def test_without_the_package_every_command_names_it(words, climb, hil, tmp_path):
+    recording = tmp_path / "climb_1.mcap"
+    shutil.copy(climb / "recording.mcap", recording)
+    (tmp_path / "replay.toml").write_text(f'{TABLES}\n[emulation]\nreplay = "{recording}"\n')
+    done = hil(*(word.format(recording) for word in words))
+    assert done.code == 2, done.out + done.said
+    assert "rangefinder (hil-rangefinder 0.1.0)" in done.said
+    assert "pip install hil-rangefinder" in done.said
+    assert not {path.name for path in tmp_path.iterdir()} - {recording.name, "replay.toml"}
+
+
+def test_the_report_of_a_run_is_read_without_the_package(climb, hil):
+    assert hil("report", climb).code == 0
+
+
+def test_a_recording_of_a_bench_without_the_device_needs_no_package(rangefinder, stand, hil, tmp_path):
+    assert hil("run", "stand.py", "--bench", "bench.toml", "--out", "out", packages=[rangefinder]).code == 0
+    recording = tmp_path / "out" / "recording.mcap"
+    assert "/range" not in topics(recording)
+    for words in (("replay", recording, "--verify"), ("export", recording), ("report", "out")):
+        done = hil(*words)
+        assert done.code == 0, done.said
+
+
+def test_a_recording_of_a_model_that_is_absent_names_its_package(package, stand, hil, tmp_path):
+    (tmp_path / "bench.toml").write_text(TABLES + 'model = "twin"\n')
+    folder = package("hil-twin", TWIN, "MODEL")
+    assert hil("run", "stand.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
+    recording = tmp_path / "out" / "recording.mcap"
+    assert hil("replay", recording, "--verify", packages=[folder]).code == 0
+    done = hil("replay", recording, "--verify")
+    assert done.code == 2
+    assert "imu.twin (hil-twin 1.0)" in done.said
+    assert "pip install hil-twin" in done.said
+
+
+@pytest.mark.parametrize("installed", [True, False])
+def test_a_recording_from_before_packages_repeats(installed, rangefinder, hil):
+    done = hil("replay", OLD, "--verify", "--run", 0, packages=[rangefinder] if installed else [])
+    assert done.code == 0, done.out + done.said

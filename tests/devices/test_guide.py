@@ -1,0 +1,100 @@
+"""docs/add-your-own-device.md as a reader follows it: files are written, shell blocks run as printed."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import fields
+
+import pytest
+from conftest import ROOT
+
+from hil.vocabulary.kinds import DeviceKind, DeviceModel
+
+GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
+FILES = re.findall(r"^`(my-imu/[\w.]+)`:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
+BLOCKS = re.findall(r"^```sh\n(.*?)^```", GUIDE, re.S | re.M)
+ENDS = re.compile(r"^(.*\S)\s+# ends with (\d+)$", re.M)
+PROGRAMS = {"python": "", "hil": "-m hil.cli "}
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory):
+    """A folder like a checkout with the guide's files in it, and an environment without network."""
+    place, target = tmp_path_factory.mktemp("reader"), tmp_path_factory.mktemp("site")
+    ignored = shutil.ignore_patterns("build", "*.egg-info", "__pycache__")
+    shutil.copytree(ROOT / "examples", place / "examples", ignore=ignored)
+    for name, text in FILES:
+        path = place / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    for name, words in PROGRAMS.items():
+        program = target / "bin" / name
+        program.parent.mkdir(exist_ok=True)
+        program.write_text(f'#!/bin/sh\nexec {sys.executable} {words}"$@"\n')
+        program.chmod(0o755)
+    (target / "pip.conf").write_text(
+        f"[install]\ntarget = {target}\nno-index = true\nno-deps = true\nno-build-isolation = false\n"
+    )
+    env = {
+        **os.environ, "PATH": f"{target / 'bin'}{os.pathsep}{os.environ['PATH']}",
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{target}", "PIP_CONFIG_FILE": str(target / "pip.conf"),
+        "PYTEST_ADDOPTS": "-p no:cacheprovider",
+    }  # fmt: skip
+
+    def follow(containing):
+        (block,) = [b for b in BLOCKS if containing in b]
+        script = ENDS.sub(r"code=0; { \1; } || code=$?; test $code -eq \2", block)
+        done = subprocess.run(
+            ["bash", "-emc", script], cwd=place, env=env, text=True, capture_output=True, timeout=280
+        )
+        assert done.returncode == 0, f"{script}\n{done.stdout}{done.stderr}"
+        return done.stdout
+
+    return follow
+
+
+def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
+    assert [name for name, _ in FILES] == [
+        "my-imu/pyproject.toml", "my-imu/my_imu.py", "my-imu/bench.toml", "my-imu/test_contract.py",
+    ]  # fmt: skip
+    told = reader("./my-imu")
+    assert re.search(r"imu +my_imu +My IMU \(hil-my-imu 0\.1\.0\)", told)
+    assert "imu       gravity: 9.8" in told
+    assert re.search(r"1\d passed", told)
+    assert "failed" not in told
+
+
+def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader):
+    """In the guide's order: one test, because each step uses what the one before it has left."""
+    told = reader("pip install ./examples/rangefinder")
+    assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", told)
+    assert "rangefinder distance: 1.8" in told
+    told = reader("--rerun approach.rrd")
+    assert "PASS: approach" in told
+    assert told.count("identical in") == 2
+    told = reader("--fault rangefinder:off")
+    assert "FAIL rangefinder" in told
+    assert "FAIL: approach" in told
+    assert '[rangefinder]\nport = "/dev/' in reader("hil discover")
+
+
+def test_the_example_passes_its_tests(reader):
+    reader("pip install ./examples/rangefinder")
+    told = reader("cd examples/rangefinder && python -m pytest")
+    assert re.search(r"\d\d passed", told)
+    assert "failed" not in told
+
+
+def test_every_block_of_the_guide_is_followed():
+    followed = (
+        "./my-imu", "pip install ./examples/rangefinder", "--rerun", "--fault", "hil discover", "cd examples",
+    )  # fmt: skip
+    assert [sum(key in block for key in followed) for block in BLOCKS] == [1] * len(followed)
+
+
+@pytest.mark.parametrize("described", [DeviceModel, DeviceKind], ids=lambda c: c.__name__)
+def test_the_guide_has_a_line_for_every_field(described):
+    (table,) = re.findall(rf"^### `{described.__name__}`\n\n(.*?)\n\n", GUIDE, re.S | re.M)
+    assert re.findall(r"^\| `(\w+)` \|", table, re.M) == [f.name for f in fields(described)]

@@ -1,0 +1,211 @@
+"""A device package that cannot be used is named before anything is opened: exit 2, and what to do."""
+
+import json
+
+import pytest
+
+from hil.recording.cycle_layout import describe
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import added
+
+MODEL = """
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hil.config.device import DeviceConfig
+from hil.vocabulary.kinds import DeviceKind, DeviceModel
+from hil.vocabulary.signals import Stamp, Status
+
+
+@dataclass(frozen=True)
+class Sample:
+    stamp: Stamp
+    value: float
+    status: Status = Status.OK
+
+
+class Config(DeviceConfig):
+    model: Literal["one"] = "one"
+    port: str = "/dev/ttyUSB0"
+
+
+def driver(config, clock):
+    open("opened", "w").close()
+    raise AssertionError("nothing may be opened")
+
+
+ONE = DeviceModel(kind="thing", name="one", title="a thing", config=Config, driver=driver)
+THING = DeviceKind(name="thing", noun="thing", sample=Sample, models=(ONE,))
+"""
+
+BENCH = """
+schema = 1
+name = "lab"
+
+[imu]
+backend = "emulated"
+
+[{section}]
+{rest}
+"""
+
+COMMANDS = (("doctor", "--bench", "bench.toml"), ("run", "bring_up", "--bench", "bench.toml", "--dry-run"))
+
+
+@pytest.fixture
+def bench(tmp_path):
+    def write(section="thing", rest=""):
+        (tmp_path / "bench.toml").write_text(BENCH.format(section=section, rest=rest))
+        return tmp_path / "bench.toml"
+
+    return write
+
+
+def changed(text):
+    return f"{MODEL}\nfrom hil.devices.imu.bno055 import BNO055\nITEM = {text}\n"
+
+
+REFUSED = {
+    "an import that fails": (
+        "import no_such_library\n",
+        ("hil-new 1.0", "no_such_library", "install what it needs", "uninstall hil-new"),
+    ),
+    "something else": ("ITEM = 3\n", ("hil-new 1.0", "is a int", "a DeviceKind or a DeviceModel")),
+    "a kind that the bench has": (
+        changed('replace(THING, name="imu", models=(replace(ONE, kind="imu"),))'),
+        ("hil-new 1.0", "the kind imu is there already (hil)"),
+    ),
+    "an alias of a kind": (
+        changed('replace(THING, aliases=("can",))'), ("hil-new 1.0", "the kind can is there already (hil)"),
+    ),
+    "a model without a driver": (
+        changed("replace(THING, models=(replace(ONE, driver=None),))"),
+        ("hil-new 1.0", "model one of thing has no driver"),
+    ),
+    "a model that forgets its driver": (
+        MODEL.replace(", driver=driver)", ")") + "ITEM = THING\n", ("hil-new 1.0", "missing", "'driver'"),
+    ),
+    "a kind that there is not": (
+        changed('replace(ONE, kind="imuu")'),
+        ("hil-new 1.0", "is of the kind imuu, which there is not", "did you mean imu?"),
+    ),
+    "a model that there is": (
+        changed("BNO055"), ("hil-new 1.0", "there is a model bno055 of imu already (hil)", "another name"),
+    ),
+    "two models of one name": (
+        changed("replace(THING, models=(ONE, ONE))"),
+        ("there is a model one of thing already (hil-new 1.0)",),
+    ),
+    "a model of another kind": (
+        changed("replace(THING, models=(BNO055,))"), ("the kind thing lists bno055, a model of imu",),
+    ),
+    "a kind without models": (changed("replace(THING, models=())"), ("'thing' with 0 models",)),
+    "a name that is none": (changed('replace(THING, name="a thing")'), ("'a thing' with 1 models",)),
+    "a table without its name": (
+        changed("replace(ONE, config=DeviceConfig, kind='imu')"), ("no key for its own name", "Literal"),
+    ),
+    "a table that is none": (
+        MODEL.replace("(DeviceConfig)", "(__import__('pydantic').BaseModel)") + "ITEM = THING\n",
+        ("the table of model one of thing is a Config", "DeviceConfig"),
+    ),
+    "a part of the bench file": (
+        changed('replace(THING, name="safety", models=(replace(ONE, kind="safety"),))'),
+        ("safety is the name of another part of the bench file", "another name"),
+    ),
+    "something that moves the robot": (
+        changed("replace(THING, actuates=True)"), ("thing says that it moves the robot", "actuates=False"),
+    ),
+    "samples without a stamp": (
+        changed("replace(THING, sample=int)"), ("samples of the kind thing", "stamp and status"),
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_package_that_cannot_be_used_is_named(case, package, bench, hil, tmp_path):
+    source, told = REFUSED[case]
+    bench("servos")
+    done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-new", source, "ITEM")])
+    assert done.code == 2, done.said
+    assert all(words in done.said for words in told), done.said
+    assert not (tmp_path / "opened").exists()
+
+
+def test_two_packages_with_one_kind_are_both_named(package, bench, hil):
+    bench()
+    folders = [package("hil-one", MODEL, "THING"), package("hil-two", MODEL, "THING")]
+    for command in COMMANDS:
+        done = hil(*command, packages=folders)
+        assert done.code == 2
+        assert "device package hil-two 1.0: the kind thing is there already (hil-one 1.0)" in done.said
+        assert "uninstall one of the two packages" in done.said
+
+
+def test_two_packages_with_one_model_are_both_named(package, bench, hil):
+    """Which of them adds the kind does not count: kinds come before models."""
+    bench()
+    folders = [package("hil-one", MODEL, "THING"), package("hil-aaa", MODEL, "ONE")]
+    done = hil("doctor", "--bench", "bench.toml", packages=folders)
+    assert done.code == 2
+    assert "hil-aaa 1.0: there is a model one of thing already (hil-one 1.0)" in done.said
+
+
+def test_info_names_what_is_wrong_beside_the_versions(package, hil):
+    folder = package("hil-new", "import no_such_library\n", "ITEM")
+    done = hil("info", packages=[folder])
+    assert done.code == 2
+    assert "numpy" in done.out
+    assert "no_such_library" in done.out
+    told = json.loads(hil("info", "--json", packages=[folder]).out)
+    assert told["devices"] == {}
+    assert "hil-new 1.0" in told["problem"]
+
+
+def test_info_lists_kinds_models_and_their_packages(package, hil):
+    told = json.loads(hil("info", "--json", packages=[package("hil-new", MODEL, "THING")]).out)
+    assert told["devices"]["thing"] == [{"model": "one", "title": "a thing", "package": "hil-new 1.0"}]
+    assert told["devices"]["imu"][0]["package"] == "hil"
+    assert "problem" not in told
+    done = hil("info", packages=[package("hil-more", MODEL, "THING")])
+    assert done.code == 0
+    assert "thing            one          a thing (hil-more 1.0)" in done.out
+
+
+def test_a_table_for_an_unknown_device_says_that_a_package_may_be_missing(bench, hil):
+    bench("thing", 'port = "/dev/ttyUSB7"\n\n[emulation.thing]\nx = 1.0')
+    for command in COMMANDS:
+        done = hil(*command)
+        assert done.code == 2
+        for key in ("thing", "emulation.thing"):
+            assert f"  {key}: unknown key; no device or table of that name" in done.said
+        assert done.said.count("install the package that adds it") == 2
+
+
+@pytest.mark.parametrize(("models", "told"), [("(ONE,)", "'one'"), ("(ONE, TWO)", "expected one or two")])
+def test_an_unknown_model_is_named_with_those_that_there_are(models, told, package, bench, hil):
+    two = (
+        'class Second(Config):\n    model: Literal["two"] = "two"\n\n\n'
+        'TWO = replace(ONE, name="two", config=Second)\n'
+    )
+    folder = package("hil-new", f"{MODEL}\n{two}\nITEM = replace(THING, models={models})\n", "ITEM")
+    bench(rest='model = "three"')
+    done = hil("doctor", "--bench", "bench.toml", packages=[folder])
+    assert done.code == 2
+    assert "thing" in done.said
+    assert "three" in done.said
+    assert told in done.said
+
+
+def test_a_model_that_cannot_be_emulated_is_named(package, bench, hil):
+    bench(rest='backend = "emulated"')
+    done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-new", MODEL, "THING")])
+    assert done.code == 2
+    assert "thing.model = 'one' cannot be emulated" in done.said
+
+
+def test_samples_that_cannot_be_recorded_are_named(package, monkeypatch, forget):
+    source = MODEL.replace("value: float", "value: complex")
+    monkeypatch.syspath_prepend(package("hil-new", source, "THING"))
+    forget()
+    with pytest.raises(ConfigError, match=r"samples of the kind thing \(hil-new 1\.0\) cannot be recorded"):
+        describe(added())
