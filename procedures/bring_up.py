@@ -65,9 +65,9 @@ class Parameters(BaseModel):
 
 
 def age_limit_ms(name: str, config: BenchConfig) -> float:
-    """How old a device's samples may be on arrival: what its way takes, and a cycle where they wait for one.
+    """How old a device's samples may be on arrival: its transport time, and one cycle where samples wait.
 
-    Encoder frames wait for the loop in a queue, and so does whatever was asked for a cycle ahead.
+    Encoder frames wait for the loop in a queue, and so do prefetched samples.
     """
     device = config.devices().get(name)
     waits = name == "encoders" or bool(getattr(device, "prefetch", False))
@@ -76,36 +76,36 @@ def age_limit_ms(name: str, config: BenchConfig) -> float:
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
     """One set per device, one per joint."""
-    yield Measurement(
-        "devices", "1", low=float(len(p.devices)), rationale="that opened and told who they are"
-    )
+    yield Measurement("devices", "1", low=float(len(p.devices)), rationale="opened and identified themselves")
     yield Measurement(
         "servos.failed_checks", "1", high=0.0, rationale="hardware errors and the like; see the table"
     )
     yield Measurement("servos.warnings", "1", rationale="firmware, delays, limits; see the table")
-    yield Measurement(
-        "servos.supply_lowest", "V", low=9.5, marginal=0.5, rationale="below, the servos switch off"
-    )
-    yield Measurement("servos.hottest", "degC", high=70.0, marginal=5.0, rationale="80 switches off")
+    yield Measurement("servos.supply_lowest", "V", low=9.5, marginal=0.5, rationale="servos switch off below")
+    yield Measurement("servos.hottest", "degC", high=70.0, marginal=5.0, rationale="servos switch off at 80")
     for name in p.devices:
         yield Measurement(f"{name}.rate", "Hz", rationale="usable samples")
         yield Measurement(
-            f"{name}.delivered", "1", low=kinds()[name].delivered, marginal=0.01, rationale="usable over due"
+            f"{name}.delivered",
+            "1",
+            low=kinds()[name].delivered,
+            marginal=0.01,
+            rationale="usable of expected",
         )
         yield Measurement(
             f"{name}.largest_gap",
             "ms",
             high=1e3 * kinds()[name].gap_s,
-            rationale="before estimate or supervisor suffer",
+            rationale="a longer one harms the estimate or makes the supervisor stop",
         )
         yield Measurement(
             f"{name}.age", "ms", low=0.0, high=age_limit_ms(name, config),
-            rationale="median, from measurement to arrival; a cycle more where samples wait for the loop",
+            rationale="median from measurement to arrival; one cycle more where samples wait for the loop",
         )  # fmt: skip
         if kinds()[name].own_clock:
             yield Measurement(
                 f"{name}.clock_drift", "ppm", low=-90.0, high=90.0, marginal=10.0,
-                rationale="device against bench clock, positive fast; drivers follow 100",
+                rationale="device clock against bench clock, positive is fast; drivers follow up to 100",
             )  # fmt: skip
             yield Measurement(f"{name}.clock_drift_uncertainty", "ppm", rationale="half of the 95 % interval")
     yield from _of_directions(p)
@@ -114,17 +114,17 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
 def _of_directions(p: Parameters) -> Iterator[Measurement]:
     for wheel in WHEELS:
         yield Measurement(
-            f"steer_{wheel}.servo_response", "1", low=0.9, high=1.1, rationale="turned over commanded"
+            f"steer_{wheel}.servo_response", "1", low=0.9, high=1.1, rationale="angle turned over commanded"
         )
         if "encoders" in p.devices:
             yield Measurement(
                 f"steer_{wheel}.encoder_response", "1", low=0.85, high=1.15, marginal=0.03,
-                rationale="play and an eccentric magnet cost 8 %; another axis or sign shows at once",
+                rationale="backlash and an eccentric magnet cost 8 %; a wrong axis or sign is far outside",
             )  # fmt: skip
         for way in ("straight", "across"):
             yield Measurement(
                 f"drive_{wheel}.{way}", "1", low=0.5, marginal=0.1,
-                rationale="cosine, push against expected push; -1 is reversed, near 0 another wheel",
+                rationale="cosine of push and expected push; -1: reversed, near 0: another wheel",
             )  # fmt: skip
     yield Measurement("steering.crosstalk", "1", high=0.1, rationale="turn of an axis that was not commanded")
     sensors = ["odometry"] + ["tracker"] * ("tracker" in p.devices and p.body != "tracker")
@@ -132,11 +132,16 @@ def _of_directions(p: Parameters) -> Iterator[Measurement]:
         for axis in ("x", "y", "heading"):
             yield Measurement(
                 f"{name}.{axis}_response", "1", low=0.7, high=1.3, marginal=0.05,
-                rationale=f"motion seen over that seen by {p.body}; slip costs some",
+                rationale=f"motion seen over motion seen by {p.body}; slip costs some",
             )  # fmt: skip
     if "imu" in p.devices:
         yield Measurement(
-            "imu.gyro_response", "1", low=0.9, high=1.1, marginal=0.03, rationale="turn over that of the body"
+            "imu.gyro_response",
+            "1",
+            low=0.9,
+            high=1.1,
+            marginal=0.03,
+            rationale="turn over the body's turn",
         )
 
 

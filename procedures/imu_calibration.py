@@ -60,7 +60,7 @@ class StoresOffsets(Protocol):
 def measurements(p: Parameters) -> Iterable[Measurement]:
     """Limits are the data sheet's where it has any (BST-BNO055-DS000, table 0-2)."""
     yield Measurement(
-        "gyro_level", "1", low=3.0, rationale="0 to 3, by the chip: it says that its gyro is calibrated"
+        "gyro_level", "1", low=3.0, rationale="the chip's own judgement of its gyro's calibration, 0 to 3"
     )
     for axis in "xyz":
         yield Measurement(
@@ -73,12 +73,12 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     )  # fmt: skip
     yield Measurement(
         "gyro_noise", "deg/s/√Hz", low=0.002, high=_NOISE_LIMIT, marginal=0.002,
-        rationale="data sheet 0.014 typical; next to none is a sensor that does not measure",
+        rationale="data sheet 0.014 typical; almost none means that the sensor does not measure",
     )  # fmt: skip
     yield Measurement("gyro_noise_uncertainty", "deg/s/√Hz", rationale="half of the 95 % interval")
     yield Measurement(
         "gyro_bias_instability", "deg/h", high=round(60.0 + white_floor_deg_h(p.rest_s), 1), marginal=10.0,
-        rationale="lowest point of the Allan deviation: 60, and what noise leaves after so short a rest",
+        rationale="lowest point of the Allan deviation: 60, plus what noise adds after so short a rest",
     )  # fmt: skip
     yield Measurement("accelerometer_noise", "mg/√Hz", high=0.6, marginal=0.1, rationale="0.15 typical")
     yield Measurement(
@@ -95,7 +95,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement("restored_bias", "deg/s", low=-0.1, high=0.1, marginal=0.02, rationale="as gyro_bias")
     yield Measurement(
         "corrected_heading", "deg", low=-0.3, high=0.3, marginal=0.05,
-        rationale="gravity minus motion capture with the corrected mount, chip started anew",
+        rationale="gravity minus motion capture with the corrected mount, after a restart of the chip",
     )  # fmt: skip
 
 

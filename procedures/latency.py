@@ -48,6 +48,7 @@ _TRUSTED_S = 0.0003
 _TRUSTED = Delay(0.0, _TRUSTED_S, 1.0, 0.0)
 _SLACK_RAD = math.radians(1.0)
 _LONGEST_LAG_S, _TRUNCATION_S = 0.12, 0.0003
+_HALF = "half of the 95 % interval"
 
 
 class Parameters(BaseModel):
@@ -99,29 +100,29 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         ("steering.command_to_motion", "by the servos' encoders; a step of position"),
     ):
         yield Measurement(name, "ms", low=5.0, high=150.0, marginal=20.0, rationale=why)
-        yield Measurement(f"{name}_uncertainty", "ms", high=2.0, rationale="half of the 95 % interval")
+        yield Measurement(f"{name}_uncertainty", "ms", high=2.0, rationale=_HALF)
     yield Measurement(
         "servos.velocity_lag", "ms", low=35.0, high=70.0, marginal=5.0,
         rationale="Present Velocity behind Present Position: 52 measured on the robot",
     )  # fmt: skip
-    yield Measurement("servos.velocity_lag_uncertainty", "ms", high=4.0, rationale="95 %")
+    yield Measurement("servos.velocity_lag_uncertainty", "ms", high=4.0, rationale=_HALF)
     for name in ("servos", "mocap", *p.devices):
         yield Measurement(
-            f"{name}.age", "ms", high=50.0, rationale="median, from measurement to arrival, stamps put right"
+            f"{name}.age", "ms", high=50.0, rationale="median from measurement to arrival, stamps corrected"
         )
-        yield Measurement(f"{name}.age_uncertainty", "ms", high=4.0, rationale="95 %")
+        yield Measurement(f"{name}.age_uncertainty", "ms", high=4.0, rationale=_HALF)
         yield Measurement(f"{name}.command_to_known", "ms", high=200.0, marginal=20.0,
-                          rationale="until the loop has it")  # fmt: skip
-        yield Measurement(f"{name}.command_to_known_uncertainty", "ms", high=4.0, rationale="95 %")
+                          rationale="from the command until the loop has the sample")  # fmt: skip
+        yield Measurement(f"{name}.command_to_known_uncertainty", "ms", high=4.0, rationale=_HALF)
     for name in p.devices:
         limit = _STAMP_LIMIT_MS[name]
         against = "the servos' steering" if name == "encoders" else "motion capture"
-        phase = "; half a period of its fusion either way" if name == "imu" else ""
+        phase = "; plus or minus half a period of its fusion" if name == "imu" else ""
         yield Measurement(
             f"{name}.stamp_error", "ms", low=-limit, high=limit, marginal=1.0,
             rationale=f"stamps later than the truth, against {against}{phase}",
         )  # fmt: skip
-        yield Measurement(f"{name}.stamp_error_uncertainty", "ms", high=4.0, rationale="95 %")
+        yield Measurement(f"{name}.stamp_error_uncertainty", "ms", high=4.0, rationale=_HALF)
     yield Measurement(
         "worst_misfit", "1", high=0.25, marginal=0.05, rationale="share of a signal that no delay explains"
     )

@@ -3,7 +3,7 @@
 A round is every motion several times, driven with the parameters found so far; the fit that follows
 takes all rounds together. Rounds go on while one is driven better than the best before it. A last round that
 nothing is fitted to, driven with the best parameters, decides whether the result may be used.
-`docs/procedures.md` tells how to run and read it.
+`docs/procedures.md` says how to run and read it.
 """
 
 from __future__ import annotations
@@ -99,7 +99,11 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         rationale="largest rise of the position RMSE from a round to a later one, beyond chance",
     )  # fmt: skip
     yield Measurement(
-        "rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds), rationale="own stop rule"
+        "rounds",
+        "1",
+        low=float(p.min_rounds),
+        high=float(p.max_rounds),
+        rationale="by its own stop rule",
     )
     yield Measurement("rejected_recordings", "1", high=0.1 * p.repetitions * len(p.motions),
                       rationale="recordings that contradict the others in the fit that was kept")  # fmt: skip

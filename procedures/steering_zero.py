@@ -69,11 +69,11 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     yield Measurement("common.by_motion_uncertainty", "deg", high=0.4, rationale="half of the 95 % interval")
     yield Measurement(
         "common.disagreement", "deg", low=-0.5, high=0.5, marginal=0.1,
-        rationale="motion minus encoders: else an encoder's zero, or the capture body's heading, is wrong",
+        rationale="motion minus encoders; outside, an encoder's zero or the capture body's heading is wrong",
     )  # fmt: skip
     yield Measurement(
         "turn_disagreement", "deg/m", low=-6.0, high=6.0, marginal=1.0,
-        rationale="largest, half of out minus back, toe taken off; radii unequal by 1 % make 2.5",
+        rationale="largest half difference of out and back, without toe; radii unequal by 1 % make 2.5",
     )  # fmt: skip
     yield Measurement(
         "applied.worst_heading", "deg", high=0.4, marginal=0.1,
@@ -182,13 +182,13 @@ def _draw_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
         at, seen = thin(fit.steering_rad * _DEG, fit.difference_rad * _DEG)
         axes.plot(at, seen, ".", color=SERIES[0], ms=2.5, alpha=0.6, label="samples" if k == 1 else None)
         at, fitted = thin(fit.steering_rad[order] * _DEG, fit.fitted_rad[order] * _DEG)
-        axes.plot(at, fitted, color=SERIES[1], lw=1.6, label="fit, without play" if k == 1 else None)
+        axes.plot(at, fitted, color=SERIES[1], lw=1.6, label="fit, without backlash" if k == 1 else None)
         axes.axhline(fit.offset_rad * _DEG, color=PALETTE["reference"], lw=1.0, ls="--",
                      label="offset" if k == 1 else None)  # fmt: skip
         legend(axes)
     ctx.figure(
         figure, "Encoder against servo",
-        "The two bands of samples are the play, by direction of turning; the bend is the magnet's.",
+        "The two bands of samples are the backlash, by direction of turning; the bend comes from the magnet.",
     )  # fmt: skip
 
 

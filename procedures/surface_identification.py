@@ -54,7 +54,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     for name, what in (("slip", "lines up and down"), ("sag", "lines to the left and right")):
         yield Measurement(
             f"{name}_per_metre", "mm/m", low=-5.0, high=150.0,
-            rationale=f"downhill, {what}; more than this is a wall that the robot cannot work on",
+            rationale=f"downhill, {what}; on a wall with more the robot cannot work",
         )  # fmt: skip
         yield Measurement(
             f"{name}_uncertainty", "mm/m", high=4.0, marginal=1.0,
@@ -64,7 +64,7 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
     yield Measurement("turning_per_metre_across", "deg/m", rationale="lines to the left and right")
     yield Measurement(
         "direction_difference", "mm/m", high=80.0,
-        rationale="between opposite directions: geometry, not slip; more says calibrate first",
+        rationale="opposite directions differ by geometry, not slip; beyond the limit calibrate first",
     )  # fmt: skip
     if p.hold:
         for side in ("left", "right"):

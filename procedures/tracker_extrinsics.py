@@ -64,7 +64,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     for axis in ("roll", "pitch", "yaw"):
         yield Measurement(
             f"{axis}_correction", "deg", low=-10.0, high=10.0, marginal=3.0,
-            rationale="beyond, the mount's axes are mixed up rather than off",
+            rationale="beyond, the mount's axes are swapped, not just misaligned",
         )  # fmt: skip
         yield Measurement(f"{axis}_uncertainty", "deg", high=1.0, rationale="half of the 95 % interval")
     yield Measurement(
@@ -73,7 +73,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         low=-40.0,
         high=40.0,
         marginal=10.0,
-        rationale="stamps minus truth, at the latency believed",
+        rationale="stamps minus truth, at the configured latency",
     )
     yield Measurement("late_uncertainty", "ms", high=4.0, rationale="half of the 95 % interval")
     yield Measurement(
@@ -82,7 +82,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         low=0.97,
         high=1.03,
         marginal=0.01,
-        rationale="way of the camera over true way; 0.5 % is usual",
+        rationale="distance by the camera over true distance; 0.5 % is usual",
     )
     yield Measurement("scale_uncertainty", "1", rationale="half of the 95 % interval")
     yield Measurement("residual_position", "mm", high=3.0, marginal=0.5, rationale="per half second and axis")
@@ -94,7 +94,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
         "before.position_rmse", "mm", rationale="camera against motion capture, mount as configured"
     )
     yield Measurement(
-        "applied.position_rmse", "mm", high=8.0, marginal=2.0, rationale="the same way with the result"
+        "applied.position_rmse", "mm", high=8.0, marginal=2.0, rationale="the same path with the result"
     )
 
 
@@ -230,7 +230,7 @@ def _table(ctx: Context, found: Extrinsics) -> None:
 
 
 def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
-    """Path of the camera by motion capture, and by itself laid over it."""
+    """Path of the camera by motion capture, and by the camera, aligned to it."""
     by_truth = camera_path(truth, seen.t_s - found.late_s, found)
     laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
     figure = new_figure(6.4, 4.2)
@@ -238,7 +238,7 @@ def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> N
     x, y = thin(*by_truth.T)
     axes.plot(y, x, color=PALETTE["truth"], lw=2.2, label="motion capture and mount found")
     x, y = thin(*laid.T)
-    axes.plot(y, x, color=SERIES[0], lw=1.2, label="camera, laid over it")
+    axes.plot(y, x, color=SERIES[0], lw=1.2, label="camera, aligned to it")
     axes.invert_xaxis()
     axes.set_aspect("equal", adjustable="datalim")
     legend(axes)

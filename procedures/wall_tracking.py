@@ -1,8 +1,8 @@
 """Lines and a scan on the wall with feedback from odometry, EKF and UKF: who corrects slip and sag?
 
 Every case starts from the same pose, in a world of the same seed. Truth is motion capture. The limits
-are those that the paper's experiments call for (arXiv 2509.04016). Limits on
-means hold for several seeds: in a single world the camera's scale, drawn once, decides such a figure.
+are those that the paper's experiments call for (arXiv 2509.04016). Limits on means hold for several seeds.
+In a single world such a figure is decided by the camera's scale, which is drawn once.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
-    """Limits for 1.5 m on melamine; what odometry must show scales with the way."""
+    """Limits for 1.5 m on melamine; what odometry must show scales with the distance."""
     several = p.seeds >= _SEEDS_FOR_MEANS
     for case in p.cases:
         for feedback in p.feedbacks:
@@ -110,15 +110,17 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 def _of_odometry(case: str, p: Parameters) -> Iterator[Measurement]:
     why = "odometry must fail as in the paper, or slip and sag are not being tested; mean over the seeds"
-    name, way = f"{case}.odometry", p.length_m / _REFERENCE_M
+    name, share = f"{case}.odometry", p.length_m / _REFERENCE_M
     if case == "scan":
         yield Measurement(f"{name}.rmse_worse_axis", "mm", low=50.0, rationale=why)
         return
     if case == "x_line":
-        yield Measurement(f"{name}.shortfall", "mm", low=30.0 * way, rationale=f"ends short; {why}")
+        yield Measurement(
+            f"{name}.shortfall", "mm", low=30.0 * share, rationale=f"ends short of its goal; {why}"
+        )
     else:
-        yield Measurement(f"{name}.sag", "mm", low=20.0 * way, rationale=f"hangs down; {why}")
-    yield Measurement(f"{name}.heading_drift", "deg", low=1.0 * way, rationale=why)
+        yield Measurement(f"{name}.sag", "mm", low=20.0 * share, rationale=f"ends below its goal; {why}")
+    yield Measurement(f"{name}.heading_drift", "deg", low=1.0 * share, rationale=why)
 
 
 def _mean(p: Parameters) -> str:
@@ -143,8 +145,8 @@ def _of_filter(case: str, feedback: str, p: Parameters) -> Iterator[Measurement]
     if "odometry" in p.feedbacks:
         yield Measurement(
             f"{name}.improvement", "1", low=6.0 if several and p.length_m >= 1.0 else None,
-            rationale="shortfall (X line) or sag (Y line) of odometry over the filter's; ending beyond the "
-            f"reference is none (see end); {mean}",
+            rationale="shortfall (X line) or sag (Y line) of odometry over the filter's; a robot beyond its "
+            f"goal has neither, see end; {mean}",
         )  # fmt: skip
 
 

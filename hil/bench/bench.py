@@ -168,7 +168,7 @@ class Bench(Blueprint):
         """Rest, and return the pose (3,) as `measured_pose` does.
 
         Raises:
-            ConfigError: nobody knows where the robot stands.
+            ConfigError: the start pose is unknown.
         """
         return self.measured_pose(self.observe(duration_s, feedback="odometry").mocap)
 
@@ -229,7 +229,7 @@ class Bench(Blueprint):
 
         Raises:
             TrajectoryError, SafetyStop, DeviceError: in each case the robot is stopped.
-            ConfigError: nobody knows where the robot stands.
+            ConfigError: the start pose is unknown.
         """
         self.check(trajectory)
         if start_pose is None:
@@ -327,8 +327,8 @@ class Bench(Blueprint):
         return self.config.environment.on_wall
 
     def unseen(self) -> Held:
-        """What can be said of a robot that nobody has looked at."""
-        return self._hold.unseen("nobody has looked")
+        """The state of a robot that has not been checked."""
+        return self._hold.unseen("the robot has not been checked")
 
     def look(self, limit_s: float = 0.5) -> Held:
         """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""

@@ -97,11 +97,11 @@ def command(
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
 
-    Every session is recorded, in a file of its own unless told otherwise.
+    Every session is recorded, in a new file unless --record names one; see --no-record.
     Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
-    that the robot is held; on the floor it is left as it is.
-    SIGINT, SIGTERM and SIGHUP stop the robot, look after it until it is held, print the summary and end
-    with exit code 4.
+    that the robot is held; on the floor the servos are left as they are.
+    SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
+    exit code 4.
     """
     from hil.bench import open_bench
     from hil.config.loading import load_bench
@@ -112,7 +112,7 @@ def command(
     if unrecorded and record is not None:
         raise UsageError("--record and --no-record contradict each other", remedy="give one of them")
     if repeated is not None and (source is not None or commands != "none"):
-        raise UsageError("--replay: a robot that repeats a recording obeys nobody", remedy="only watch it")
+        raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     if record is not None:
         check_file(record)
     overrides = start.start_override(start_pose)

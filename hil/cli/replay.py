@@ -71,7 +71,7 @@ def command(
     result: dict[str, Any] = {"recording": str(recording)}
     if verify:
         if page is not None or view is not None or estimators or calibration is not None:
-            raise UsageError("--verify goes without --estimator, --calibration, --page and --rerun")
+            raise UsageError("--verify cannot go with --estimator, --calibration, --page or --rerun")
         result |= _verified(opened, number)
     else:
         runs = list(opened.runs) if number is None else [opened.run(number)]

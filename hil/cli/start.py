@@ -44,10 +44,10 @@ def start_override(given: str | None) -> dict[str, object]:
 
 
 def asked_start(config: BenchConfig) -> dict[str, object]:
-    """The start pose as an override, asked for at the terminal where nobody knows it.
+    """The start pose as an override, asked for at the terminal where it is unknown.
 
     Raises:
-        ConfigError: nobody knows it, and there is no terminal.
+        ConfigError: it is unknown, and there is no terminal.
     """
     if sys.stdin.isatty() and not config.knows_start:
         question = f"{config.name}: where does the robot stand? ({_FORM})"

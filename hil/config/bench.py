@@ -89,10 +89,10 @@ class BenchConfig(Strict):
         return self.placed or (capture is not None and capture.backend == "real")
 
     def must_know_start(self) -> None:
-        """Refuse a real robot of which nobody knows where it stands; raises `ConfigError`."""
+        """Refuse a real robot whose start pose is unknown; raises `ConfigError`."""
         if not self.knows_start:
             raise ConfigError(
-                f"{self.name}: nobody knows where the robot stands: it is real and no motion capture sees it",
+                f"{self.name}: the start pose is unknown: the robot is real and no motion capture sees it",
                 expected="its start pose (x m, y m, theta rad in the wall frame)",
                 remedy="give --start x,y,theta (start_pose in Python), or write [environment] start_pose",
             )

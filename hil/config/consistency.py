@@ -101,7 +101,7 @@ def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
         told = f"for {servos.watchdog_s:g} s" if servos.watchdog_s else "for ever"
         yield (
             "servos.watchdog_s",
-            f"{servos.watchdog_s:g} on a wall: wheels that nobody talks to any more would turn on {told}; "
+            f"{servos.watchdog_s:g} on a wall: without commands the wheels would go on turning {told}; "
             f"it takes more than 0, at most {WALL_WATCHDOG_S:g}",
         )
     limit_rad = config.robot.hold_limit_rad()
@@ -109,7 +109,7 @@ def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
         yield (
             "safety.heading_limit_rad",
             f"{safety.heading_limit_rad:g} rad is beyond {limit_rad:.3g} rad, where the robot of [robot] "
-            "slides down a melamine wall; safety.tethered = true for a robot on a rope",
+            "slides down a melamine wall; safety.tethered = true for a robot on a tether",
         )
     if safety.adhesion_limit_m_s2 < _LEAST_ADHESION_M_S2:
         yield (

@@ -49,7 +49,7 @@ class EncodersConfig(DeviceConfig):
     zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     yellow_mode: bool = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
-    backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more play is broken")] = 0.01
+    backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more backlash is broken")] = 0.01
     startup_discard: int = Field(1, ge=0, le=1000)
     open_timeout_s: float = Field(1.0, gt=0, le=30)
     fail_after_s: Patience = 1.0

@@ -257,6 +257,6 @@ def check_scales(config: EstimatorConfig) -> None:
     if config.wheel_scale_sigma > 0 and config.tracker.scale_sigma > 0:
         raise ConfigError(
             f"estimator: wheel_scale_sigma = {config.wheel_scale_sigma:g} and tracker.scale_sigma = "
-            f"{config.tracker.scale_sigma:g} are both free, which no data can tell apart",
+            f"{config.tracker.scale_sigma:g} are both free, but no data can tell them apart",
             expected="one of them 0",
         )

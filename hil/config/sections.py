@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from hil.config.values import HeadingLimit, WheelRate, Within
 
-Silence = Annotated[float, Within(0.01, 10.0, "a robot that nobody hears from cannot be stopped in time")]
+Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
 Range = tuple[float, float]
 
 
@@ -42,7 +42,7 @@ class SafetyConfig(Strict):
         wheel_rate_limit_rad_s, steering_limit_rad: setpoints are clipped to these.
         heading_limit_rad: on a wall; beyond it the thrust no longer points up. At most the heading at which
             `[robot]` still holds on the most slippery surface known, unless `tethered`.
-        tethered: the robot hangs on a rope and cannot fall: for finding out at which heading it slides.
+        tethered: the robot is on a tether and cannot fall: for finding the heading at which it slides.
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
         adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.

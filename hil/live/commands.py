@@ -89,7 +89,7 @@ def command_token() -> str:
         raise UsageError(
             f"the token in {TOKEN_VARIABLE} cannot be used",
             expected=f"at least {_LEAST_TOKEN} ASCII characters without spaces",
-            remedy="leave the variable out, and a token is made and told",
+            remedy="unset the variable, and a token is made and printed",
         )
     return given
 

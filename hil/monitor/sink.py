@@ -213,7 +213,7 @@ class RerunMonitor(Sink):
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()
-            self.failure = "the viewer did not let go"
+            self.failure = "the viewer did not finish"
         self._thread.join(self._patience_s)
         self.dropped += sum(1 for record in self._waiting if isinstance(record, CycleRecord))
         try:

@@ -32,7 +32,7 @@ class Terminal(Operator):
         """Print the question and wait for a line."""
         if not sys.stdin.isatty():
             raise Aborted(
-                f"nobody is there to answer {question!r}", remedy="give --answers FILE to run unattended"
+                f"there is no operator to answer {question!r}", remedy="give --answers FILE to run unattended"
             )
         sys.stderr.write(f"{question} ")
         sys.stderr.flush()

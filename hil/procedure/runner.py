@@ -268,4 +268,8 @@ def _held(context: Context, source: BenchSource) -> dict[str, object]:
     if context.held is not None:
         return context.held.to_json()
     state = "NOT HELD" if source.config.environment.on_wall else "not needed"
-    return {"state": state, "moved_m": 0.0, "why": "the procedure opened no bench: nobody has looked"}
+    return {
+        "state": state,
+        "moved_m": 0.0,
+        "why": "no bench was opened: the robot has not been checked",
+    }

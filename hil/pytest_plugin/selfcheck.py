@@ -131,7 +131,7 @@ each_device = pytest.mark.parametrize("device", tuple(kinds()))
 def test_every_device_says_what_it_is(watched: Watch) -> None:
     """Identity of each configured device, as read when it was opened."""
     for device in watched.bench.config.devices():
-        assert watched.identity.get(device), f"{device} has not said what it is"
+        assert watched.identity.get(device), f"{device} has not identified itself"
 
 
 @each_device
@@ -169,7 +169,7 @@ def test_supply_and_temperature_are_safe(watched: Watch) -> None:
     """Voltage and temperature as the servos report them."""
     watched.samples("servos")
     health = [h for record in watched.motion.records for h in record.inputs.health]
-    assert health, "the servos have not told voltage and temperature"
+    assert health, "the servos have not reported voltage and temperature"
     volts = np.array([h.voltage_v for h in health])
     celsius = np.array([h.temperature_c for h in health])
     low_v, high_v = SUPPLY_V
@@ -210,7 +210,7 @@ def test_the_loop_keeps_its_rate(watched: Watch) -> None:
     """Hardly more cycles start late than in an idle loop; otherwise the bench's own work takes too long."""
     problem = too_late(watched.bench.statistics, watched.idle)
     if problem and worst_share(watched.idle) > BUSY_SHARE:
-        pytest.skip(f"this computer is too busy to tell: {problem}")
+        pytest.skip(f"this computer is too busy for this check: {problem}")
     assert not problem, problem
 
 

@@ -55,7 +55,7 @@ def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:
     if path is None:
         raise DataError(
             str(folder / RESULT), f"names a figure outside its folder ({figure['path']})",
-            remedy="ask whoever made the folder for one that holds its own figures",
+            remedy="ask for a results folder that holds its own figures",
         )  # fmt: skip
     return figure_image(path, figure["title"])
 

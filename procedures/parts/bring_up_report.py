@@ -70,7 +70,7 @@ def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
     legend(axes)
     ctx.figure(
         figure, "Clocks",
-        "Smallest delay per stretch of time; a line that falls is a device clock that is fast.",
+        "Smallest delay in each stretch of time. A falling line means that the device clock is fast.",
     )  # fmt: skip
 
 
@@ -100,8 +100,8 @@ def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
         axes.set_aspect("equal")
     ctx.figure(
         figure, "Directions of the drives",
-        "Grey: where rolling this wheel forwards should take the place it stands on. Colour: where it did "
-        "(red: elsewhere), with the cosine between them. Seen from outside, front up.",
+        "Grey: the direction in which this wheel should push the body when it rolls forwards. Colour: the "
+        "direction measured (red: wrong), with the cosine between both. Seen from outside, front up.",
     )  # fmt: skip
 
 

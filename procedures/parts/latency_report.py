@@ -72,5 +72,5 @@ def draw_signals(
     ctx.figure(
         figure,
         title,
-        "Every signal to one size, without offset and drift: what is left between them is time.",
+        "All signals scaled to one size, without offset and drift. The remaining shift is delay.",
     )

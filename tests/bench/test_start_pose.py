@@ -40,9 +40,9 @@ def test_where_the_robot_stands_is_known_or_not(blind):
 def test_a_drive_of_a_robot_that_may_be_anywhere_is_refused_before_anything_moves(blind):
     bench = hil.open_bench(blind)
     try:
-        with pytest.raises(ConfigError, match=r"blind: nobody knows where.*--start.*start_pose"):
+        with pytest.raises(ConfigError, match=r"blind: the start pose is unknown.*--start.*start_pose"):
             bench.drive(STRAIGHT)
-        with pytest.raises(ConfigError, match="nobody knows where"):
+        with pytest.raises(ConfigError, match="the start pose is unknown"):
             bench.measured_pose(np.zeros((3, 3)))
     finally:
         bench.close()
@@ -69,7 +69,7 @@ def test_the_command_line_refuses_without_a_terminal(blind, tmp_path, command, c
     monkeypatch.chdir(tmp_path)
     assert main([*command, "--bench", str(blind)]) == 2
     said = capsys.readouterr().err
-    assert "nobody knows where the robot stands" in said
+    assert "the start pose is unknown" in said
     assert "--start x,y,theta" in said
     assert not (tmp_path / "out").exists()
 

@@ -144,7 +144,7 @@ def test_a_run_that_is_aborted_ends_the_campaign_until_it_is_resumed(campaign, t
     common = ("--seeds", "0:3", "--set", "asks=1", "--workers", "0", "--out", "o")
     code, tree, said = campaign(*common)
     assert (code, tree) == (4, None)
-    assert "nobody is there to answer" in said
+    assert "there is no operator to answer" in said
     assert not (tmp_path / "o" / "runs" / "seed=2").exists()
     (tmp_path / "answers.txt").write_text("yes\n")
     code, tree, _ = campaign(*common, "--resume", "--answers", "answers.txt")
