@@ -67,7 +67,7 @@ class Signal:
     """One signal against the command.
 
     Attributes:
-        t_s, way: for a figure.
+        t_s, path: for a figure.
         delay: behind the command, by its stamps.
         age_s: median on arrival, by its stamps.
         stamp: how much later its stamps are than the truth; for the two that are the truth, what they are
@@ -75,7 +75,7 @@ class Signal:
     """
 
     t_s: Array
-    way: Array
+    path: Array
     delay: Delay
     age_s: float
     stamp: Delay = _TRUSTED
@@ -167,10 +167,10 @@ def turn(bench: Bench, p: Parameters) -> Motion:
     now = wheels(bench.observe(0.1, feedback="odometry")).values[-1, 8:12]
     play(bench, [Stretch(1.0, steering_rad=steering), Stretch(0.3)], pose, now)
     times = dwells(p, p.reversals)
-    ways = [1.0 if k % 2 == 0 else -1.0 for k in range(len(times))]
+    signs = [1.0 if k % 2 == 0 else -1.0 for k in range(len(times))]
     halved = [0.5 * times[0], *times[1:], 0.5 * times[-1]]
-    ways.append(-ways[-1])
-    script = [Stretch(d, w * rate) for d, w in zip(halved, ways, strict=True)]
+    signs.append(-signs[-1])
+    script = [Stretch(d, w * rate) for d, w in zip(halved, signs, strict=True)]
     return play(bench, [*script, Stretch(0.5)], pose, steering)
 
 
@@ -228,8 +228,8 @@ def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Comma
         data = encoders(motion, bench.config).since(0.0)
         whole = np.isfinite(data.values).all(axis=1)
         t_s, mean = data.t_s[whole], data.values[whole].mean(axis=1)
-        way = integrated(t_s, mean)
-        own = Signal(t_s, way, fit_delay(command, t_s, way), _age_s(data))
+        path = integrated(t_s, mean)
+        own = Signal(t_s, path, fit_delay(command, t_s, path), _age_s(data))
         stamp = fit_driven(
             rolled.t_s, driving, data.t_s, data.values,
             slack_rad=min(_SLACK_RAD, 0.5 * math.radians(p.steer_deg)),
@@ -239,8 +239,8 @@ def steering_signals(bench: Bench, motion: Motion, p: Parameters) -> tuple[Comma
     return command, found
 
 
-def _signal(command: Command, series: Series, way: Array) -> Signal:
-    return Signal(series.t_s, way, fit_delay(command, series.t_s, way), _age_s(series))
+def _signal(command: Command, series: Series, path: Array) -> Signal:
+    return Signal(series.t_s, path, fit_delay(command, series.t_s, path), _age_s(series))
 
 
 def _age_s(series: Series) -> float:
@@ -281,12 +281,12 @@ def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> N
     ctx.measure("worst_misfit", max(s.delay.misfit for s in every.values()))
     table(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
     draw_chain(ctx, {n: (s.delay, s.age_s) for n, s in every.items()})
-    shown = {n: (s.t_s, s.way, s.delay) for n, s in body.items()}
-    draw_signals(ctx, command.way, shown, "Turning to and fro", "heading (deg)", float(np.degrees(1.0)))
-    shown = {n: (s.t_s, s.way, s.delay) for n, s in axes.items()}
+    shown = {n: (s.t_s, s.path, s.delay) for n, s in body.items()}
+    draw_signals(ctx, command.path, shown, "Turning to and fro", "heading (deg)", float(np.degrees(1.0)))
+    shown = {n: (s.t_s, s.path, s.delay) for n, s in axes.items()}
     draw_signals(
         ctx,
-        axis_command.way,
+        axis_command.path,
         shown,
         "Steering to and fro",
         "sum of the angle (deg s)",

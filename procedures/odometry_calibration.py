@@ -51,7 +51,7 @@ _SIMILAR_MM = 0.5
 class Parameters(BaseModel):
     """How much to drive, how to fit, and when to stop.
 
-    `steering_play_rad` is the play of a steering gear to each side, which
+    `steering_play_rad` is the backlash of a steering gear to each side, which
     standard errors allow for. `install` names a calibration.toml that takes the result, as its next version,
     if validation passes.
     """

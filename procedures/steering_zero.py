@@ -88,8 +88,8 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 def leg(p: Parameters, start: Array, name: str, alpha_rad: float) -> Trajectory:
     """A straight leg along a body direction."""
     pose = np.asarray(start, dtype=np.float64)
-    way = rotation2(float(pose[2]) + alpha_rad) @ np.array([p.leg_m, 0.0])
-    return line(pose, pose + np.append(way, 0.0), speed_m_s=p.speed_m_s, name=name)
+    step_m = rotation2(float(pose[2]) + alpha_rad) @ np.array([p.leg_m, 0.0])
+    return line(pose, pose + np.append(step_m, 0.0), speed_m_s=p.speed_m_s, name=name)
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
@@ -192,16 +192,16 @@ def _draw_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
     )  # fmt: skip
 
 
-def drive_legs(ctx: Context, bench: Bench, ways: Sequence[tuple[str, float]], label: str) -> list[Leg]:
+def drive_legs(ctx: Context, bench: Bench, directions: Sequence[tuple[str, float]], label: str) -> list[Leg]:
     """Drive legs one after the other and judge each."""
     found = []
-    for number, (name, alpha) in enumerate(ways, start=1):
+    for number, (name, alpha) in enumerate(directions, start=1):
         pose = stand(bench)
         motion = bench.drive(
             leg(ctx.parameters, pose, name, alpha), feedback="odometry", hold_s=0.3, start_pose=pose
         )
         found.append(judge_leg(name, motion, bench.config))
-        ctx.progress(label, number, len(ways))
+        ctx.progress(label, number, len(directions))
     return found
 
 
@@ -230,7 +230,7 @@ def compare(ctx: Context, bench: Bench, fits: Sequence[AxisFit]) -> None:
          f"{toe * _DEG:+.3f}"]
         for f, toe in zip(found, toes, strict=True)
     ]  # fmt: skip
-    head = ["leg", "way (mm)", "direction (deg)", "turn (deg/m)", "turn by toe (deg/m)"]
+    head = ["leg", "distance (mm)", "direction (deg)", "turn (deg/m)", "turn by toe (deg/m)"]
     ctx.table(
         "Legs", head, rows,
         f"Direction of travel minus mean steering; the encoders say {by_encoders * _DEG:+.3f} deg.",

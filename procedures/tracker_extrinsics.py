@@ -1,6 +1,6 @@
 """Where the tracking camera sits on the body, and how late its poses really are.
 
-The robot turns and drives small ways while motion capture watches. Camera motion and body motion over
+The robot turns and drives small distances while motion capture watches. Camera motion and body motion over
 half-second intervals give mount, scale and time offset together (hand-eye calibration). The result is
 applied and driven again, and left as a fragment of `bench.toml`.
 """
@@ -99,7 +99,7 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
 
 
 def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
-    """Turns to both sides and ways along both axes, back at the start each time."""
+    """Turns to both sides and lines along both axes, back at the start each time."""
     turn = p.turn_deg / _DEG
     if config.environment.on_wall:
         turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
@@ -270,9 +270,9 @@ def disagreement_m(motions: list[Motion]) -> float:
         if len(truth) < 2 or len(seen) < 2:
             continue
         track = Truth(truth)
-        way, _ = track.steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
+        path, _ = track.steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
         own, _ = Truth(seen).steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
-        errors.append(np.sum((way - own) ** 2, axis=1))
+        errors.append(np.sum((path - own) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(errors)))) if errors else float("nan")
 
 

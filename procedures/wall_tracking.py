@@ -90,8 +90,8 @@ def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
     pose = np.asarray(start, dtype=np.float64)
     if case == "scan":
         return scan(pose, p.lane_length_m, p.lanes, p.lane_spacing_m, speed_m_s=p.scan_speed_m_s)
-    way = np.array([p.length_m, 0, 0]) if case == "x_line" else np.array([0, p.length_m, 0])
-    return line(pose, pose + way, duration_s=p.duration_s, name=case)
+    step_m = np.array([p.length_m, 0, 0]) if case == "x_line" else np.array([0, p.length_m, 0])
+    return line(pose, pose + step_m, duration_s=p.duration_s, name=case)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

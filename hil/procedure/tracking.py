@@ -93,15 +93,15 @@ def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
     What a line's reference does not move in is drawn in mm, enlarged.
     """
     first = next(iter(runs.values()))["reference"]
-    way = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
-    factor, unit = zip(*((1e3, "mm") if w < 0.05 else (1.0, "m") for w in way), strict=True)
+    extent = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
+    factor, unit = zip(*((1e3, "mm") if w < 0.05 else (1.0, "m") for w in extent), strict=True)
     figure = new_figure(6.4, 4.2)
     axes = style(figure.add_subplot(), f"Y, left ({unit[1]})", f"X, up the wall ({unit[0]})")
     for name, run in {"reference": {"truth": first}, **runs}.items():
         x, y = (np.array(run["truth"][k], dtype=np.float64) * factor[k] for k in range(2))
         axes.plot(y, x, color=_colour(name), ls=_DASHES.get(name, "-"), lw=1.5, label=LABELS.get(name, name))
     axes.invert_xaxis()
-    if min(way) > 0.05:
+    if min(extent) > 0.05:
         axes.set_aspect("equal", adjustable="datalim")
     legend(axes)
     return figure

@@ -1,12 +1,12 @@
 """How much later than a command a signal follows, from a whole motion of many small reversals.
 
-Everything is compared as a way: the command and rate signals are integrated, so that a joint's angle, a
+Everything is compared as a path: the command and rate signals are integrated, so that a joint's angle, a
 turn rate and a heading have the same shape, a rounded triangle, and the same lag of the motors in it.
 The response is taken for a dead time and a first-order lag; their sum is its mean delay (its first
 moment), which adds up along a chain. A lag that is left out of the model would leave corners that no
 delay explains, and which of them fall into gaps of a signal would then decide its delay.
 
-Two sensors of one steering axis are compared by their angles instead: play between them holds the second
+Two sensors of one steering axis are compared by their angles instead: backlash between them holds the second
 one back at every reversal, and only while the axis is driven does it say nothing about time.
 """
 
@@ -53,23 +53,23 @@ _NOTHING = Delay(math.nan, math.nan, math.nan, math.nan)
 
 
 class Command:
-    """The way that was commanded: what was sent when, held until the next.
+    """The path that was commanded: what was sent when, held until the next.
 
     Args:
         t_s: (n,) when each command was handed to the bus.
-        value: (n,) what it was; the way is its integral, of an angle as well as of a rate.
+        value: (n,) what it was; the path is its integral, of an angle as well as of a rate.
     """
 
     def __init__(self, t_s: Array, value: Array) -> None:
         self._t_s, self._value = t_s, value
         self._way = np.concatenate([[0.0], np.cumsum(value[:-1] * np.diff(t_s))])
 
-    def way(self, t_s: Array) -> Array:
-        """Commanded way at any time."""
+    def path(self, t_s: Array) -> Array:
+        """Commanded path at any time."""
         return np.asarray(np.interp(t_s, self._t_s, self._way), dtype=np.float64)
 
     def lagged(self, t_s: Array, lag_s: float) -> Array:
-        """Way of what follows the command with a first-order lag, from rest: the way less lag times rate."""
+        """Path of what follows the command with a first-order lag, from rest: the path minus lag times rate."""
         kept = np.exp(-np.diff(self._t_s) / lag_s).tolist()
         rate, rates = 0.0, [0.0]
         for value, share in zip(self._value[:-1].tolist(), kept, strict=True):
@@ -78,7 +78,7 @@ class Command:
         k = np.clip(np.searchsorted(self._t_s, t_s, side="right") - 1, 0, len(rates) - 1)
         since_s = np.maximum(t_s - self._t_s[k], 0.0)
         now = self._value[k] + (np.array(rates)[k] - self._value[k]) * np.exp(-since_s / lag_s)
-        return self.way(t_s) - lag_s * now
+        return self.path(t_s) - lag_s * now
 
 
 def sent_s(motion: Motion) -> Array:
@@ -98,13 +98,13 @@ def integrated(t_s: Array, rate: Array) -> Array:
     return np.concatenate([np.zeros(min(len(rate), 1)), np.cumsum(steps)])
 
 
-def fit_delay(command: Command, t_s: Array, way: Array) -> Delay:
-    """Delay of a way behind the commanded one; an offset and a steady drift of the signal do not matter.
+def fit_delay(command: Command, t_s: Array, path: Array) -> Delay:
+    """Delay of a path (n,) behind the commanded one; offset and steady drift of the signal do not matter.
 
     NaN where there are too few samples. The interval comes from leaving out each eighth of the motion.
     """
-    known = np.isfinite(way)
-    t, y = t_s[known], way[known]
+    known = np.isfinite(path)
+    t, y = t_s[known], path[known]
     if len(t) < 10 * _BLOCKS:
         return _NOTHING
     dead_s = _coarse(command, t, y) - _LIKELY_LAG_S
@@ -128,7 +128,7 @@ def _coarse(command: Command, t: Array, y: Array) -> float:
     delays = np.arange(_EARLIEST_S, _LATEST_S, 0.02)
     errors = []
     for delay_s in delays:
-        design = np.column_stack([command.way(t - delay_s), np.ones_like(t), t - t.mean()])
+        design = np.column_stack([command.path(t - delay_s), np.ones_like(t), t - t.mean()])
         errors.append(float(np.sum((y - design @ np.linalg.lstsq(design, y, rcond=None)[0]) ** 2)))
     return float(delays[np.argmin(errors)])
 
@@ -154,15 +154,15 @@ def _misfit(t: Array, y: Array, residual: Array) -> float:
     return float(np.sqrt(np.mean(residual**2))) / max(level, 1e-12)
 
 
-def fit_response(t_s: Array, way: Array, seen: Array, longest_s: float) -> Delay:
+def fit_response(t_s: Array, path: Array, seen: Array, longest_s: float) -> Delay:
     """Mean delay of a signal behind another one of the same samples, whatever the shape of the response.
 
     The response is fitted sample by sample up to its longest part; its first moment is the delay.
 
     Args:
         t_s: (n,) evenly spaced times, s.
-        way: (n,) way of the signal that is followed.
-        seen: (n,) way of the signal that follows.
+        path: (n,) path of the signal that is followed.
+        seen: (n,) path of the signal that follows.
         longest_s: longest part of the response.
     """
     period_s = float(np.median(np.diff(t_s))) if len(t_s) > 1 else math.inf
@@ -171,7 +171,7 @@ def fit_response(t_s: Array, way: Array, seen: Array, longest_s: float) -> Delay
     if late.sum() < 10 * _BLOCKS:
         return _NOTHING
     t, y = t_s[late], seen[late]
-    shifted = [np.interp(t - delay_s, t_s, way) for delay_s in delays]
+    shifted = [np.interp(t - delay_s, t_s, path) for delay_s in delays]
     design = np.column_stack([*shifted, np.ones_like(t), t - t.mean()])
     best = np.linalg.lstsq(design, y, rcond=None)[0]
     residual, response = y - design @ best, best[: len(delays)]
@@ -184,26 +184,26 @@ def fit_response(t_s: Array, way: Array, seen: Array, longest_s: float) -> Delay
 def fit_driven(
     t_s: Array, angle_rad: Array, seen_s: Array, seen_rad: Array, *, slack_rad: float, about_s: float
 ) -> Delay:
-    """Delay of the angles of axes behind the angles that drive them through some play.
+    """Delay of the angles of axes behind the angles that drive them through some backlash.
 
     Only stretches count in which an axis is turning and has turned by `slack_rad` since it last stood:
-    there play is an offset by direction, free like the gain. NaN where there are too few of them.
+    there backlash is an offset by direction, free like the gain. NaN where there are too few of them.
 
     Args:
         t_s: (n,) when the driving angles were taken, s.
         angle_rad: (n, 4) driving angles.
         seen_s: (m,) when the driven angles were taken, s.
         seen_rad: (m, 4) driven angles.
-        slack_rad: more than the play.
+        slack_rad: more than the backlash.
         about_s: delay to start from.
     """
     spline = CubicSpline(t_s, angle_rad)
-    way = _ways(t_s, angle_rad, spline(t_s, 1), slack_rad)
+    direction = _directions(t_s, angle_rad, spline(t_s, 1), slack_rad)
     found = Delay(about_s, math.nan, math.nan, math.nan)
     for _ in range(_ROUNDS):
         at = seen_s - found.delay_s
         k = np.clip(np.searchsorted(t_s, at) - 1, 0, len(t_s) - 2)
-        driven = np.where(way[k] == way[k + 1], way[k], 0)
+        driven = np.where(direction[k] == direction[k + 1], direction[k], 0)
         driven[(at < t_s[0]) | (at > t_s[-1])] = 0
         row, axis = np.nonzero((driven != 0) & np.isfinite(seen_rad))
         if len(row) < 10 * _BLOCKS:
@@ -226,13 +226,13 @@ def _later(t: Array, y: Array, design: Array, rate: Array, axis: npt.NDArray[np.
     return Delay(step_s, spread_s, float(best[:4].mean()), _misfit(t, y, residual))
 
 
-def _ways(t_s: Array, angle_rad: Array, rate_rad_s: Array, slack_rad: float) -> Array:
+def _directions(t_s: Array, angle_rad: Array, rate_rad_s: Array, slack_rad: float) -> Array:
     """(n, 4) direction in which each axis is driven: 1, -1, or 0 at rest and within the slack."""
-    way = np.where(np.abs(rate_rad_s) > _DRIVEN_RAD_S, np.sign(rate_rad_s), 0.0).astype(int)
-    for axis in range(way.shape[1]):
-        column, begin = way[:, axis], 0
+    direction = np.where(np.abs(rate_rad_s) > _DRIVEN_RAD_S, np.sign(rate_rad_s), 0.0).astype(int)
+    for axis in range(direction.shape[1]):
+        column, begin = direction[:, axis], 0
         for end in [*(np.flatnonzero(np.diff(column)) + 1), len(t_s)]:
             turned = np.abs(angle_rad[begin:end, axis] - angle_rad[begin, axis])
             column[begin:end][turned < slack_rad] = 0
             begin = end
-    return way
+    return direction

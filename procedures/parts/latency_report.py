@@ -60,10 +60,10 @@ def draw_signals(
     axes = style(figure.add_subplot(), "time (s)", label)
     t = np.linspace(0.0, _SHOWN_S, 600)
     axes.plot(t, factor * command(t), color=PALETTE["truth"], lw=1.8, label="command")
-    for colour, (name, (t_s, way, delay)) in zip(SERIES, signals.items(), strict=False):
+    for colour, (name, (t_s, path, delay)) in zip(SERIES, signals.items(), strict=False):
         if not np.isfinite(delay.gain) or abs(delay.gain) < 1e-6:
             continue
-        scaled = way / delay.gain
+        scaled = path / delay.gain
         trend = np.polyfit(t_s, scaled - command(t_s - delay.delay_s), 1)
         early = t_s < _SHOWN_S
         level = (scaled - np.polyval(trend, t_s))[early]

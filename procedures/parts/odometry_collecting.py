@@ -73,9 +73,9 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
     sense = 1.0 if name.endswith("_ccw") else -1.0
     limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
     if name.startswith("line"):
-        way = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
-        way = rotation2(float(pose[2])) @ way * (-1.0 if backwards else 1.0)
-        return line(pose, pose + np.append(way, 0.0), name=name, **limits)
+        step_m = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
+        step_m = rotation2(float(pose[2])) @ step_m * (-1.0 if backwards else 1.0)
+        return line(pose, pose + np.append(step_m, 0.0), name=name, **limits)
     if name.startswith("circle"):
         return circle(pose, sizes.radius_m, turns=sense * sizes.turns, name=name, **limits)
     turn = np.array([0.0, 0.0, sense * 2.0 * math.pi * sizes.turns])
@@ -108,7 +108,7 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
     """Turn every wheel to where a motion needs it, the last part always from the same side.
 
-    A wheel may stand anywhere in the play of its gear. Left to chance, an eighth of a degree between
+    A wheel may stand anywhere in the backlash of its gear. Left to chance, an eighth of a degree between
     front and rear turns the robot by degrees on a few metres, and differently in every round.
     """
     standing = bench.observe(_SETTLE_S, feedback="odometry", start_pose=pose).wheels[:, 4:]

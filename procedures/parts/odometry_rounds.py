@@ -74,7 +74,7 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
 def improve(ctx: Context, recordings: Sequence[Recording], setting: Setting, method: str) -> Calibration:
     """Fit the recordings of all rounds so far, with the prior at the robot as it is on paper.
 
-    Rounds were driven with different parameters and each stands elsewhere in the play of its gears;
+    Rounds were driven with different parameters and each stands elsewhere in the backlash of its gears;
     together they show more than the latest (`docs/decisions/0007`).
     """
     return calibrate(

@@ -1,6 +1,6 @@
 """Steering zeros: from encoder against servo over a sweep, and from the direction in which the body goes.
 
-Encoder minus servo is, per axis, the zero's error, half the play with the sign of the direction of
+Encoder minus servo is, per axis, the zero's error, half the backlash with the sign of the direction of
 turning, and once and twice per turn the error of an eccentric magnet (ams AS5045 datasheet).
 Over a sweep of some 200 degrees these can be told apart.
 
@@ -35,10 +35,10 @@ class AxisFit:
     Attributes:
         offset_rad: heading of the wheel minus steering angle as the bench believes it.
         uncertainty_rad: half of the 95 % interval.
-        backlash_rad: whole play.
+        backlash_rad: whole backlash.
         eccentricity_rad: amplitude once per turn.
         residual_rad: RMS of what is left.
-        steering_rad, difference_rad, fitted_rad: (n,) for a figure; `fitted` is without play.
+        steering_rad, difference_rad, fitted_rad: (n,) for a figure; `fitted` is without backlash.
     """
 
     offset_rad: float
@@ -52,7 +52,7 @@ class AxisFit:
 
 
 def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -> AxisFit:
-    """Zero, play and eccentricity from a sweep.
+    """Zero, backlash and eccentricity from a sweep.
 
     Args:
         t_s: (n,) of the encoder's samples.
@@ -63,10 +63,10 @@ def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -
     """
     rate = np.gradient(steering_rad, t_s)
     turning = np.abs(rate) > _TURNING_RAD_S
-    t, theta, way = t_s[turning], steering_rad[turning], np.sign(rate[turning])
+    t, theta, direction = t_s[turning], steering_rad[turning], np.sign(rate[turning])
     difference = wrap_array(encoder_rad[turning] - theta)
     design = np.column_stack(
-        [np.ones_like(theta), -way, np.sin(theta), np.cos(theta), np.sin(2 * theta), np.cos(2 * theta)]
+        [np.ones_like(theta), -direction, np.sin(theta), np.cos(theta), np.sin(2 * theta), np.cos(2 * theta)]
     )
     whole = _solve(design, difference)
     part = np.minimum(((t - t[0]) / (t[-1] - t[0]) * sweeps).astype(int), sweeps - 1)
@@ -81,7 +81,7 @@ def fit_axis(t_s: Array, steering_rad: Array, encoder_rad: Array, sweeps: int) -
 
 
 def _weights(rows: int) -> Array:
-    """Prior information on (zero, half play, magnet 1, 1, 2, 2), for unit noise of the samples' size."""
+    """Prior information on (zero, half backlash, magnet 1, 1, 2, 2), for unit noise of the samples' size."""
     noise_over_sigma = math.radians(0.1) / _MAGNET_SIGMA_RAD
     return np.diag([0.0, 0.0, *[noise_over_sigma**2] * 4]) * min(1.0, rows)
 
@@ -130,8 +130,8 @@ def judge_leg(name: str, motion: Motion, config: BenchConfig) -> Leg:
     y = float(share @ np.array(config.robot.wheel_y_m))
     went = moved.sum(axis=0) + turned * np.array([-y, x])
     angle = math.atan2(went[1], went[0]) - math.atan2(believed[1], believed[0])
-    way = float(np.hypot(*went))
-    return Leg(name, way, float(wrap_array(angle)), turned / way)
+    length_m = float(np.hypot(*went))
+    return Leg(name, length_m, float(wrap_array(angle)), turned / length_m)
 
 
 def toe_turn_rad_m(config: BenchConfig, offset_rad: Array, alpha_rad: float) -> float:

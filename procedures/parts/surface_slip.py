@@ -25,7 +25,7 @@ class Slip:
     Attributes:
         downhill_m, leftward_m: displacement beyond what the wheels rolled, wall axes (-X, +Y).
         turned_rad: heading beyond what the wheels turned it.
-        rolled_m: length of the way by the wheels.
+        rolled_m: distance by the wheels.
     """
 
     downhill_m: float
@@ -117,8 +117,8 @@ def held(motion: Motion) -> bool:
 def downhill(start: Array, way_m: float, direction: str) -> Array:
     """Goal (3,) of a line of `way_m` from `start`: `up`, `down`, `left` or `right` on the wall."""
     steps = {"up": (1.0, 0.0), "down": (-1.0, 0.0), "left": (0.0, 1.0), "right": (0.0, -1.0)}
-    way = rotation2(float(start[2])) @ (way_m * np.array(steps[direction]))
-    return np.asarray(start + np.append(way, 0.0), dtype=np.float64)
+    step_m = rotation2(float(start[2])) @ (way_m * np.array(steps[direction]))
+    return np.asarray(start + np.append(step_m, 0.0), dtype=np.float64)
 
 
 def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:

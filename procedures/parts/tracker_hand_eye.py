@@ -21,7 +21,7 @@ from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
 
 INTERVAL_S = 0.5
-_LOWEST_TURN_RAD, _LOWEST_WAY_M = 0.01, 0.005
+_LOWEST_TURN_RAD, _SHORTEST_STEP_M = 0.01, 0.005
 _FEWEST = 12
 _SCALES = np.array([0.01, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01])
 
@@ -53,7 +53,7 @@ class Extrinsics:
         position_m, position_uncertainty_m: (2,) x and y in the body.
         rotation_wxyz: camera (robot axes) in the body.
         angles_rad, angles_uncertainty_rad: (3,) roll, pitch, yaw of the correction to the mount believed.
-        scale, scale_uncertainty: of the camera's way over the true way.
+        scale, scale_uncertainty: of the camera's distance over the true distance.
         late_s, late_uncertainty_s: by how much the camera's stamps are later than the truth.
         position_rms_m, angle_rms_rad: what is left, per interval and axis.
         outliers: share of intervals beyond four sigma.
@@ -113,12 +113,12 @@ class Truth:
         return np.column_stack([c * dx + s * dy, c * dy - s * dx]), b[:, 2] - a[:, 2]
 
 
-def predict(z: Array, believed_wxyz: ArrayLike, way: Array, turn: Array) -> tuple[Array, Rotation]:
+def predict(z: Array, believed_wxyz: ArrayLike, step_m: Array, turn: Array) -> tuple[Array, Rotation]:
     """Camera motion (n, 3) and turn for parameters (x, y, rotation vector (3), scale - 1, lateness)."""
     mount = _mount(z, believed_wxyz)
     c, s = np.cos(turn) - 1.0, np.sin(turn)
     moved = np.column_stack(
-        [way[:, 0] + c * z[0] - s * z[1], way[:, 1] + s * z[0] + c * z[1], np.zeros(len(turn))]
+        [step_m[:, 0] + c * z[0] - s * z[1], step_m[:, 1] + s * z[0] + c * z[1], np.zeros(len(turn))]
     )
     about = Rotation.from_rotvec(np.column_stack([np.zeros((len(turn), 2)), turn]))
     return (1.0 + z[5]) * mount.inv().apply(moved), mount.inv() * about * mount
@@ -132,14 +132,14 @@ def _mount(z: Array, believed_wxyz: ArrayLike) -> Rotation:
 def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: ArrayLike) -> Extrinsics:
     """Least squares over all intervals in which something moved.
 
-    Position and angle count by their own scatter, found on the way; single jumps count little.
+    Position and angle count by their own scatter, found along with the rest; single jumps count little.
 
     Raises:
         DataError: the camera was not tracking, or hardly moved.
     """
     x, y, _ = np.asarray(believed_m, dtype=np.float64)
-    way, turn = truth.steps(parts.begin_s, parts.end_s)
-    used = (np.abs(turn) > _LOWEST_TURN_RAD) | (np.hypot(*way.T) > _LOWEST_WAY_M)
+    step_m, turn = truth.steps(parts.begin_s, parts.end_s)
+    used = (np.abs(turn) > _LOWEST_TURN_RAD) | (np.hypot(*step_m.T) > _SHORTEST_STEP_M)
     if used.sum() < _FEWEST:
         raise DataError(
             "tracker", f"{int(used.sum())} usable intervals of {INTERVAL_S} s with motion",

@@ -67,7 +67,7 @@ def test_a_shifted_way_gives_its_shift(delay):
     rate = np.where(np.sin(7.0 * t + np.sin(t)) > 0, 1.0, -1.0)
     command = Command(t, rate)
     seen = np.arange(0.5, 11.5, 0.005)
-    found = fit_delay(command, seen, 0.7 * command.way(seen - delay) + 0.3 + 0.01 * seen)
+    found = fit_delay(command, seen, 0.7 * command.path(seen - delay) + 0.3 + 0.01 * seen)
     assert found.delay_s == pytest.approx(delay, abs=1e-5)
     assert found.gain == pytest.approx(0.7, abs=1e-4)
     assert found.misfit < 1e-3
