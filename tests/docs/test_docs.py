@@ -1,5 +1,6 @@
 """What README and guides print works as printed: links, commands, and every example."""
 
+import importlib
 import re
 import subprocess
 import sys
@@ -93,3 +94,63 @@ def test_no_text_cites_a_file_that_the_project_does_not_have():
         ]
         missing += [f"{path.relative_to(ROOT)}: ../" for _ in re.findall(r"\.\./shared\b", path.read_text())]
     assert missing == []
+
+
+NAME = re.compile(r"(?<![\w./-])hil(?:\.[A-Za-z_]\w*)+")
+PLACE = re.compile(r"(?<![\w/.<-])(?:hil|tests|benchmarks|procedures)/[\w/.-]*\w")
+NAMES_OF_BEFORE = {"hil.signals"}
+"""What a decision on moving it has to call by its old name."""
+
+
+def is_there(dotted):
+    """Whether a dotted name is a module, or something in one."""
+    parts = dotted.split(".")
+    for cut in range(len(parts), 0, -1):
+        try:
+            found = importlib.import_module(".".join(parts[:cut]))
+        except ModuleNotFoundError:
+            continue
+        for name in parts[cut:]:
+            found = getattr(found, name, None)
+        return found is not None
+    return False
+
+
+def test_every_module_that_a_text_names_is_where_it_says():
+    """Pages and docstrings: a module that moved is named by its new place everywhere."""
+    sources = [*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py")]
+    named = {
+        (name, str(path.relative_to(ROOT)))
+        for path in [*PAGES, *(ROOT / "docs" / "decisions").glob("*.md"), *sources]
+        for name in NAME.findall(path.read_text(encoding="utf-8"))
+    }
+    assert len(named) > 100
+    known = {name: is_there(name) for name in {name for name, _ in named} - NAMES_OF_BEFORE}
+    assert sorted((path, name) for name, path in named if not known.get(name, True)) == []
+
+
+def test_every_folder_that_a_page_names_is_there():
+    missing = []
+    for page in [*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")]:
+        bases = (ROOT, ROOT / "docs" / "ci-template", page.parent)
+        for name in set(PLACE.findall(page.read_text(encoding="utf-8"))):
+            if "my_" not in name and not any((base / name).exists() for base in bases):
+                missing.append(f"{page.relative_to(ROOT)}: {name}")
+    assert missing == []
+
+
+def test_the_glossary_is_sorted_and_linked():
+    """A reader finds a term by its letter, and the page from README and where NEES first occurs."""
+    text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
+    letter, wrong, terms = "", [], []
+    for line in text.splitlines():
+        if line.startswith("## "):
+            letter = line[3:]
+        elif found := re.match(r"\*\*(.+?)\*\*: ", line):
+            terms.append(found[1].casefold())
+            wrong += [found[1]] if not (found[1][0].upper() == letter or found[1][0].isdigit()) else []
+    assert wrong == []
+    assert terms == sorted(terms)
+    assert "docs/glossary.md" in README
+    first = (ROOT / "docs" / "estimation.md").read_text(encoding="utf-8")
+    assert "glossary.md" in first[: first.index("NEES") + 120]
