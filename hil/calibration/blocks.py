@@ -60,7 +60,13 @@ class Blocks:
 
 
 def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: str = "position") -> Blocks:
-    """Sum wheel increments to blocks of `block_s` seconds."""
+    """Sum wheel increments to blocks of `block_s` seconds.
+
+    Args:
+        recordings: to reduce.
+        block_s: length of a block, s.
+        signal: `position` or `velocity`: which wheel signal is summed.
+    """
     rows = [_reduce(r, block_s, signal) for r in recordings]
     counts = np.array([len(w) for w, _, _ in rows])
     n = int(counts.max())

@@ -80,7 +80,13 @@ def extrapolating(found: Fit) -> list[str]:
 
 
 def beyond_driven(blocks: Blocks, nominal: WheelGeometry, known: Driven) -> list[str]:
-    """Motions of other recordings that go where a calibration's own, which drove `known`, did not."""
+    """Motions of other recordings that go where a calibration's own, which drove `known`, did not.
+
+    Args:
+        blocks: of the other recordings.
+        nominal: geometry by which their motion is judged.
+        known: what the calibration's recordings drove.
+    """
     return [
         f"{motion} drives {' and '.join(names)}, which no recording of the calibration did: it extrapolates; "
         f"calibrate again with {' and '.join(RECORD[n] for n in names)}"

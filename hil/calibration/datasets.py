@@ -163,12 +163,12 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
 
 
 def credible(values: Array) -> Array:
-    """Numbers of a file; NaN for what no quantity here can be, in whatever unit, and no sum can hold."""
+    """Numbers of a file, shape as given; NaN for what no quantity can be in any unit, and no sum can hold."""
     return np.where(np.abs(values) < _CREDIBLE, values, np.nan)
 
 
 def increasing(t_s: Array) -> Array:
-    """Stamps made strictly increasing by pushing each at least 1 us past its predecessor."""
+    """Stamps (n,), s, made strictly increasing by pushing each at least 1 us past its predecessor."""
     step = np.arange(len(t_s)) * _MIN_STEP_S
     return np.asarray(np.maximum.accumulate(t_s - step) + step, dtype=np.float64)
 

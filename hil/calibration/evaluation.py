@@ -52,7 +52,13 @@ class Track:
 
 
 def interpolate(at_s: Array, t_s: Array, values: Array) -> Array:
-    """Columns of `values` (n, k) linearly interpolated at `at_s`."""
+    """Columns of `values` linearly interpolated, (m, k).
+
+    Args:
+        at_s: (m,) instants wanted, s.
+        t_s: (n,) times of the rows, s.
+        values: (n, k).
+    """
     return np.column_stack([np.interp(at_s, t_s, column) for column in values.T])
 
 
@@ -68,6 +74,11 @@ def rest_pose(recording: Recording) -> Array:
 
 def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, Array]:
     """Wheel rotation (n - 1, 4) rad and mean steering angle (n - 1, 4) rad between the instants `at_s`.
+
+    Args:
+        recording: with wheel and steering angles.
+        at_s: (n,) instants, s.
+        signal: `position` or `velocity`.
 
     Raises:
         DataError: the velocity register is asked for and was not recorded.
@@ -121,7 +132,7 @@ def track(
 
 
 def block_edges(at_s: Array, block_s: float) -> Array:
-    """Edges of blocks of `block_s` from the first instant to just past the last."""
+    """Edges (b + 1,), s, of blocks of `block_s` from the first instant to just past the last."""
     count = int(np.ceil((at_s[-1] - at_s[0]) / block_s))
     return np.asarray(at_s[0] + np.arange(count + 1) * block_s, dtype=np.float64)
 
@@ -130,6 +141,11 @@ def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
     """Wheel vectors dphi_i (cos d_i, sin d_i) summed between edges, shape (n, 8), rad.
 
     Increments are formed every 16 ms, the rate of the log, so that steering may change within a block.
+
+    Args:
+        recording: with wheel and steering angles.
+        edges_s: (n + 1,) edges of the blocks, s.
+        signal: `position` or `velocity`.
     """
     fine = max(1, round(float(np.median(np.diff(edges_s))) / _LOG_PERIOD_S))
     parts = np.linspace(0.0, 1.0, fine + 1)[:-1]
@@ -152,7 +168,14 @@ def rolled(z: Array, wheel_rad: Array) -> Array:
 
 
 def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
-    """Poses (n, 3) at any instants on a path of constant body twist between its edges."""
+    """Poses (n, 3) at any instants on a path of constant body twist between its edges.
+
+    Args:
+        at_s: (n,) instants, s.
+        edges_s: (b + 1,) edges of the blocks, s.
+        poses: (b or more, 3) at the edges, wall frame.
+        motion: (b, 3) body displacement in each block.
+    """
     k = np.clip(np.searchsorted(edges_s, at_s, side="right") - 1, 0, len(motion) - 1)
     share = ((at_s - edges_s[k]) / (edges_s[k + 1] - edges_s[k]))[:, None]
     part = motion[k] * share

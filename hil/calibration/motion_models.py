@@ -52,11 +52,11 @@ class LinearModel(MotionModel):
         self.name, self._q = name, wheel_rad
 
     def motion(self, z: Array) -> Array:
-        """One product with the 3x8 matrix M(z)."""
+        """Body displacement (n, 3) by one product with the 3x8 matrix M(z)."""
         return np.asarray(self._q @ linear_matrix(z, self.name).T, dtype=np.float64)
 
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Product rule over F(x, y), r and the steering zeros."""
+        """Motion (n, 3) and its derivative (n, 3, m): product rule over F(x, y), r and the steering zeros."""
         u = rolled(z, self._q)
         f = forward_matrix(z[0:4], z[4:8], self.name)
         df = forward_matrix_derivative(z[0:4], z[4:8], self.name)
@@ -76,17 +76,23 @@ def linear_matrix(z: Array, model: str = "exact") -> Array:
 
 
 class CreepModel(MotionModel):
-    """Creep forces in balance; loads and tyres are given, not fitted."""
+    """Creep forces in balance; loads and tyres are given, not fitted.
+
+    Args:
+        wheel_rad: (n, 8) wheel vectors of the blocks, rad.
+        load: (4,) relative normal loads.
+        ratio: sideways over lengthwise creep stiffness.
+    """
 
     def __init__(self, wheel_rad: Array, load: Array, ratio: float) -> None:
         self._q, self._load, self._ratio = wheel_rad, load, ratio
 
     def motion(self, z: Array) -> Array:
-        """Weighted least squares, each block with its own weights."""
+        """Body displacement (n, 3) by weighted least squares, each block with its own weights."""
         return creep_motion(projection(z[0:4], z[4:8]), rolled(z, self._q), self._load, self._ratio)
 
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Implicit derivative of the balance sum_i P_i' W_i e_i = 0.
+        """Motion (n, 3) and its derivative (n, 3, m), implicit from the balance sum_i P_i' W_i e_i = 0.
 
         W follows the wheel: it turns with the zero and weakens with the way rolled, as the radius grows.
         """
@@ -114,7 +120,7 @@ class DryFrictionModel(MotionModel):
         self._last: tuple[Array, Array] | None = None
 
     def motion(self, z: Array) -> Array:
-        """Newton from the last solution when it is near, the full continuation otherwise."""
+        """Body displacement (n, 3) by Newton from a near last solution, else the full continuation."""
         out = np.zeros((len(self._q), 3))
         out[self._moving] = self._solve(z)[0]
         return out

@@ -75,6 +75,11 @@ SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 class Problem:
     """Weighted residuals of z over blocks of recordings, with prior rows appended.
 
+    Args:
+        blocks: of the recordings.
+        setting: forward model, signal, priors or bounds.
+        nominal: geometry to start from.
+
     Attributes:
         nominal: (m,) start and prior mean; `prior_std` (m,).
         sizes: (m,) what relative figures of a parameter refer to, see `sizes`.
@@ -196,7 +201,7 @@ class Problem:
         return np.asarray(1.0 / (1.0 + (rms / np.maximum(_CAUCHY * typical, 1e-12)) ** 2), dtype=np.float64)
 
     def clip(self, z: Array) -> Array:
-        """Parameters moved into the box."""
+        """Parameters (m,) moved into the box."""
         return np.asarray(np.clip(z, self.lower, self.upper), dtype=np.float64)
 
 
@@ -231,7 +236,14 @@ def _integrate_all(start: Array, motion: Array) -> Array:
 def make_setting(
     name: str, *, model: str | None = None, signal: str | None = None, bounds: float | None = None
 ) -> Setting:
-    """A named setting, with the parts that a user overrides."""
+    """A named setting, with the parts that a user overrides.
+
+    Args:
+        name: `recommended` or `paper`.
+        model: forward model instead of the setting's.
+        signal: wheel signal instead of the setting's.
+        bounds: half width of the box, relative to the parameters' sizes, instead of priors.
+    """
     base = SETTINGS[name]
     if model is not None:
         block_s = 0.1 if model in ("exact", "paper") else RECOMMENDED.block_s

@@ -76,7 +76,13 @@ def solve(
 
 
 def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> Solution:
-    """Levenberg-Marquardt whose damped steps are solved within the box (More 1978; Kanzow et al. 2004)."""
+    """Levenberg-Marquardt whose damped steps are solved within the box (More 1978; Kanzow et al. 2004).
+
+    Args:
+        problem: to solve.
+        z0: (m,) start.
+        limit: of iterations.
+    """
     z, damping = problem.clip(z0), 1e-3
     value, gradient, hessian = problem.gradient_terms(z)
     history, iterations, converged = [value], 0, False
@@ -126,7 +132,13 @@ def _box_step(
 
 
 def interior_point(problem: Problem, z0: Array, limit: int = 80) -> Solution:
-    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19)."""
+    """Primal-dual interior point with the Gauss-Newton matrix (Nocedal and Wright, chapter 19).
+
+    Args:
+        problem: to solve.
+        z0: (m,) start.
+        limit: of iterations.
+    """
     lower, upper = problem.lower, problem.upper
     span = upper - lower
     z = np.clip(z0, lower + 1e-3 * span, upper - 1e-3 * span)
@@ -225,7 +237,19 @@ def genetic(
     objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
     progress: Progress | None = None, population: int = 40, generations: int = 36,
 ) -> tuple[Array, int]:  # fmt: skip
-    """Real-coded genetic algorithm: tournament, blend crossover, shrinking Gaussian mutation, elite."""
+    """Real-coded genetic algorithm: tournament, blend crossover, shrinking Gaussian mutation, elite.
+
+    Args:
+        objective: value of a point (d,), in prior standard deviations.
+        dimension: d.
+        rng: source of all randomness.
+        progress: told after each generation.
+        population: how many.
+        generations: how many.
+
+    Returns:
+        The best point (d,) and the count of generations.
+    """
     people = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (population, dimension))
     people[0] = 0.0
     cost = np.array([objective(p) for p in people])
@@ -252,7 +276,19 @@ def particle_swarm(
     objective: Callable[[Array], float], dimension: int, rng: np.random.Generator,
     progress: Progress | None = None, particles: int = 30, generations: int = 48,
 ) -> tuple[Array, int]:  # fmt: skip
-    """Particle swarm with constriction (Clerc and Kennedy 2002): inertia 0.7298, pulls 1.49618."""
+    """Particle swarm with constriction (Clerc and Kennedy 2002): inertia 0.7298, pulls 1.49618.
+
+    Args:
+        objective: value of a point (d,), in prior standard deviations.
+        dimension: d.
+        rng: source of all randomness.
+        progress: told after each generation.
+        particles: how many.
+        generations: how many.
+
+    Returns:
+        The best point (d,) and the count of generations.
+    """
     place = rng.uniform(-_SEARCH_STD, _SEARCH_STD, (particles, dimension))
     place[0] = 0.0
     speed = rng.uniform(-1.0, 1.0, (particles, dimension))

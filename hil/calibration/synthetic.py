@@ -249,6 +249,15 @@ def make_set(
     """Recordings `MOTION_k` of several repetitions; a share of them with three slip bursts.
 
     `corrupted` names the one recording that is spoiled; `run_to_run` is that of `simulate`.
+
+    Args:
+        robot: with hidden true parameters.
+        seed: of everything that differs between recordings.
+        motions: names of the motions.
+        repetitions: of each motion.
+        run_to_run: as for `simulate`.
+        slip_share: share of recordings with slip bursts.
+        corrupted: name of the one recording that is spoiled.
     """
     out = []
     for number, motion in enumerate(motions):

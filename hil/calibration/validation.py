@@ -70,7 +70,14 @@ def score(
     setting: Setting,
     correction: Array | None = None,
 ) -> Table:
-    """Errors by motion of one geometry, or of a twist correction (3, 3) on top of it."""
+    """Errors by motion of one geometry, or of a twist correction (3, 3) on top of it.
+
+    Args:
+        recordings: to judge by.
+        geometry: of the wheels.
+        setting: forward model and signal.
+        correction: (3, 3) of the body twist, applied after the geometry.
+    """
     tracks: dict[str, list[Track]] = {}
     for recording in recordings:
         tracks.setdefault(recording.motion, []).append(
@@ -91,7 +98,15 @@ def deployed(
     recordings: Sequence[Recording], geometry: WheelGeometry, nominal: WheelGeometry, correction: Array,
     setting: Setting,
 ) -> Deployed:  # fmt: skip
-    """Score both ways to apply a calibration: `geometry`, or `correction` (3, 3) of nominal odometry."""
+    """Score both ways to apply a calibration: `geometry`, or `correction` (3, 3) of nominal odometry.
+
+    Args:
+        recordings: to judge by.
+        geometry: fitted.
+        nominal: geometry that the correction is made for.
+        correction: (3, 3) of the body twist.
+        setting: forward model and signal.
+    """
     return Deployed(
         score(recordings, geometry, setting),
         score(recordings, nominal, replace(setting, model="exact"), correction),

@@ -141,7 +141,16 @@ def shelve(
     path: Path, result: Calibration, *, created: str, software: dict[str, str], verdict: str,
     config: BenchConfig,
 ) -> KeptVersion:  # fmt: skip
-    """Put a calibration beside `path`, and in place if its validation passed."""
+    """Put a calibration beside `path`, and in place if its validation passed.
+
+    Args:
+        path: the calibration in use, `calibration.toml`.
+        result: to keep.
+        created: date and time, ISO 8601.
+        software: package name to version.
+        verdict: of its validation run.
+        config: bench that it was made on.
+    """
     shelf = Shelf(path)
     kept = shelf.add(
         calibration_file(
@@ -169,6 +178,11 @@ def made_for(config: BenchConfig) -> MadeFor | None:
 
 def check_made_for(file: CalibrationFile, config: BenchConfig, path: str) -> None:
     """Refuse a calibration of another robot.
+
+    Args:
+        file: the calibration.
+        config: bench that wants to use it.
+        path: where it lies, for the message.
 
     Raises:
         ConfigError: nominal geometry or servos differ from the bench's, with everything that differs.

@@ -41,6 +41,12 @@ def optimize(
     """Speed and the equivalent angle nearest to the measured one, within the steering range.
 
     Never asks for a turn of more than a quarter plus the hysteresis unless the range forces it.
+
+    Args:
+        speed: of the wheel, signed, m/s.
+        angle_rad: steering angle wanted.
+        measured_rad: steering angle now.
+        limits: of the module.
     """
     near = measured_rad + wrap(angle_rad - measured_rad)
     if abs(near - measured_rad) > _QUARTER_RAD + limits.flip_hysteresis_rad:
@@ -63,6 +69,11 @@ def _clipped(values: Array, limit: float) -> Array:
 
 class ModuleLayer:
     """Keeps each module's held angle between calls.
+
+    Args:
+        geometry: of the wheels.
+        limits: of the modules.
+        dt_s: period of the loop, s.
 
     Attributes:
         following: whether the latest twist is what the wheels were told to do: not held, limited or slowed.

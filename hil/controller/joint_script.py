@@ -114,5 +114,11 @@ class ScriptedController(Controller):
         """Nothing is remembered."""
 
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
-        """What the script says for the reference's time."""
+        """What the script says for the reference's time.
+
+        Args:
+            state: not used.
+            reference: its time says where the script is.
+            wheels: not used.
+        """
         return self._script.setpoint(reference.t_s)

@@ -62,7 +62,7 @@ class NonlinearLaw(Law):
         """No state to forget."""
 
     def twist(self, error: Array, reference: Reference) -> Array:
-        """Feed-forward plus proportional correction."""
+        """Body twist (3,): feed-forward plus proportional correction."""
         return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
 
     def learn(self, error: Array) -> None:
@@ -73,6 +73,11 @@ def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Arr
     """Discrete A (9, 9) and B (9, 3) of z = (e, integral of e, lagged correction), input: correction.
 
     e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential.
+
+    Args:
+        omega_rad_s: turn rate of the reference, rad/s.
+        dt_s: period of the loop, s.
+        lag_s: time constant of the drives, s.
     """
     from scipy.linalg import expm
 
@@ -87,9 +92,14 @@ def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Arr
 
 
 def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_cost: Array) -> list[Array]:
-    """Finite-horizon time-varying LQR gains K_k, u = -K_k z, by the backward recursion from S_N = Q.
+    """Finite-horizon time-varying LQR gains K_k (3, k), u = -K_k z, by the backward recursion from S_N = Q.
 
     K_k = (R + B'S B)^-1 B'S A; S <- Q + A'S (A - B K_k).
+
+    Args:
+        models: A (k, k) and B (k, 3) of each step.
+        state_cost: Q, (k, k).
+        input_cost: R, (3, 3).
     """
     s = state_cost.copy()
     gains: list[Array] = []
@@ -146,7 +156,7 @@ class OptimalLaw(Law):
         self._integral, self._lagged = np.zeros(3), np.zeros(3)
 
     def twist(self, error: Array, reference: Reference) -> Array:
-        """Feed-forward plus optimal correction."""
+        """Body twist (3,): feed-forward plus optimal correction."""
         k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
         z = np.concatenate([error, self._integral, self._lagged])
         correction = -self._gains[k] @ z

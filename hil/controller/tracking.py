@@ -18,7 +18,14 @@ from hil.vocabulary.signals import Reference, RobotState, WheelMeasurement, Whee
 
 
 class TrackingController(Controller):
-    """Follows a reference; at the goal it holds, lest the modules be set against each other."""
+    """Follows a reference; at the goal it holds, lest the modules be set against each other.
+
+    Args:
+        law: from error to twist.
+        modules: from twist to wheels.
+        dead_zone: (3,) errors that count as none, m, m, rad.
+        goal_position_m, goal_heading_rad: errors within which the goal is reached.
+    """
 
     def __init__(
         self,
@@ -40,6 +47,11 @@ class TrackingController(Controller):
 
     def update(self, state: RobotState, reference: Reference, wheels: WheelMeasurement) -> WheelSetpoint:
         """Wheel setpoint for now.
+
+        Args:
+            state: estimate, pose in the wall frame.
+            reference: pose in the wall frame, and twist.
+            wheels: newest aligned wheels.
 
         Raises:
             SafetyStop: `not_finite` when state, reference or the law's output is not finite.
@@ -66,7 +78,14 @@ class TrackingController(Controller):
 def make_controller(
     config: ControlConfig, geometry: WheelGeometry, trajectory: Trajectory, *, rate_hz: float = 100.0
 ) -> TrackingController:
-    """Controller of a configuration for one trajectory; the optimal law's gains are computed here."""
+    """Controller of a configuration for one trajectory; the optimal law's gains are computed here.
+
+    Args:
+        config: `[control]` of the bench file.
+        geometry: of the wheels.
+        trajectory: to follow.
+        rate_hz: of the loop.
+    """
     dt_s = 1.0 / rate_hz
     law: Law = NonlinearLaw(config.gains)
     if config.law == "optimal":

@@ -43,7 +43,13 @@ def body_outline(pose: Array, geometry: WheelGeometry) -> Array:
 
 
 def wheel_segments(pose: Array, steering_rad: Array, geometry: WheelGeometry) -> Array:
-    """The four wheels seen from above as segments along their rolling direction, (4, 2, 2), wall, m."""
+    """The four wheels seen from above as segments along their rolling direction, (4, 2, 2), wall, m.
+
+    Args:
+        pose: (x m, y m, theta rad) in the wall frame, (3,).
+        steering_rad: (4,).
+        geometry: of the wheels.
+    """
     heading = steering_rad - geometry.steering_zero_rad
     along = np.column_stack([np.cos(heading), np.sin(heading)]) * geometry.radius_m[:, None]
     centres = np.column_stack([geometry.x_m, geometry.y_m])
@@ -54,7 +60,14 @@ def wheel_segments(pose: Array, steering_rad: Array, geometry: WheelGeometry) ->
 def speed_arrows(
     pose: Array, steering_rad: Array, rate_rad_s: Array, geometry: WheelGeometry
 ) -> tuple[Array, Array]:
-    """Origins and vectors (4, 2) of the wheels' speeds, wall frame; one second of travel long."""
+    """Origins and vectors (4, 2) of the wheels' speeds, wall frame; one second of travel long.
+
+    Args:
+        pose: (x m, y m, theta rad) in the wall frame, (3,).
+        steering_rad: (4,).
+        rate_rad_s: (4,) wheel rates.
+        geometry: of the wheels.
+    """
     heading = steering_rad - geometry.steering_zero_rad
     speed = rate_rad_s * geometry.radius_m * _SPEED_ARROW_S
     vectors = np.column_stack([np.cos(heading), np.sin(heading)]) * speed[:, None]

@@ -83,7 +83,13 @@ class BenchSource:
         calibration: Path | None = None,
         overrides: Mapping[str, object] | None = None,
     ) -> BenchSource:
-        """The same bench with another seed, another calibration or further overrides."""
+        """The same bench with another seed, another calibration or further overrides.
+
+        Args:
+            seed: of the world; None keeps it.
+            calibration: file; None keeps it.
+            overrides: keys of the bench file to values, on top of those there are.
+        """
         return replace(
             self,
             seed=self.seed if seed is None else seed,

@@ -30,6 +30,16 @@ STEP_LIMIT_S = 1800.0
 class Context(Notebook):
     """One run of a procedure, as seen from inside.
 
+    Args:
+        parameters, source, folder, clock, started: as in the attributes.
+        declared: measurements that may be left.
+        journal: where finished checkpoints are noted.
+        operator: who answers prompts.
+        report: receives progress.
+        interrupts: signals and time limits.
+        past: what an earlier run finished, by title.
+        on_recording_failure: what a disk that takes no more means for the run.
+
     Attributes:
         parameters: the procedure's, typed.
         source: which bench, to open it again (`reopen`) or in another process.

@@ -113,6 +113,15 @@ def procedure(
 ) -> Callable[[Body], Procedure]:
     """Declare a function as a procedure.
 
+    Args:
+        name: small letters, digits, underscores.
+        needs: devices without which it cannot run.
+        parameters: dataclass or pydantic model with defaults.
+        measurements: what it measures, or a function of parameters (and bench configuration) that says so.
+        plan: steps and trajectories, for a dry run.
+        teardown_s: time limit of each teardown action, s.
+        bench: profile that it runs on when no bench is named.
+
     Raises:
         UsageError: a name or device that does not exist, or measurements that contradict themselves.
     """

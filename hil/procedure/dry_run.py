@@ -15,6 +15,11 @@ from hil.robot.motion_limits import check
 def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Check everything that can be checked beforehand.
 
+    Args:
+        proc: the procedure.
+        source: bench that it would run on.
+        settings: parameters by name.
+
     Returns:
         JSON values: procedure, parameters, measurements with limits, steps with their trajectories.
 

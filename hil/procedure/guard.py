@@ -59,7 +59,15 @@ class LoopGuard(Sink):
 
 
 class RunRecorder(McapRecorder):
-    """A recorder that no signal interrupts in the middle of a record."""
+    """A recorder that no signal interrupts in the middle of a record.
+
+    Args:
+        path: of the recording.
+        header: JSON values.
+        interrupts: held off while a record is written.
+        lossless: drop nothing, for virtual time.
+        on_failure: what a disk that takes no more means for the run.
+    """
 
     def __init__(
         self,
@@ -79,7 +87,13 @@ class RunRecorder(McapRecorder):
             super().write(record)
 
     def note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Keep a note."""
+        """Keep a note.
+
+        Args:
+            t_ns: bench time, ns.
+            kind: what the note is about.
+            data: JSON values.
+        """
         with self._interrupts.deferred():
             super().note(t_ns, kind, data)
 

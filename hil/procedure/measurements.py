@@ -88,14 +88,6 @@ class Measurement:
             return Verdict.FAIL
         return Verdict.MARGINAL if self.limited and margin < self.marginal else Verdict.PASS
 
-    def limits_text(self) -> str:
-        """The limits as a person writes them."""
-        if self.low is not None and self.high is not None:
-            return f"{self.low:g} to {self.high:g}"
-        if self.high is not None:
-            return f"at most {self.high:g}"
-        return f"at least {self.low:g}" if self.low is not None else ""
-
 
 def worst(verdicts: Iterable[Verdict]) -> Verdict:
     """The verdict of a run from those of its measurements; PASS when there are none."""

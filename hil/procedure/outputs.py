@@ -37,6 +37,11 @@ class Findings:
 class Notebook:
     """The open pages of one run.
 
+    Args:
+        folder: results folder of the run.
+        declared: measurements that may be left.
+        journal: where everything that is left is noted.
+
     Attributes:
         folder: results folder of the run.
         findings: what has been left so far.
@@ -83,14 +88,27 @@ class Notebook:
     def table(
         self, title: str, head: Sequence[str], rows: Sequence[Sequence[object]], note: str = ""
     ) -> None:
-        """Leave a table; cells become text, a float with four significant digits."""
+        """Leave a table; cells become text, a float with four significant digits.
+
+        Args:
+            title: unique in the run.
+            head: one label per column.
+            rows: cells, as many as labels.
+            note: a sentence below it.
+        """
         cells = [[_cell(v) for v in row] for row in rows]
         entry = {"title": title, "head": [str(h) for h in head], "rows": cells, "note": note}
         self._journal.add("table", entry)
         self.findings.tables.append(entry)
 
     def figure(self, figure: Figure, title: str, caption: str = "") -> Path:
-        """Leave a matplotlib figure as SVG; returns its path."""
+        """Leave a matplotlib figure as SVG; returns its path.
+
+        Args:
+            figure: to save.
+            title: unique in the run.
+            caption: what to see in it.
+        """
         import matplotlib as mpl
 
         path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"

@@ -73,6 +73,11 @@ class RunOptions:
 def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
     """Run a procedure to its verdict.
 
+    Args:
+        proc: the procedure.
+        source: bench that it runs on.
+        options: folder, clock, parameters, operator and the like.
+
     Raises:
         HilError: something was wrong before anything could move (configuration, parameters, journal).
     """
@@ -225,7 +230,16 @@ def conclude(
     late: list[Failure],
     facts: dict[str, Any],
 ) -> Result:
-    """The verdict: an abort or an error before everything, else the worst measurement."""
+    """The verdict: an abort or an error before everything, else the worst measurement.
+
+    Args:
+        proc: the procedure.
+        context: as the body left it.
+        declared: what should have been measured.
+        error: what ended the body early.
+        late: errors of teardown.
+        facts: further entries of `result.json`.
+    """
     rows = judge(declared, context.findings.values, context.findings.measured_in, error is None)
     verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
     if late:

@@ -52,7 +52,7 @@ class Series:
         return rows.mean(axis=0) if len(rows) else np.full(self.values.shape[1], np.nan)
 
     def at(self, t_s: Array, column: int) -> Array:
-        """One column interpolated; NaN outside the data."""
+        """One column interpolated, shape of `t_s`; NaN outside the data."""
         if len(self) < 2:
             return np.full(len(t_s), np.nan)
         return np.interp(t_s, self.t_s, self[column], left=np.nan, right=np.nan)

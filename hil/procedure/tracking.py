@@ -124,7 +124,14 @@ def time_figure(runs: dict[str, dict[str, Any]]) -> Figure:
 
 
 def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, length_m: float) -> Figure:
-    """Seen cells (along X, along Y) of a scanned rectangle from its corner `start`, and the paths."""
+    """Seen cells (along X, along Y) of a scanned rectangle from its corner `start`, and the paths.
+
+    Args:
+        runs: name of the feedback to its `series`.
+        seen: (along X, along Y), whether a cell was seen.
+        start: (3,) pose at the rectangle's corner, wall frame.
+        length_m: of the rectangle along X.
+    """
     from matplotlib.colors import ListedColormap
 
     figure = new_figure(5.2, 6.0)

@@ -27,7 +27,14 @@ _DPI = 110
 def write_evaluation_page(
     folder: Path, tracks: Sequence[Track], nominal: Sequence[Track] | None, table: Mapping[str, Any]
 ) -> Path:
-    """Write figures and `index.html` of an error table; returns the page's path."""
+    """Write figures and `index.html` of an error table; returns the page's path.
+
+    Args:
+        folder: to write into.
+        tracks: odometry of each recording as judged.
+        nominal: the same with nominal parameters; None when `tracks` are these.
+        table: the result of `hil evaluate`, JSON values.
+    """
     before = nominal if nominal is not None else tracks
     figures = _path_figures(before, tracks if nominal is not None else None)
     calibrated = table.get("calibration")

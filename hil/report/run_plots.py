@@ -37,7 +37,14 @@ def new_figure(width_in: float = 6.4, height_in: float = 3.6) -> Figure:
 
 
 def style(axes: Axes, x: str, y: str, title: str = "") -> Axes:
-    """Labels, a quiet grid, no frame on top and right."""
+    """Labels, a quiet grid, no frame on top and right.
+
+    Args:
+        axes: to draw on.
+        x: label with unit; empty for none.
+        y: the same.
+        title: empty for none.
+    """
     axes.set_xlabel(x, fontsize=9)
     axes.set_ylabel(y, fontsize=9)
     axes.tick_params(labelsize=8, length=3)
@@ -65,13 +72,20 @@ def legend(axes: Axes, columns: int = 1) -> None:
 
 
 def thin(*columns: Array) -> list[Array]:
-    """Columns of one length, thinned to what a figure can show."""
+    """Columns (n,) of one length, thinned to what a figure can show."""
     step = max(1, len(columns[0]) // _POINTS)
     return [np.append(c[:-1:step], c[-1:]) for c in columns]
 
 
 def bars(names: Sequence[str], values: Sequence[float], y: str, limit: float | None = None) -> Figure:
-    """One bar per name, with a line at the limit."""
+    """One bar per name, with a line at the limit.
+
+    Args:
+        names: one per bar.
+        values: one per bar.
+        y: label with unit.
+        limit: of the absolute value; None for none.
+    """
     figure = new_figure(max(4.0, 1.2 + 0.7 * len(names)), 3.0)
     axes = style(figure.add_subplot(), "", y)
     over = [limit is not None and abs(v) > limit for v in values]

@@ -158,7 +158,14 @@ class SteeringWatch:
         self._since_ns: dict[int, int] = {}
 
     def judge(self, inputs: Inputs, measurements: Measurements, events: list[Event], stop: Blame) -> None:
-        """Compare one cycle's newest angles: an event when they differ, `stop` when that lasts and is far."""
+        """Compare one cycle's newest angles: an event when they differ, `stop` when that lasts and is far.
+
+        Args:
+            inputs: samples of this cycle.
+            measurements: the same, aligned.
+            events: receives what is noticed.
+            stop: called with the reason to stop.
+        """
         t_ns, last_ns = inputs.t_ns, self._last_ns
         if not (inputs.encoders and measurements.wheels) or (
             last_ns is not None and t_ns - last_ns < _EVERY_NS

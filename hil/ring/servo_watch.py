@@ -56,7 +56,13 @@ class ServoWatch:
         self._slipped: tuple[int, str] | None = None
 
     def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
-        """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`."""
+        """Look at one cycle's reads; what is noticed is added to `events` or handed to `stop`.
+
+        Args:
+            inputs: samples of this cycle.
+            events: receives what is noticed.
+            stop: called with the reason to stop.
+        """
         outside, self._outside = self._outside, _outside(inputs.encoders, self._outside)
         for sample in inputs.servos:
             if any(sample.alert):

@@ -45,7 +45,13 @@ def creep_weights(u: Array, load: Array, ratio: float) -> tuple[Array, Array, Ar
 
 
 def creep_balance(p: Array, u: Array, weights: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Body motion (n, 3) at which the creep forces balance, and the inverse (n, 3, 3) of their slope."""
+    """Body motion (n, 3) at which the creep forces balance, and the inverse (n, 3, 3) of their slope.
+
+    Args:
+        p: (8, 3) from `hil.robot.kinematics.projection`.
+        u: (n, 8) wheel vectors, m or m/s.
+        weights: (n, 4) each, from `creep_weights`.
+    """
     wxx, wxy, wyy = weights
     ux, uy, rx, ry = u[:, 0::2], u[:, 1::2], p[0::2, 2], p[1::2, 2]
     tx, ty = wxx * rx + wxy * ry, wxy * rx + wyy * ry
@@ -99,7 +105,17 @@ def least_dissipation(p: Array, u: Array, load: Array | None = None, power: floa
 def polish_dissipation(
     p: Array, u: Array, b: Array, scale: Array, share: Array, *, power: float = 1.0, steps: int = 3
 ) -> Array:
-    """Newton steps on the smoothed dissipation from a start b (n, 3) that is already close."""
+    """Newton steps on the smoothed dissipation from a start b (n, 3) that is already close.
+
+    Args:
+        p: (8, 3) from `hil.robot.kinematics.projection`.
+        u: (n, 8) wheel vectors, m or m/s.
+        b: (n, 3) body motion to start from.
+        scale: (n,) from `displacement_scale`.
+        share: (4,) relative normal loads.
+        power: exponent q of `least_dissipation`.
+        steps: how many.
+    """
     for _ in range(steps):
         gradient, hessian = dissipation_derivatives(p, u, b, scale, share, power)
         b = _improve(p, u, b, scale, share, power, solve3(hessian, gradient))
@@ -117,7 +133,14 @@ def _residuals(p: Array, u: Array, b: Array) -> tuple[Array, Array]:
 
 
 def contact_weight(size: Array, scale: Array, share: Array, power: float) -> Array:
-    """Weight (n, 4) of each contact: friction force per slip, from slip sizes (n, 4)."""
+    """Weight (n, 4) of each contact: friction force per slip, from slip sizes (n, 4).
+
+    Args:
+        size: (n, 4) slip, m or m/s.
+        scale: (n,) from `displacement_scale`.
+        share: (4,) relative normal loads.
+        power: exponent q of `least_dissipation`.
+    """
     return np.asarray(share * (size / scale[:, None] + FRICTION_EPSILON) ** (power - 2.0), dtype=np.float64)
 
 
@@ -131,7 +154,16 @@ def _reweighted(p: Array, u: Array, b: Array, scale: Array, share: Array, power:
 def dissipation_derivatives(
     p: Array, u: Array, b: Array, scale: Array, share: Array, power: float = 1.0
 ) -> tuple[Array, Array]:
-    """Gradient (n, 3) and Hessian (n, 3, 3) of the smoothed dissipation by the motion b."""
+    """Gradient (n, 3) and Hessian (n, 3, 3) of the smoothed dissipation by the motion b.
+
+    Args:
+        p: (8, 3) from `hil.robot.kinematics.projection`.
+        u: (n, 8) wheel vectors, m or m/s.
+        b: (n, 3) body motion.
+        scale: (n,) from `displacement_scale`.
+        share: (4,) relative normal loads.
+        power: exponent q of `least_dissipation`.
+    """
     e, size = _residuals(p, u, b)
     curvature = contact_curvature(e, size, scale, share, power)
     blocks = p.reshape(4, 2, 3)
@@ -142,7 +174,15 @@ def dissipation_derivatives(
 
 
 def contact_curvature(e: Array, size: Array, scale: Array, share: Array, power: float = 1.0) -> Array:
-    """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2)."""
+    """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2).
+
+    Args:
+        e: (n, 4, 2) slip in the body frame.
+        size: (n, 4) its length.
+        scale: (n,) from `displacement_scale`.
+        share: (4,) relative normal loads.
+        power: exponent q of `least_dissipation`.
+    """
     weight = contact_weight(size, scale, share, power)
     relative = size / scale[:, None]
     bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)

@@ -139,13 +139,26 @@ def forward(
     steering_rad: ArrayLike,
     model: str = "exact",
 ) -> Array:
-    """Body twist (..., 3) of signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad."""
+    """Body twist (..., 3) of signed wheel speeds (..., 4) m/s and measured steering angles (..., 4) rad.
+
+    Args:
+        geometry: of the wheels.
+        wheel_speed_m_s: (..., 4) signed rolling speeds, m/s.
+        steering_rad: (..., 4) measured steering angles, rad.
+        model: name of the forward model.
+    """
     u = wheel_vectors(wheel_speed_m_s, np.asarray(steering_rad) - geometry.steering_zero_rad)
     return twist_of_vectors(geometry, u, model)
 
 
 def twist_of_vectors(geometry: WheelGeometry, u: Array, model: str = "exact") -> Array:
-    """Body motion (..., 3) of wheel vectors (..., 8), m/s or m per step alike."""
+    """Body motion (..., 3) of wheel vectors (..., 8), m/s or m per step alike.
+
+    Args:
+        geometry: of the wheels.
+        u: (..., 8) wheel vectors.
+        model: name of the forward model.
+    """
     if model not in ("dry-friction", "creep"):
         return np.asarray(u @ forward_matrix(geometry.x_m, geometry.y_m, model).T, dtype=np.float64)
     flat, p = np.ascontiguousarray(u.reshape(-1, 8)), geometry.projection()
@@ -158,6 +171,11 @@ def twist_of_vectors(geometry: WheelGeometry, u: Array, model: str = "exact") ->
 
 def forward_matrix(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Array:
     """Linear forward map (3, 8) from wheel vectors to the body twist, for `exact` and `paper`.
+
+    Args:
+        x_m: (4,) wheel positions ahead in the body frame, m.
+        y_m: (4,) the same to the left, m.
+        model: `exact` or `paper`.
 
     Raises:
         UsageError: for another model's name.
@@ -175,7 +193,13 @@ def forward_matrix(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Arra
 
 
 def forward_matrix_derivative(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Array:
-    """Derivative (8, 3, 8) of `forward_matrix` with respect to (x_1..4, y_1..4)."""
+    """Derivative (8, 3, 8) of `forward_matrix` with respect to (x_1..4, y_1..4).
+
+    Args:
+        x_m: (4,) wheel positions ahead in the body frame, m.
+        y_m: (4,) the same to the left, m.
+        model: `exact` or `paper`.
+    """
     x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
     out = np.zeros((8, 3, 8))
     if model == "paper":

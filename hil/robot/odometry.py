@@ -79,6 +79,12 @@ def state_derivative(
 
     State (x, y, theta, phi_1..4, delta_1..4); inputs (v_1..4 m/s, steering rates 1..4 rad/s).
     `model` is `exact` or `paper`.
+
+    Args:
+        geometry: of the wheels.
+        state: (11,) pose in the wall frame (m, rad), wheel angles and steering angles (rad).
+        inputs: (8,) rolling speeds (m/s) and steering rates (rad/s).
+        model: `exact` or `paper`.
     """
     s, w = np.asarray(state, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
     u = wheel_vectors(w[:4], s[7:11] - geometry.steering_zero_rad)
@@ -90,7 +96,14 @@ def state_derivative(
 def state_jacobian(
     geometry: WheelGeometry, state: ArrayLike, inputs: ArrayLike, model: str = "exact"
 ) -> Array:
-    """Derivative (11, 11) of `state_derivative` by the state."""
+    """Derivative (11, 11) of `state_derivative` by the state.
+
+    Args:
+        geometry: of the wheels.
+        state: (11,), as for `state_derivative`.
+        inputs: (8,), likewise.
+        model: `exact` or `paper`.
+    """
     s, w = np.asarray(state, dtype=np.float64), np.asarray(inputs, dtype=np.float64)
     f = forward_matrix(geometry.x_m, geometry.y_m, model)
     heading = s[7:11] - geometry.steering_zero_rad
@@ -106,7 +119,13 @@ def state_jacobian(
 
 
 def input_jacobian(geometry: WheelGeometry, state: ArrayLike, model: str = "exact") -> Array:
-    """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on them."""
+    """Derivative (11, 8) of `state_derivative` by the inputs; it does not depend on them.
+
+    Args:
+        geometry: of the wheels.
+        state: (11,), as for `state_derivative`.
+        model: `exact` or `paper`.
+    """
     s = np.asarray(state, dtype=np.float64)
     f = forward_matrix(geometry.x_m, geometry.y_m, model)
     heading = s[7:11] - geometry.steering_zero_rad

@@ -160,19 +160,19 @@ def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, do
 
 def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:
     """Time for a stretch within peak wheel speed and acceleration; a turn counts by its wheel path."""
-    way = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
-    if way <= 0:
+    path = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
+    if path <= 0:
         raise UsageError("a segment of no length", expected="a start and an end that differ")
     if law == "constant":
-        return way / speed
-    return max(QUINTIC_PEAK_SPEED * way / speed, math.sqrt(QUINTIC_PEAK_ACCELERATION * way / acceleration))
+        return path / speed
+    return max(QUINTIC_PEAK_SPEED * path / speed, math.sqrt(QUINTIC_PEAK_ACCELERATION * path / acceleration))
 
 
 def line(
     start: ArrayLike, end: ArrayLike, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
     duration_s: float | None = None, law: TimeLaw = "quintic", name: str = "line",
 ) -> Trajectory:  # fmt: skip
-    """Straight line between two poses (3,), heading changing along with it.
+    """Straight line between two poses (3,) in the wall frame (m, m, rad), heading changing along with it.
 
     Args:
         start: first pose.
@@ -193,7 +193,16 @@ def rotation(
     start: ArrayLike, angle_rad: float, *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
     law: TimeLaw = "quintic", name: str = "rotation",
 ) -> Trajectory:  # fmt: skip
-    """Turn on the spot, counter-clockwise for positive angles."""
+    """Turn on the spot, counter-clockwise for positive angles.
+
+    Args:
+        start: first pose.
+        angle_rad: how far.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        law: `quintic` or `constant`.
+        name: shown in results.
+    """
     pose = np.asarray(start, dtype=np.float64)
     end = pose + np.array([0.0, 0.0, angle_rad])
     return line(pose, end, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2, law=law, name=name)
@@ -203,7 +212,18 @@ def circle(
     start: ArrayLike, radius_m: float, *, turns: float = 1.0, tangent: bool = True, speed_m_s: float = 0.1,
     acceleration_m_s2: float = 0.2, law: TimeLaw = "quintic", name: str = "circle",
 ) -> Trajectory:  # fmt: skip
-    """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading."""
+    """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading.
+
+    Args:
+        start: first pose.
+        radius_m: of the circle.
+        turns: how many; negative is clockwise.
+        tangent: whether the heading turns with the path.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        law: `quintic` or `constant`.
+        name: shown in results.
+    """
     angle = 2.0 * math.pi * turns
     turn = angle if tangent else 0.0
     time_s = _duration(abs(angle) * radius_m, turn, speed_m_s, acceleration_m_s2, law)
@@ -214,7 +234,17 @@ def scan(
     start: ArrayLike, length_m: float, lanes: int, spacing_m: float, *, speed_m_s: float = 0.1,
     acceleration_m_s2: float = 0.2, name: str = "scan",
 ) -> Trajectory:  # fmt: skip
-    """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners."""
+    """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners.
+
+    Args:
+        start: first pose.
+        length_m: of a lane.
+        lanes: how many.
+        spacing_m: between neighbouring lanes.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        name: shown in results.
+    """
     if lanes < 1:
         raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
     x, y, theta = np.asarray(start, dtype=np.float64)
@@ -229,7 +259,14 @@ def through(
     poses: Sequence[ArrayLike], *, speed_m_s: float = 0.1, acceleration_m_s2: float = 0.2,
     name: str = "waypoints",
 ) -> Trajectory:  # fmt: skip
-    """Straight quintic segments through poses, at rest at each."""
+    """Straight quintic segments through poses, at rest at each.
+
+    Args:
+        poses: (3,) each, (x m, y m, theta rad) in the wall frame.
+        speed_m_s: largest wheel speed.
+        acceleration_m_s2: largest wheel acceleration.
+        name: shown in results.
+    """
     if len(poses) < 2:
         raise UsageError(f"{len(poses)} waypoint(s)", expected="at least 2")
     parts = [

@@ -69,7 +69,7 @@ class Command:
         return np.asarray(np.interp(t_s, self._t_s, self._way), dtype=np.float64)
 
     def lagged(self, t_s: Array, lag_s: float) -> Array:
-        """Path of what follows the command with a first-order lag, from rest: the path minus lag times rate."""
+        """Path of what follows the command with a first-order lag, from rest: path minus lag times rate."""
         kept = np.exp(-np.diff(self._t_s) / lag_s).tolist()
         rate, rates = 0.0, [0.0]
         for value, share in zip(self._value[:-1].tolist(), kept, strict=True):
