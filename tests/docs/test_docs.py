@@ -84,7 +84,7 @@ def test_no_text_cites_a_file_that_the_project_does_not_have():
     for path in paths:
         if path.suffix not in (".py", ".md", ".toml", ".html", ".yml"):
             continue
-        bases = (ROOT, ROOT / "hil", ROOT / "docs" / "ci-template", path.parent)
+        bases = (ROOT, ROOT / "hil", *COPIED, path.parent)
         cited = set(FILE.findall(path.read_text(encoding="utf-8"))) - OF_A_USER
         outputs = ("out/", "dist/", "wheels/", "results/")
         missing += [
@@ -132,7 +132,7 @@ def test_every_module_that_a_text_names_is_where_it_says():
 def test_every_folder_that_a_page_names_is_there():
     missing = []
     for page in [*PAGES, *(ROOT / "docs" / "decisions").glob("*.md")]:
-        bases = (ROOT, ROOT / "docs" / "ci-template", page.parent)
+        bases = (ROOT, *COPIED, page.parent)
         for name in set(PLACE.findall(page.read_text(encoding="utf-8"))):
             if "my_" not in name and not any((base / name).exists() for base in bases):
                 missing.append(f"{page.relative_to(ROOT)}: {name}")
