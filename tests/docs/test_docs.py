@@ -63,6 +63,9 @@ def test_the_test_runs_as_printed(tmp_path):
     assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
 
 
+COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")
+"""Folders to start from; what a page says of their files is relative to them."""
+
 OF_A_USER = {
     "path/to/mine.py",
     "data/odom_11.csv",
