@@ -14,7 +14,8 @@ settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
     "emulate/", "live/", "bench/test_bench_assembly.py", "bench/test_doctor_slow_adapter.py",
-    "core/test_loop_and_server.py", "encoders/test_can_face.py", "imu/test_imu_on_a_pty.py",
+    "core/test_loop_and_server.py", "devices/test_guide.py", "encoders/test_can_face.py",
+    "imu/test_imu_on_a_pty.py",
     "imu_microstrain/test_microstrain_on_a_pty.py", "imu_microstrain/test_microstrain_on_a_bench.py",
     "mocap/test_mocap_flood.py", "mocap/test_mocap_udp.py", "monitor/test_monitor_listens.py",
     "servos/test_servo_on_a_pty.py", "tracker/test_tracker_across_processes.py",
