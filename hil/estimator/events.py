@@ -14,12 +14,12 @@ from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
 from hil.estimator.sensors import (
+    ANGLE_ROW,
     BENT,
     GATED_TOGETHER,
     MARK,
     account,
     admit,
-    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -77,52 +77,24 @@ def moments(
 
 
 @compiled
+def innovation(number: int, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Measured minus predicted rows (8,), angles by the shorter way round.
+
+    A row that is not finite is marked in `var`.
+    """
+    nu = z - mean
+    for i in range(count):
+        if not math.isfinite(nu[i]):
+            nu[i], var[i] = 0.0, -1.0
+    angle = ANGLE_ROW[number]
+    if angle >= 0:
+        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
+    return nu
+
+
+@compiled
 def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
-    """Update with one sample at its own time; the state is already there. Arguments as for `take`."""
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
-    count = observe(number, t_ns, m, row, par, z, var, aux)
-    if count == 0:
-        return
-    mean, nis = np.zeros(ROWS), np.full(ROWS, -1.0)
-    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
-    moments(number, x, p, aux, par, count, mean, cross, own)
-    nu = innovation(number, m, z, mean, var, count)
-    gate = par.filter.gate_row
-    if GATED_TOGETHER[number]:
-        gate = math.inf
-        if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
-            gate = NONE_ACCEPTED
-    if gate > 0.0:
-        condition(x, p, nu, cross, own, var, count, gate, nis)
-    m.accepted += account(number, m, nis, var, count, gate, par.filter.samples)
-
-
-@compiled
-def begin(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> int:
-    """What becomes of a sample: `USED` when it is to be compared; begins new frames. As for `take`."""
-    use: int = admit(number, t_ns, m, row, par)
-    if use == DUPLICATE:
-        m.duplicates += 1.0
-    elif use == NEW_FRAME:
-        new_frame(number, t_ns, x, p, m, row, par)
-    return use
-
-
-@compiled
-def finish(
-    number: int, use: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters
-) -> None:
-    """What is left to do when a sample, of which `begin` said `use`, has been compared. As for `take`."""
-    if use == USED:
-        let_in(number, par.filter.limit, t_ns, x, p, m, row, par)
-    if use in (USED, NEW_FRAME):
-        remember(number, t_ns, x, p, m, row, par)
-        m.guarded += guard(p)
-
-
-@compiled
-def take(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
-    """One sample, the state being predicted to its stamp.
+    """Update with one sample at its own time; the state is already there.
 
     Args:
         number: of the sensor.
@@ -133,10 +105,23 @@ def take(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow,
         row: the sample.
         par: of all kernels.
     """
-    use = begin(number, t_ns, x, p, m, row, par)
-    if use == USED:
-        compare(number, t_ns, x, p, m, row, par)
-    finish(number, use, t_ns, x, p, m, row, par)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    count = observe(number, t_ns, m, row, par, z, var, aux)
+    if count == 0:
+        return
+    mean, nis = np.zeros(ROWS), np.full(ROWS, -1.0)
+    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
+    moments(number, x, p, aux, par, count, mean, cross, own)
+    nu = innovation(number, z, mean, var, count)
+    shown = nu.copy()
+    gate = par.filter.gate_row
+    if GATED_TOGETHER[number]:
+        gate = math.inf
+        if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
+            gate = NONE_ACCEPTED
+    if gate > 0.0:
+        condition(x, p, nu, cross, own, var, count, gate, nis)
+    m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
 @compiled
@@ -171,8 +156,21 @@ def run(
         p[i] = p[j]
         m[i] = m[j]
         advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par)
-        if numbers[i] != MARK:
-            take(numbers[i], float(t_ns[i] - zero_ns), x[i], p[i], m[i], rows[i], par)
+        number, stamp = numbers[i], float(t_ns[i] - zero_ns)
+        if number == MARK:
+            continue
+        use = admit(number, stamp, m[i], rows[i], par)
+        if use == DUPLICATE:
+            m[i].duplicates += 1.0
+        if use == USED:
+            compare(number, stamp, x[i], p[i], m[i], rows[i], par)
+            if let_in(number, par.filter.limit, stamp, p[i], m[i], par):
+                use = NEW_FRAME
+        if use == NEW_FRAME:
+            new_frame(number, stamp, x[i], p[i], m[i], rows[i], par)
+        if use in (USED, NEW_FRAME):
+            remember(number, stamp, x[i], p[i], m[i], rows[i], par)
+            m[i].guarded += guard(p[i])
     last = (first + count - 1) % capacity
     now_x[:] = x[last]
     now_p[:] = p[last]

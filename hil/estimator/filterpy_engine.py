@@ -16,7 +16,8 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
-from hil.estimator.events import NONE_ACCEPTED, begin, finish
+from hil.estimator.conditioning import guard
+from hil.estimator.events import NONE_ACCEPTED, innovation
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
@@ -25,12 +26,15 @@ from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
     account,
-    innovation,
+    admit,
     jacobian,
+    let_in,
+    new_frame,
     observe,
     predicted,
+    remember,
 )
-from hil.estimator.sensors.sensor import USED
+from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.small_matrices import square_root
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.clock import NS_PER_S
@@ -88,33 +92,39 @@ def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> lis
 
 @compiled
 def before(
-    number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
-    z: Array, var: Array, aux: Array,
-) -> tuple[int, int]:  # fmt: skip
-    """`events.take` up to the comparison: what `begin` says, and how many rows there are to compare.
+    number: int, t_ns: float, m: Records, row: Records, par: Records, z: Array, var: Array, aux: Array
+) -> tuple[int, int]:
+    """A sample of `events.run` up to the comparison: what `admit` says, how many rows there are to compare.
 
     Memory, row and parameters come as arrays (1,), here and below: quicker to pass than single records.
     """
-    use = begin(number, t_ns, x, p, m[0], row[0], par[0])
+    use = admit(number, t_ns, m[0], row[0], par[0])
+    if use == DUPLICATE:
+        m[0].duplicates += 1.0
     count = observe(number, t_ns, m[0], row[0], par[0], z, var, aux) if use == USED else 0
     return use, count
 
 
 @compiled
-def differences(number: int, m: Records, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """`Sensor.innovation`."""
-    return innovation(number, m[0], z, mean, var, count)  # type: ignore[no-any-return]
+def counted(
+    number: int, m: Records, par: Records, nu: Array, nis: Array, var: Array, count: int, gate: float
+) -> None:
+    """`Sensor.account`."""
+    m[0].accepted += account(number, m[0], nu, nis, var, count, gate, par[0].filter.samples)
 
 
 @compiled
 def after(
-    number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records,
-    nis: Array, var: Array, count: int, gate: float,
-) -> None:  # fmt: skip
-    """`events.take` behind the comparison."""
-    if count > 0:
-        m[0].accepted += account(number, m[0], nis, var, count, gate, par[0].filter.samples)
-    finish(number, use, t_ns, x, p, m[0], row[0], par[0])
+    number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
+) -> None:
+    """A sample of `events.run` behind the comparison."""
+    if use == USED and let_in(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
+        use = NEW_FRAME
+    if use == NEW_FRAME:
+        new_frame(number, t_ns, x, p, m[0], row[0], par[0])
+    if use in (USED, NEW_FRAME):
+        remember(number, t_ns, x, p, m[0], row[0], par[0])
+        m[0].guarded += guard(p)
 
 
 @compiled
@@ -195,28 +205,28 @@ class FilterpyEngine(Engine):
         move(self._filter.x, self._step_s, self._slip_s)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
-        """As `events.take`, with the comparison on filterpy."""
+        """As a sample of `events.run`, with the comparison on filterpy."""
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
-        use, r.count = before(number, t_ns, x, p, m, row, self._par, r.z, r.var, r.aux)
-        nis, gate = np.full(ROWS, -1.0), self._gate_row
+        use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
         if r.count > 0:
-            gate = self._compare(number, x, p, m, r, nis)
-        after(number, use, t_ns, x, p, m, row, self._par, nis, r.var, r.count, gate)
+            self._compare(number, x, p, m, r)
+        after(number, use, t_ns, x, p, m, row, self._par)
 
-    def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows, nis: Array) -> float:
-        """As `events.compare`: gates first, then one stacked update with the rows that passed; their gate."""
+    def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows) -> None:
+        """As `events.compare`: gates first, then one stacked update with the rows that passed."""
         mean, s = self._innovation(number, x, p, r)
-        nu = differences(number, m, r.z, mean, r.var, r.count)[: r.count]
-        gate = self._gate_row
+        shown = innovation(number, r.z, mean, r.var, r.count)
+        nu, nis, gate = shown[: r.count], np.full(ROWS, -1.0), self._gate_row
         if GATED_TOGETHER[number]:
             nis[:], gate = 0.0, np.inf
             nis[0] = float(nu @ np.linalg.solve(s, nu))
             if nis[0] > self._gate_pose:
-                return NONE_ACCEPTED
-        used = accepted(nu, s, r.var[: r.count] >= 0.0, gate, nis)
-        if used:
-            self._update(number, x, p, r, nu, used)
-        return gate
+                gate = NONE_ACCEPTED
+        if gate > 0.0:
+            used = accepted(nu, s, r.var[: r.count] >= 0.0, gate, nis)
+            if used:
+                self._update(number, x, p, r, nu, used)
+        counted(number, m, self._par, shown, nis, r.var, r.count, gate)
 
     def _seen(self, number: int, points: Array, r: Rows) -> Array:
         """Rows (n, count) that states (n, 20) predict."""

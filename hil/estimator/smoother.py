@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.events import run
+from hil.estimator.events import innovation, run
 from hil.estimator.intake import Intake
 from hil.estimator.layout import (
     MEMORY,
@@ -28,7 +28,7 @@ from hil.estimator.layout import (
 )
 from hil.estimator.process import advance_linear, transition
 from hil.estimator.records import Records
-from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
+from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.small_matrices import seen
 from hil.estimator.start import start_of
@@ -157,7 +157,7 @@ def pull_update(
     predicted(number, x, aux, par, mean)
     jacobian(number, x, aux, par, h)
     seen(p, h, count, cross, own)
-    nu = innovation(number, m, z, mean, var, count)
+    nu = innovation(number, z, mean, var, count)
     size, used = np.zeros(ROWS), np.zeros(ROWS)
     gate = np.inf if GATED_TOGETHER[number] else par.filter.gate_row
     for i in range(count):
@@ -171,11 +171,16 @@ def pull_update(
             cross[:, j] -= gain * cross[:, i]
             for k in range(i + 1, count):
                 own[j, k] -= gain * own[i, k]
+    back, information = np.zeros((STATES, STATES)), np.zeros((STATES, STATES))
     for i in range(count - 1, -1, -1):
         if used[i] > 0.0:
-            back = np.eye(STATES) - np.outer(cross[:, i] / size[i], h[i])
+            for j in range(STATES):
+                gain = cross[j, i] / size[i]
+                for k in range(STATES):
+                    back[j, k] = (1.0 if j == k else 0.0) - gain * h[i, k]
+                    information[j, k] = h[i, j] * h[i, k] / size[i]
             late[:] = back.T @ late - h[i] * (nu[i] / size[i])
-            spread[:, :] = back.T @ spread @ back + np.outer(h[i], h[i]) / size[i]
+            spread[:, :] = back.T @ spread @ back + information
 
 
 @compiled

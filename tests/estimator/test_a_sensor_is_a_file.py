@@ -17,13 +17,14 @@ import math
 
 from hil.estimator.records import Record
 from hil.estimator.sensors.sensor import (
-    DUPLICATE, USED, Tally, account_together, difference, is_repeated, no_frame, undo_nothing, wrapped,
+    DUPLICATE, USED, Tally, account_together, is_repeated, no_frame, undo_nothing,
 )
 from hil.estimator.state import THETA
 from hil.vocabulary.kernels import compiled
 
 NAME = "compass"
 BENT = False
+ANGLE_ROW = 0
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {"rejected_compass": "tally.rejected", "nis_compass": "tally.nis"}
@@ -82,22 +83,16 @@ def jacobian(x, aux, par, h):
 
 
 @compiled
-def innovation(m, z, mean, var, count):
-    nu = difference(z, mean, var, count)
-    nu[0] = wrapped(nu[0])
-    return nu
-
-
-@compiled
-def account(m, nis, var, count, gate, samples):
+def account(m, nu, nis, var, count, gate, samples):
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @compiled
-def let_in(limit, t_ns, x, p, m, row, par):
+def let_in(limit, t_ns, p, m, par):
     if m.tally.in_row >= limit:
         m.tally.in_row = 0.0
         p[THETA, THETA] += 1.0
+    return False
 
 
 @compiled

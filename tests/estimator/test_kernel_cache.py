@@ -146,7 +146,7 @@ def test_the_kernels_of_the_filter_hang_together():
     friction = importlib.import_module("hil.estimator.friction")
     used = parts(events.run)
     assert {plain(f) for f in (wheels.observe, wheels.jacobian, friction.creep_twist)} <= used
-    assert len({fingerprint(plain(f)) for f in (events.run, events.take, wheels.observe)}) == 3
+    assert len({fingerprint(plain(f)) for f in (events.run, events.compare, wheels.observe)}) == 3
 
 
 def test_the_physics_of_the_plant_is_compiled_with_all_its_parts():

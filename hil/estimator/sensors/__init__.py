@@ -20,6 +20,7 @@ MARK = 0
 NUMBERS = {sensor.NAME: number for number, sensor in enumerate(SENSORS, start=1)}
 
 BENT = (False, *(sensor.BENT for sensor in SENSORS))
+ANGLE_ROW = (-1, *(sensor.ANGLE_ROW for sensor in SENSORS))
 GATED_TOGETHER = (False, *(sensor.GATED_TOGETHER for sensor in SENSORS))
 """By number, as their names in `Sensor`."""
 
@@ -49,9 +50,8 @@ admit = _by_number("admit", "t_ns, m, row, par")
 observe = _by_number("observe", "t_ns, m, row, par, z, var, aux")
 predicted = _by_number("predicted", "x, aux, par, out")
 jacobian = _by_number("jacobian", "x, aux, par, h")
-innovation = _by_number("innovation", "m, z, mean, var, count")
-account = _by_number("account", "m, nis, var, count, gate, samples")
+account = _by_number("account", "m, nu, nis, var, count, gate, samples")
+let_in = _by_number("let_in", "limit, t_ns, p, m, par")
 new_frame = _by_number("new_frame", "t_ns, x, p, m, row, par")
-let_in = _by_number("let_in", "limit, t_ns, x, p, m, row, par")
 remember = _by_number("remember", "t_ns, x, p, m, row, par")
 undo = _by_number("undo", "t_ns, x, m, row, par, late, spread")

@@ -17,12 +17,10 @@ from hil.estimator.sensors.sensor import (
     FARTHEST_RAD,
     USED,
     Tally,
-    difference,
     is_repeated,
     no_frame,
     tally,
     undo_nothing,
-    wrapped,
 )
 from hil.estimator.state import BIAS, OFFSET, OMEGA, THETA
 from hil.robot.kinematics import WheelGeometry
@@ -32,6 +30,7 @@ from hil.vocabulary.signals import GyroMeasurement
 
 NAME = "gyro"
 BENT = False
+ANGLE_ROW = 1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "rate.nis_mean": 1.0, "gravity.nis_mean": 1.0}
 FIGURES = {
@@ -147,17 +146,9 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 
 
 @compiled
-def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Differences, the heading's by the shorter way round."""
-    nu = difference(z, mean, var, count)
-    nu[GRAVITY] = wrapped(nu[GRAVITY])
-    m.innovation_rad_s = nu[RATE]
-    return nu
-
-
-@compiled
-def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """Each row in its own tally, and only where it was there."""
+    m.innovation_rad_s = nu[RATE]
     used = 0
     if var[RATE] > 0.0:
         passed = 1 if 0.0 <= nis[RATE] <= gate else 0
@@ -171,7 +162,7 @@ def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples:
 
 
 @compiled
-def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Heading and offset are no longer trusted, or rate and bias."""
     if m.gravity.in_row >= limit:
         m.gravity.in_row = 0.0
@@ -183,6 +174,7 @@ def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, p
         m.rate.reanchored += 1.0
         p[OMEGA, OMEGA] += 0.01
         p[BIAS, BIAS] += 0.01
+    return False
 
 
 @compiled

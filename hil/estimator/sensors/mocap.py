@@ -6,7 +6,7 @@ import math
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
-from hil.estimator.sensors.poses import PoseRow, pack_pose, pose_difference, read
+from hil.estimator.sensors.poses import PoseRow, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     REFUSED,
@@ -24,6 +24,7 @@ from hil.vocabulary.kernels import compiled
 
 NAME = "mocap"
 BENT = False
+ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {"rejected_mocap": "tally.rejected"}
@@ -91,29 +92,23 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 
 
 @compiled
-def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Differences of the pose."""
-    nu = pose_difference(z, mean, var, count)
-    m.innovation_m = math.hypot(nu[0], nu[1])
-    return nu
-
-
-@compiled
-def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally."""
+    m.innovation_m = math.hypot(nu[0], nu[1])
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @compiled
-def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """The pose is no longer trusted."""
     if m.tally.in_row < limit:
-        return
+        return False
     m.tally.in_row = 0.0
     m.tally.reanchored += 1.0
     p[X, X] += 1.0
     p[Y, Y] += 1.0
     p[THETA, THETA] += 1.0
+    return False
 
 
 @compiled

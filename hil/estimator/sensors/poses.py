@@ -1,4 +1,4 @@
-"""What the sensors of a whole pose have in common: event row, intake and differences."""
+"""What the sensors of a whole pose have in common: event row and intake."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from hil.estimator.records import Record
-from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD, difference, wrapped
+from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 from hil.vocabulary.signals import PoseMeasurement
@@ -47,11 +47,3 @@ def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> in
     var[0] = var[1] = var_m
     var[2] = var_rad
     return POSE_ROWS
-
-
-@compiled
-def pose_difference(z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Measured minus predicted rows (8,), the heading's by the shorter way round."""
-    nu = difference(z, mean, var, count)
-    nu[2] = wrapped(nu[2])
-    return nu

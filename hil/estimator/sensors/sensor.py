@@ -9,7 +9,6 @@ prediction needs.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from typing import Any, Protocol
 
@@ -64,22 +63,6 @@ def tally(own: Tally, nis: float, used: int, rows: int, samples: float) -> None:
 
 
 @compiled
-def difference(z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Measured minus predicted rows (8,); a row that is not finite is marked in `var`."""
-    nu = z - mean
-    for i in range(count):
-        if not math.isfinite(nu[i]):
-            nu[i], var[i] = 0.0, -1.0
-    return nu
-
-
-@compiled
-def wrapped(angle: float) -> float:
-    """An angle in (-pi, pi]."""
-    return math.pi - (math.pi - angle) % (2.0 * math.pi)
-
-
-@compiled
 def account_together(own: Tally, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """`Sensor.account` of rows that pass together or not at all."""
     total, usable, used = 0.0, 0, 0
@@ -126,6 +109,10 @@ class Sensor(Protocol):
         """Whether its rows pass one gate of three degrees of freedom, instead of each its own."""
 
     @property
+    def ANGLE_ROW(self) -> int:
+        """Which row is an angle, whose difference goes by the shorter way round; -1: none."""
+
+    @property
     def START(self) -> Mapping[str, float]:
         """Places in the memory that do not begin at zero, with their values."""
 
@@ -166,17 +153,23 @@ class Sensor(Protocol):
     def jacobian(self, x: Array, aux: Array, par: Any, h: Array) -> None:
         """Fill their derivative (8, 20) by the state; zeroed before."""
 
-    def innovation(self, m: Any, z: Array, mean: Array, var: Array, count: int) -> Array:
-        """Measured minus predicted rows (8,); keeps a figure of it."""
+    def account(
+        self, m: Any, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float
+    ) -> int:
+        """Count the rows whose `nis` (8,) lies within the gate, and the others; how many lie within.
 
-    def account(self, m: Any, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
-        """Count the rows whose `nis` (8,) lies within the gate, and the others; how many lie within."""
+        `nu` (8,) is what was measured minus what was predicted, of which a figure is kept.
+        """
+
+    def let_in(self, limit: float, t_ns: float, p: Array, m: Any, par: Any) -> bool:
+        """Trust the state less once `limit` samples in a row were rejected: none is locked out for ever.
+
+        Returns:
+            Whether the sensor's own frame is to begin anew at this sample.
+        """
 
     def new_frame(self, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:
-        """Let the sensor's own frame begin at this sample, which said `NEW_FRAME`."""
-
-    def let_in(self, limit: float, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:
-        """Trust the state less once `limit` samples in a row were rejected: none is locked out for ever."""
+        """Let the sensor's own frame begin at this sample."""
 
     def remember(self, t_ns: float, x: Array, p: Array, m: Any, row: Any, par: Any) -> None:
         """Keep what the next sample is compared with."""

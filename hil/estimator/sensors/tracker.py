@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
-from hil.estimator.sensors.poses import PoseRow, pack_pose, pose_difference, read
+from hil.estimator.sensors.poses import PoseRow, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     NEW_FRAME,
@@ -29,6 +29,7 @@ from hil.vocabulary.kernels import compiled
 
 NAME = "tracker"
 BENT = True
+ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {
@@ -146,12 +147,9 @@ def anchor_frame(x: Array, p: Array, row: Row, par: Parameters) -> None:
 
 @compiled
 def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """Let the frame begin at this pose; the first one is not counted as re-anchoring."""
-    if m.frame_t_ns >= 0.0:
-        m.tally.reanchored += 1.0
+    """Let the frame begin at this pose."""
     anchor_frame(x, p, row, par)
     m.frame_t_ns = t_ns
-    m.tally.in_row = 0.0
 
 
 @compiled
@@ -168,6 +166,8 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     far_m = math.hypot(row.x_m - m.x_m, row.y_m - m.y_m)
     turn_rad = abs(row.heading_rad - m.heading_rad)
     if far_m > par.jump_m + par.fastest_m_s * dt_s or turn_rad > par.jump_rad + par.fastest_rad_s * dt_s:
+        m.tally.reanchored += 1.0
+        m.tally.in_row = 0.0
         return NEW_FRAME
     return USED
 
@@ -205,34 +205,27 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 
 
 @compiled
-def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Differences of the pose."""
-    nu = pose_difference(z, mean, var, count)
-    m.innovation_m = math.hypot(nu[0], nu[1])
-    return nu
-
-
-@compiled
-def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally."""
+    m.innovation_m = math.hypot(nu[0], nu[1])
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @compiled
-def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """A new frame."""
+def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
+    """A new frame after too many rejections, and with baselines when one has ended."""
     if m.tally.in_row >= limit:
-        new_frame(t_ns, x, p, m, row, par)
+        m.tally.reanchored += 1.0
+        m.tally.in_row = 0.0
+        return True
+    return par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s
 
 
 @compiled
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """The pose; and with baselines, a new frame when one has ended."""
+    """The pose."""
     m.t_ns = t_ns
     m.x_m, m.y_m, m.heading_rad = row.x_m, row.y_m, row.heading_rad
-    if par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s:
-        anchor_frame(x, p, row, par)
-        m.frame_t_ns = t_ns
 
 
 @compiled

@@ -25,7 +25,6 @@ from hil.estimator.sensors.sensor import (
     FARTHEST_RAD,
     USED,
     Tally,
-    difference,
     is_repeated,
     no_frame,
     tally,
@@ -56,6 +55,7 @@ from hil.vocabulary.signals import WheelMeasurement
 
 NAME = "wheels"
 BENT = True
+ANGLE_ROW = -1
 GATED_TOGETHER = False
 START = {"t_ns": -1.0, "tally.nis_mean": 1.0}
 FIGURES = {
@@ -213,7 +213,10 @@ def body_rows(
     friction = par.friction_window_s > 0.0
     if friction:
         decay = math.exp(-dt_s / par.friction_window_s)
-        b = windowed_twist(u, m.window_m, decay, par.contacts, par.creeping > 0.0)
+        window = np.zeros(ROWS)
+        window[:] = m.window_m
+        b = windowed_twist(u, window, decay, par.contacts, par.creeping > 0.0)
+        m.window_m[:] = window
         for j in range(BODY_ROWS):
             z[j] = b[j]
     for j in range(BODY_ROWS):
@@ -311,16 +314,9 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 
 
 @compiled
-def innovation(m: Memory, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Differences of displacements; no angle goes round."""
-    nu = difference(z, mean, var, count)
-    m.innovation_m = math.hypot(nu[0], nu[1])
-    return nu
-
-
-@compiled
-def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
+def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally, and of eight equations those of each wheel that were left out."""
+    m.innovation_m = math.hypot(nu[0], nu[1])
     total, usable, used = 0.0, 0, 0
     for i in range(count):
         if var[i] < 0.0:
@@ -336,15 +332,16 @@ def account(m: Memory, nis: Array, var: Array, count: int, gate: float, samples:
 
 
 @compiled
-def let_in(limit: float, t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
+def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """The twist is no longer trusted."""
     if m.tally.in_row < limit:
-        return
+        return False
     m.tally.in_row = 0.0
     m.tally.reanchored += 1.0
     p[V_X, V_X] += 0.01
     p[V_Y, V_Y] += 0.01
     p[OMEGA, OMEGA] += 0.1
+    return False
 
 
 @compiled
@@ -361,9 +358,13 @@ def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramete
 @compiled
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
     """Back through the cloning of the pose."""
-    g = np.eye(STATES)
     for i in range(3):
-        g[CLONE_X + i, CLONE_X + i] = 0.0
-        g[CLONE_X + i, X + i] = 1.0
-    late[:] = g.T @ late
-    spread[:, :] = g.T @ spread @ g
+        late[X + i] += late[CLONE_X + i]
+        late[CLONE_X + i] = 0.0
+        for j in range(STATES):
+            spread[X + i, j] += spread[CLONE_X + i, j]
+            spread[CLONE_X + i, j] = 0.0
+    for i in range(3):
+        for j in range(STATES):
+            spread[j, X + i] += spread[j, CLONE_X + i]
+            spread[j, CLONE_X + i] = 0.0
