@@ -2,12 +2,13 @@
 
 A class derived from `Record` lists its fields with their types: `float`, an array with its shape (`Four`), or
 another such class. `dtype_of` makes the numpy type from it; a kernel then writes `m.tally.nis = 1.0`, which
-compiled is as quick as an index. At run time such an object is a numpy record, a view into its block.
+compiled is as quick as an index. At run time such an object is a numpy scalar, a view into its block.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from operator import itemgetter
 from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
@@ -84,5 +85,15 @@ def _field(hint: Any) -> tuple[Any, ...]:
     return np.float64, get_args(hint)[1:]
 
 
-def _named(fields: Any) -> np.dtype[Any]:
-    return np.dtype((np.record, np.dtype(fields, align=True)))
+def _named(fields: list[tuple[Any, ...]]) -> np.dtype[Any]:
+    """Numpy type whose scalars have their fields as attributes; `np.record` has them five times slower."""
+    attributes = {name: property(itemgetter(name), _setter(name)) for name, *_ in fields}
+    scalar = type("RecordView", (np.void,), attributes)
+    return np.dtype((scalar, np.dtype(fields, align=True)))
+
+
+def _setter(name: str) -> Callable[[Any, Any], None]:
+    def put(record: Any, value: Any) -> None:
+        record[name] = value
+
+    return put

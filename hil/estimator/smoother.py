@@ -175,10 +175,9 @@ def pull_update(
     for i in range(count - 1, -1, -1):
         if used[i] > 0.0:
             for j in range(STATES):
-                gain = cross[j, i] / size[i]
-                for k in range(STATES):
-                    back[j, k] = (1.0 if j == k else 0.0) - gain * h[i, k]
-                    information[j, k] = h[i, j] * h[i, k] / size[i]
+                back[j] = -(cross[j, i] / size[i]) * h[i]
+                back[j, j] += 1.0
+                information[j] = h[i, j] * h[i] / size[i]
             late[:] = back.T @ late - h[i] * (nu[i] / size[i])
             spread[:, :] = back.T @ spread @ back + information
 

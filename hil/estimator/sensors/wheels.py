@@ -210,7 +210,7 @@ def body_rows(
     """
     if count < 4:
         return 0
-    friction = par.friction_window_s > 0.0
+    friction, f = par.friction_window_s > 0.0, par.of_wheels
     if friction:
         decay = math.exp(-dt_s / par.friction_window_s)
         window = np.zeros(ROWS)
@@ -222,9 +222,8 @@ def body_rows(
     for j in range(BODY_ROWS):
         total, spread = 0.0, 0.0
         for i in range(ROWS):
-            f = par.of_wheels[j, i]
-            total += f * u[i]
-            spread += f * f * noise[i]
+            total += f[j, i] * u[i]
+            spread += f[j, i] * f[j, i] * noise[i]
         if not friction:
             z[j] = total
         var[j] = spread
@@ -238,14 +237,14 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     if m.t_ns < 0.0 or dt > par.longest_gap_s:
         return 0
     u, noise = np.zeros(ROWS), np.full(ROWS, -1.0)
-    rolled, count = 0.0, 0
+    rolled, count, steering, last, wheels = 0.0, 0, row.steering_rad, m.steering_rad, par.contacts
     for i in range(4):
         angle = row.rate_rad_s[i] * dt if par.from_rate > 0.0 else row.angle_rad[i] - m.angle_rad[i]
-        turned = row.steering_rad[i] - m.steering_rad[i]
+        turned = steering[i] - last[i]
         if not (math.isfinite(angle) and math.isfinite(turned)):
             continue
-        length = angle * par.contacts.radius_m[i]
-        heading = 0.5 * (row.steering_rad[i] + m.steering_rad[i]) - par.contacts.steering_zero_rad[i]
+        length = angle * wheels.radius_m[i]
+        heading = 0.5 * (steering[i] + last[i]) - wheels.steering_zero_rad[i]
         u[2 * i], u[2 * i + 1] = length * math.cos(heading), length * math.sin(heading)
         spread = par.step + par.per_m * abs(length) + par.per_s * dt
         noise[2 * i] = noise[2 * i + 1] = spread + par.steering * turned * turned
@@ -274,8 +273,9 @@ def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     size = 1.0 + par.scaled * x[SCALE]
     dx, dy = size * (c * qx + s * qy), size * (c * qy - s * qx)
     turn = size * (2.0 * h - x[YAW_SLIP] * rho)
+    f = par.of_body
     for j in range(int(par.rows)):
-        out[j] = par.of_body[j, 0] * dx + par.of_body[j, 1] * dy + par.of_body[j, 2] * turn
+        out[j] = f[j, 0] * dx + f[j, 1] * dy + f[j, 2] * turn
 
 
 @compiled
@@ -308,9 +308,10 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
         d[2, i] *= size
     if par.scaled > 0.0:
         d[0, SCALE], d[1, SCALE], d[2, SCALE] = ahead, left, 2.0 * half - x[YAW_SLIP] * rho
+    f = par.of_body
     for j in range(int(par.rows)):
         for i in range(STATES):
-            h[j, i] = par.of_body[j, 0] * d[0, i] + par.of_body[j, 1] * d[1, i] + par.of_body[j, 2] * d[2, i]
+            h[j, i] = f[j, 0] * d[0, i] + f[j, 1] * d[1, i] + f[j, 2] * d[2, i]
 
 
 @compiled
@@ -361,10 +362,8 @@ def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Arra
     for i in range(3):
         late[X + i] += late[CLONE_X + i]
         late[CLONE_X + i] = 0.0
-        for j in range(STATES):
-            spread[X + i, j] += spread[CLONE_X + i, j]
-            spread[CLONE_X + i, j] = 0.0
+        spread[X + i] += spread[CLONE_X + i]
+        spread[CLONE_X + i] = 0.0
     for i in range(3):
-        for j in range(STATES):
-            spread[j, X + i] += spread[j, CLONE_X + i]
-            spread[j, CLONE_X + i] = 0.0
+        spread[:, X + i] += spread[:, CLONE_X + i]
+        spread[:, CLONE_X + i] = 0.0
