@@ -45,7 +45,7 @@ class Bench(Blueprint):
         world: the emulated world where it lives in this process, else None.
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
-        held: how the robot was left; known from `close` on.
+        held: how the robot was left; known from `close` on, None where no device was opened.
     """
 
     def __init__(
@@ -325,10 +325,6 @@ class Bench(Blueprint):
     def on_wall(self) -> bool:
         """Whether gravity pulls along the surface: the robot has to be held."""
         return self.config.environment.on_wall
-
-    def unseen(self) -> Held:
-        """The state of a robot that has not been checked."""
-        return self._hold.unseen("the robot has not been checked")
 
     def look(self, limit_s: float = 0.5) -> Held:
         """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -38,13 +38,14 @@ class Held:
 
     Attributes:
         state: `not needed` where gravity does not pull along the surface.
-        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped.
+        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
+            where nobody has looked.
         why: what confirms it; or what is missing, and what is left to do.
         wanted: whether the servos were asked to hold it, and not told to let go.
     """
 
     state: State
-    moved_m: float
+    moved_m: float | None
     why: str
     wanted: bool = True
 
@@ -58,7 +59,20 @@ class Held:
 
 def held_in_words(held: Mapping[str, Any]) -> str:
     """One line of what `Held.to_json` says."""
+    if held["moved_m"] is None:
+        looked = "" if held["state"] == "not needed" else "nobody looked: "
+        return f"{held['state']}: {looked}{held['why']}"
     return f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
+
+
+def seen_in_words(held: Held) -> str:
+    """One line of a look at a robot that nobody has set in motion yet."""
+    return f"{held.state}: {held.why}"
+
+
+def untouched(why: str) -> Held:
+    """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
+    return Held("not needed", None, why, wanted=False)
 
 
 class _Trail:
@@ -148,7 +162,7 @@ class HoldWatch(Sink):
         """
         servos = self._rig.servos
         if servos is None or not servos.identity():
-            return self._verdict("NOT HELD", "no servos are open", wanted=False)
+            return self.unseen("no servos are open", wanted=False)
         end_ns = self._clock.now_ns() + nanoseconds(limit_s)
         trails = {name: _Trail() for name in self._witnesses}
         while True:
@@ -172,9 +186,9 @@ class HoldWatch(Sink):
         """The robot has been let go of on purpose."""
         return self._verdict("NOT HELD", "torque was released, as exit.policy asks", wanted=False)
 
-    def unseen(self, why: str) -> Held:
+    def unseen(self, why: str, *, wanted: bool = True) -> Held:
         """Nobody could look, or has not yet."""
-        return self._verdict("NOT HELD", why)
+        return replace(self._verdict("NOT HELD", why, wanted=wanted), moved_m=None)
 
     def _see(self, hold: ServoHold, trails: dict[str, _Trail]) -> None:
         """Take what servos and sensors say now."""

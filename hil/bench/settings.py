@@ -77,7 +77,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     ids = () if servos is None else servos.steer_ids
     return Checks(
         motion=None if servos is None else MotionCheck(geometry, on_wall=config.environment.on_wall),
-        stops_by_motion=follows and feedback != "odometry",
+        needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
     )

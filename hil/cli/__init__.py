@@ -19,6 +19,7 @@ from hil.cli.options import SuggestingGroup
 from hil.cli.output import Output
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, HilError
 from hil.vocabulary.reading import printable
+from hil.vocabulary.stop_signals import deaf_from_now_on
 
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
@@ -118,4 +119,5 @@ def script() -> None:
         code = main()
     except Aborted:  # even the message about an error finds no reader
         code = EXIT_ABORTED
+    deaf_from_now_on()
     sys.exit(code if output.finish() else EXIT_ABORTED)

@@ -20,6 +20,8 @@ from hil.vocabulary.errors import EXIT_PASS
 
 _NICE = -5
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
+"""A terminal sends them to whoever started this as well, who may yet have a robot to look after."""
 
 
 @click.command()
@@ -71,7 +73,7 @@ def command(
         server.stop()
 
     for number in _ENDS:
-        signal.signal(number, leave)
+        signal.signal(number, signal.SIG_IGN if await_start and number in _OF_A_TERMINAL else leave)
     _as_prompt_as_hardware(config.loop.fifo_priority)
     line = json.dumps(server.endpoints())
     click.echo(line)

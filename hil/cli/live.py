@@ -11,7 +11,7 @@ import click
 
 from hil.cli import start
 from hil.cli.options import SEED, FiniteRange, rerun_option
-from hil.vocabulary.errors import EXIT_PASS, DataError, UsageError
+from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
@@ -101,11 +101,12 @@ def command(
     Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
     that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
-    exit code 4.
+    exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
     """
     from hil.bench import open_bench
     from hil.config.loading import load_bench
     from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
+    from hil.vocabulary.stop_signals import StopRequest
 
     if source is not None and commands != "none":
         raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
@@ -123,29 +124,44 @@ def command(
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
-    opened = open_bench(
-        bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
-        overrides=overrides,
-    )  # fmt: skip
-    try:
-        plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
-        recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
-        monitor = _monitor(opened, view)
-        session = LiveSession(opened, plan, recorder=recorder, monitor=monitor)
+    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
+    stop = StopRequest()
+    with stop.noted():
         try:
-            with opened:
-                click.echo(f"at the start {opened.look()}", err=True)
-                session.run()
+            opened = open_bench(
+                bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
+                overrides=overrides,
+            )  # fmt: skip
+            try:
+                recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
+                monitor = _monitor(opened, view)
+                session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
+                _live(session, as_json=as_json)
+            finally:
+                opened.close()
         finally:
-            opened.close()
-            _report(session, monitor, as_json=as_json)
+            if lines is not None:
+                lines.close()
         if recorder is not None and (lost := recorder.objection()) is not None:
             raise lost
-    finally:
-        opened.close()
-        if lines is not None:
-            lines.close()
+        if stop.name:
+            raise Aborted(f"{stop.name} came while the bench was being closed")
     return EXIT_PASS
+
+
+def _live(session: LiveSession, *, as_json: bool) -> None:
+    """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
+    from hil.bench.holding import seen_in_words
+
+    bench = session.bench
+    try:
+        session.end_if_asked()
+        with bench:
+            click.echo(f"at the start {seen_in_words(bench.look())}", err=True)
+            session.run()
+    finally:
+        bench.close()
+        _report(session, as_json=as_json)
 
 
 def _dated() -> Path:
@@ -181,8 +197,8 @@ def _monitor(bench: Bench, view: str | None) -> RerunMonitor | None:
     return monitor
 
 
-def _report(session: LiveSession, monitor: RerunMonitor | None, *, as_json: bool) -> None:
-    summary = session.summary()
+def _report(session: LiveSession, *, as_json: bool) -> None:
+    summary, monitor = session.summary(), session.monitor
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
     click.echo(json.dumps(summary) if as_json else _text(summary))

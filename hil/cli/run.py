@@ -15,6 +15,7 @@ from hil.cli.progress import reporting
 
 if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
+    from hil.procedure.interrupts import Interrupts
     from hil.procedure.results import Result
     from hil.recording.mcap_writer import OnFailure
 
@@ -47,6 +48,7 @@ def command(
 ) -> int:  # fmt: skip
     """Run a procedure: a path to a Python file, or the name of a shipped one."""
     from hil.procedure.bench_source import BenchSource
+    from hil.procedure.interrupts import Interrupts
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
@@ -63,20 +65,28 @@ def command(
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
     source = source.changed(overrides=start.asked_start(source.config))
-    result = _run(proc, source, _folder(proc, out, resume), parameters, answers, resume, on_failure)
-    report, code = _report_of(result)
-    if as_json:
-        tree = result.to_json() | {"folder": str(result.folder), "report": report}
-        click.echo(json.dumps(tree, allow_nan=False))
-    else:
-        click.echo(_text(result))
-        click.echo(f"report: {report or 'could not be written'}")
+    interrupts = Interrupts(_tell)
+    with interrupts.installed(), interrupts.deferred():
+        folder = _folder(proc, out, resume)
+        result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
+        report, code = _report_of(result)
+        if as_json:
+            tree = result.to_json() | {"folder": str(result.folder), "report": report}
+            click.echo(json.dumps(tree, allow_nan=False))
+        else:
+            click.echo(_text(result))
+            click.echo(f"report: {report or 'could not be written'}")
     return code
+
+
+def _tell(text: str) -> None:
+    """A line for the operator, beside the results on stdout."""
+    click.echo(f"hil: {text}", err=True)
 
 
 def _run(
     proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None,
-    resume: bool, on_failure: OnFailure,
+    resume: bool, on_failure: OnFailure, interrupts: Interrupts,
 ) -> Result:  # fmt: skip
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
@@ -89,8 +99,8 @@ def _run(
             RunOptions(
                 folder=folder, clock=MonotonicClock(),
                 started=datetime.now().astimezone().isoformat(timespec="seconds"), parameters=parameters,
-                operator=operator, report=report, tell=lambda text: click.echo(f"hil: {text}", err=True),
-                resume=resume, on_recording_failure=on_failure,
+                operator=operator, report=report, resume=resume, on_recording_failure=on_failure,
+                interrupts=interrupts,
             ),
         )  # fmt: skip
 

@@ -6,14 +6,13 @@ Whatever ends it, the robot is stopped, and the summary says whether it is held.
 from __future__ import annotations
 
 import logging
-import signal
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from types import FrameType
 
 import numpy as np
 
 from hil.bench import Bench
+from hil.bench.holding import untouched
 from hil.bench.settings import motion_limits
 from hil.live.commands import CommandLines
 from hil.live.references import MakeTrajectory
@@ -29,7 +28,7 @@ from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import CycleRecord
-from hil.vocabulary.stop_signals import handled_by
+from hil.vocabulary.stop_signals import StopRequest
 
 LOG = logging.getLogger(__name__)
 
@@ -69,9 +68,10 @@ class LiveSession:
         plan: what to do.
         recorder: reported on in the summary; also a sink of the bench.
         monitor: shown what is going to be followed; also a sink of the bench.
+        stop: signals that whoever opens and closes the bench notes; its own by default.
 
     Attributes:
-        ended: why it ended: `duration`, `trajectory`, the signal's name, or the error's text.
+        ended: why it ended: `duration`, `trajectory`, the first signal's name, or the error's text.
     """
 
     def __init__(
@@ -81,10 +81,11 @@ class LiveSession:
         *,
         recorder: McapRecorder | None = None,
         monitor: RerunMonitor | None = None,
+        stop: StopRequest | None = None,
     ) -> None:
         self.bench, self.plan, self.recorder, self.monitor = bench, plan, recorder, monitor
         self.ended = ""
-        self._signal: str | None = None
+        self._stop = stop or StopRequest()
         self._samples = SampleCounter()
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
@@ -98,7 +99,7 @@ class LiveSession:
             Aborted: a signal ended it.
             SafetyStop, DeviceError, TrajectoryError: as the loop raised them; the robot is stopped.
         """
-        with handled_by(self._take):
+        with self._stop.noted():
             try:
                 self._run()
             except HilError as error:
@@ -116,7 +117,9 @@ class LiveSession:
             "timing": bench.statistics.summary(),
             "samples": self._samples.to_json(),
             "pose": pose,
-            "held": (bench.held or bench.unseen()).to_json(),
+            "held": (
+                bench.held or untouched("no device was opened: the robot is as it was before")
+            ).to_json(),
         }
         if bench.real_time is not None:
             found["real_time"] = {
@@ -136,10 +139,11 @@ class LiveSession:
 
     def _run(self) -> None:
         bench, plan = self.bench, self.plan
+        self.end_if_asked()
         bench.config.must_know_start()
         if self._moving:
             bench.rig.actuators().enable()
-        rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=self._stop_if_asked)
+        rest = bench.observe(_SETTLE_S, feedback=plan.feedback, on_cycle=lambda _: self.end_if_asked())
         pose = self.bench.measured_pose(rest.mocap)
         trajectory = self._trajectory(pose) if self._moving else None
         brain = self._brain(trajectory)
@@ -186,8 +190,8 @@ class LiveSession:
         bench.add_sink(self._samples)
         start = RunStart(self.bench.start_state(pose), plan.feedback, law, plan.observers, told)
         bench.run(brain, start, self._is_over(trajectory))
-        if self._signal is not None:
-            raise Aborted(f"ended by {self._signal}")
+        if self._stop.name:
+            raise Aborted(f"ended by {self._stop.name}")
 
     def _is_over(self, trajectory: Trajectory | None) -> Callable[[CycleRecord], bool]:
         """The condition that ends the loop; notes the latest record and why it ended."""
@@ -202,22 +206,19 @@ class LiveSession:
             self._last = record
             if not first_ns:
                 first_ns.append(record.start_ns)
-            if self._signal is not None:
-                self.ended = self._signal
+            if self._stop.name:
+                self.ended = self._stop.name
             elif length_ns is not None and record.start_ns >= first_ns[0] + length_ns:
                 self.ended = reason
             return bool(self.ended)
 
         return over
 
-    def _stop_if_asked(self, record: CycleRecord) -> None:
-        if self._signal is not None:
-            self.ended = self._signal
-            raise Aborted(f"ended by {self._signal} before the robot was asked to move")
-
-    def _take(self, number: int, _frame: FrameType | None = None) -> None:
-        """Handle a signal: the cycle in hand is finished, then the loop ends."""
-        self._signal = signal.Signals(number).name
+    def end_if_asked(self) -> None:
+        """Before anything moves: raise `Aborted` if a signal has asked for the end."""
+        if self._stop.name:
+            self.ended = self._stop.name
+            raise Aborted(f"ended by {self._stop.name} before the robot was asked to move")
 
 
 def _standing(pose: Array) -> Trajectory:

@@ -123,12 +123,14 @@ class Context(Notebook):
         try:
             self._record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
-            bench.__enter__()
+            with self._interrupts.deferred():
+                bench.__enter__()
+                self._bench = bench
         except BaseException:
             bench.close()
             self.held = bench.held
             raise
-        self._bench = bench
+        self._interrupts.stop_here()
         return bench
 
     def close_bench(self) -> None:
@@ -136,7 +138,8 @@ class Context(Notebook):
         bench, self._bench = self._bench, None
         if bench is not None:
             try:
-                bench.__exit__(None, None, None)
+                with self._interrupts.deferred():
+                    bench.__exit__(None, None, None)
             finally:
                 self.held = bench.held
                 if self._recorder is not None and self._recorder.shortfall:

@@ -48,8 +48,9 @@ class LoopGuard(Sink):
 
     def objection(self) -> HilError | None:
         """`Aborted` or `StepTimeoutError`, which the loop stops the robot with."""
-        if self._interrupts.stopping is not None:
-            return self._interrupts.stopping
+        stopping = self._interrupts.stopping()
+        if stopping is not None:
+            return stopping
         over = ((what, limit_s) for what, limit_s, end_ns in self._limits if self.driven_ns > end_ns)
         return next((StepTimeoutError(what, limit_s) for what, limit_s in over), None)
 

@@ -1,8 +1,9 @@
 """Signals during a run: finish the step, or stop now.
 
 SIGINT once asks for an orderly end at the next step; SIGINT again, SIGTERM or SIGHUP ends the work at
-once: `Aborted` is raised in the main thread, on whose way out the robot is stopped. Inside `deferred()`
-(writing a record, tearing down) a signal waits for the end of the block.
+once: `Aborted` is raised in the main thread, on whose way out the robot is stopped. It is raised once: that
+way out is not cut short. Inside `deferred()` (writing a record, opening and closing a bench, tearing down,
+all that comes after the verdict) a signal waits for the end of the block.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ class Interrupts:
         self._asked = 0
         self._stop: str | None = None
         self._deferred = 0
+        self._raised = False
 
     @property
     def asked_to_finish(self) -> bool:
@@ -40,15 +42,18 @@ class Interrupts:
         if self.asked_to_finish:
             raise Aborted(f"ended by {self._stop or 'SIGINT'} between two steps")
 
-    @property
     def stopping(self) -> Aborted | None:
-        """What to end a step with where an immediate stop was asked for."""
-        return None if self._stop is None else Aborted(f"stopped at once by {self._stop}")
+        """What to end a step with where an immediate stop was asked for; signals raise nothing any more."""
+        if self._stop is None:
+            return None
+        self._raised = True
+        return Aborted(f"stopped at once by {self._stop}")
 
     def stop_here(self) -> None:
         """Within a step: raise `Aborted` if an immediate stop was asked for."""
-        if self.stopping is not None:
-            raise self.stopping
+        stopping = self.stopping()
+        if stopping is not None:
+            raise stopping
 
     def handle(self, number: int, _frame: FrameType | None = None) -> None:
         """Take a signal."""
@@ -59,8 +64,8 @@ class Interrupts:
                 self._tell("finishing the step; press Ctrl-C again to stop now")
                 return
             name = "a second SIGINT"
-        self._stop = name
-        if not self._deferred:
+        self._stop = self._stop or name
+        if not (self._deferred or self._raised):
             self.stop_here()
 
     @contextmanager
@@ -71,6 +76,16 @@ class Interrupts:
             yield
         finally:
             self._deferred -= 1
+
+    @contextmanager
+    def heeded(self) -> Iterator[None]:
+        """Within a deferred whole, the piece of work that a stop may end at once."""
+        deferred, self._deferred = self._deferred, 0
+        try:
+            self.stop_here()
+            yield
+        finally:
+            self._deferred = deferred
 
     def installed(self) -> AbstractContextManager[None]:
         """Handle the signals of this process; only possible in the main thread, elsewhere nothing."""

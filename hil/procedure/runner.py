@@ -14,6 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from hil.bench.holding import untouched
 from hil.config.bench import BenchConfig
 from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
@@ -53,10 +54,10 @@ class RunOptions:
         parameters: texts of `--set` or typed values.
         operator: who answers prompts.
         report: progress (what, done, total).
-        tell: receives lines for the operator.
         resume: continue from the journal in `folder`.
         on_recording_failure: whether the run has to `stop`, or may `go-on`, once what it does can no longer
             be kept in its recordings and its journal.
+        interrupts: signals that the caller takes also before and after the run.
     """
 
     folder: Path
@@ -65,9 +66,9 @@ class RunOptions:
     parameters: dict[str, Any]
     operator: Operator = field(default_factory=Terminal)
     report: Report = silent
-    tell: Callable[[str], None] = lambda text: None
     resume: bool = False
     on_recording_failure: OnFailure = "stop"
+    interrupts: Interrupts = field(default_factory=Interrupts)
 
 
 def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
@@ -87,7 +88,16 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     declared = proc.declared(parameters, source.config)
     header = _header(proc, parameters, source)
     past = _past(options, header, source.config)
-    interrupts = Interrupts(options.tell)
+    with options.interrupts.installed(), options.interrupts.deferred():
+        return _recorded_run(proc, source, options, parameters, declared, header, past)
+
+
+def _recorded_run(
+    proc: Procedure, source: BenchSource, options: RunOptions, parameters: Any,
+    declared: tuple[Measurement, ...], header: Entry, past: PastRun | None,
+) -> Result:  # fmt: skip
+    """The run itself, from its first word in the journal to the last in its folder."""
+    interrupts = options.interrupts
     journal = Journal(options.folder / NAME, options.on_recording_failure)
     try:
         if past is None:
@@ -100,8 +110,7 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
             past=past.checkpoints if past else {}, on_recording_failure=options.on_recording_failure,
         )  # fmt: skip
         begin_ns = options.clock.now_ns()
-        with interrupts.installed():
-            error, late, statistics = _execute(proc, context, interrupts)
+        error, late, statistics = _execute(proc, context, interrupts)
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
         facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics}
         late += _not_held(context, error or next(iter(late), None))
@@ -163,20 +172,20 @@ def _execute(
     """The function and the teardown; returns the first error, the teardown's, and loop statistics."""
     error: Failure | None = None
     try:
-        proc.body(context)
+        with interrupts.heeded():
+            proc.body(context)
     except (Exception, KeyboardInterrupt, SystemExit) as problem:
         error = _failure(problem, context)
     late: list[Failure] = []
     statistics = None
-    with interrupts.deferred():
-        for title, action in context.take_teardown():
-            _attempt(title, action, proc.teardown_s, context, late)
-        if context.opened is not None:
-            statistics = context.opened.statistics.summary()
-        _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
-        lost = context.unrecorded()
-        if error is None and lost is not None:
-            error = _failure(lost, context, "recording")
+    for title, action in context.take_teardown():
+        _attempt(title, action, proc.teardown_s, context, late)
+    if context.opened is not None:
+        statistics = context.opened.statistics.summary()
+    _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
+    lost = context.unrecorded()
+    if error is None and lost is not None:
+        error = _failure(lost, context, "recording")
     return error, late, statistics
 
 
@@ -274,16 +283,11 @@ def _facts(
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "notes": findings.notes,
-        "held": _held(context, source),
+        "held": _held(context),
     }
 
 
-def _held(context: Context, source: BenchSource) -> dict[str, object]:
+def _held(context: Context) -> dict[str, object]:
     if context.held is not None:
         return context.held.to_json()
-    state = "NOT HELD" if source.config.environment.on_wall else "not needed"
-    return {
-        "state": state,
-        "moved_m": 0.0,
-        "why": "no bench was opened: the robot has not been checked",
-    }
+    return untouched("no device was opened: the robot is as it was before").to_json()

@@ -36,6 +36,7 @@ class SampleWatch:
     def reset(self) -> None:
         """Forget ages and what was told."""
         self._last_ok_ns: dict[str, int] = {}
+        self._last_bad: dict[str, Status] = {}
         self._silent: set[str] = set()
         self._last_told_ns: dict[tuple[str, Status], int] = {}
 
@@ -48,6 +49,7 @@ class SampleWatch:
                 if sample.status is Status.OK:
                     good = True
                 elif not labels:
+                    self._last_bad[name] = sample.status
                     self._look(name, "", sample.status, t_ns, events)
                 elif sample.status == (Status.OK,) * len(labels):
                     good = True
@@ -56,6 +58,14 @@ class SampleWatch:
                         self._look(name, f"{label} ", status, t_ns, events)
             if name in self._stale_ns:
                 self._age(name, good, t_ns, events)
+
+    def silence(self, name: str, t_ns: int) -> str:
+        """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
+        if name not in self._silent:
+            return ""
+        duration_s = (t_ns - self._last_ok_ns[name]) / NS_PER_S
+        bad = self._last_bad.get(name)
+        return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
 
     def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         if status in _TOLD:
@@ -72,6 +82,7 @@ class SampleWatch:
         last_ns = self._last_ok_ns.setdefault(name, t_ns)
         if good:
             self._last_ok_ns[name] = t_ns
+            self._last_bad.pop(name, None)
             if name in self._silent:
                 self._silent.discard(name)
                 events.append(Event(t_ns, "info", name, "answers again"))

@@ -54,13 +54,14 @@ class Checks:
 
     Attributes:
         motion: camera against wheels and gyro; None without.
-        stops_by_motion: whether the estimate that is followed uses the camera.
+        needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
+            in doubt or silent.
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
     """
 
     motion: MotionCheck | None = None
-    stops_by_motion: bool = False
+    needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False
 
@@ -110,9 +111,9 @@ class Supervisor:
 
         Raises:
             SafetyStop: `adhesion`, `sliding`, `hardware_error`, `stale_servos`, `blocked`, `servo_jump`,
-                `horn_slip` or `sensors_disagree`; the message names everything that came together. A silent
-                IMU or camera is an event at first: the estimator lives without it for a while and says how
-                sure it is; a silence that lasts is their driver's `DeviceTimeoutError`, which stops as well.
+                `horn_slip`, `sensors_disagree` or `stale_tracker`; the message names everything that came
+                together. A silent IMU is an event, and so is a silent camera where nothing that is followed
+                needs it; a silence that lasts is their driver's `DeviceTimeoutError`, which stops as well.
         """
         events = self._judge(inputs, measurements)
         if self._causes:
@@ -127,9 +128,20 @@ class Supervisor:
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
+        self._check_camera(inputs.t_ns)
         if measurements is not None:
             self._compare(inputs, measurements, events)
         return tuple(events)
+
+    def _check_camera(self, t_ns: int) -> None:
+        """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
+        silence = self._samples.silence("tracker", t_ns) if self.checks.needs_camera else ""
+        if silence:
+            self._blame(
+                "stale_tracker",
+                f"no usable pose of the camera {silence}, which the estimate that is followed needs: check "
+                "its lens, light and cable, or follow odometry",
+            )
 
     def _blame(self, reason: str, message: str) -> None:
         known = self._causes.get(reason)
@@ -145,7 +157,7 @@ class Supervisor:
             for doubt in checks.motion.update(measurements):
                 if not doubt.grave:
                     events.append(Event(inputs.t_ns, "warning", doubt.source, doubt.message))
-                elif checks.stops_by_motion:
+                elif checks.needs_camera:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)

@@ -1,11 +1,15 @@
-"""SIGINT, SIGTERM and SIGHUP (a closed terminal) handed to one function for as long as a block lasts."""
+"""SIGINT, SIGTERM and SIGHUP (a closed terminal) handed to one function for as long as a block lasts.
+
+A robot on a wall is held by whoever looks after it: a signal may ask for the end of that, and must not cut
+it short, the second no more than the first.
+"""
 
 from __future__ import annotations
 
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -27,3 +31,29 @@ def handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[Non
     finally:
         for number, former in before.items():
             signal.signal(number, former)
+
+
+class StopRequest:
+    """Signals that are noted and nothing more; who is at work heeds them where it suits.
+
+    Attributes:
+        name: of the first one; empty before.
+    """
+
+    def __init__(self) -> None:
+        self.name = ""
+
+    def take(self, number: int, _frame: FrameType | None = None) -> None:
+        """Note a signal."""
+        self.name = self.name or signal.Signals(number).name
+
+    def noted(self) -> AbstractContextManager[None]:
+        """Note the signals of this process for as long as the block lasts."""
+        return handled_by(self.take)
+
+
+def deaf_from_now_on() -> None:
+    """Ignore these signals: the work is done and told, and only the interpreter has yet to end."""
+    if threading.current_thread() is threading.main_thread():
+        for number in STOPS:
+            signal.signal(number, signal.SIG_IGN)

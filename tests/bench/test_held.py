@@ -6,7 +6,7 @@ import pytest
 import hil
 from hil.fakes.faults import parse_fault
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import HilError, SafetyStop
+from hil.vocabulary.errors import DeviceError, HilError, SafetyStop
 from hil.vocabulary.signals import SERVOS
 
 SECOND = 1_000_000_000
@@ -71,6 +71,34 @@ def test_a_loss_while_the_bench_opens(kind):
     with hil.open_bench("emulated", seed=3, faults=[f"{kind}@0.1+0.8"]) as bench:
         assert bench.look().state == "HELD"
         assert moved_from(bench, 1.0) < 0.3
+
+
+OPENING = {"asked": 0.2, "set up": 0.41, "enabled": 0.43}
+
+
+@pytest.mark.parametrize("at_s", list(OPENING.values()), ids=list(OPENING))
+@pytest.mark.parametrize(
+    ("kind", "duration_s"),
+    [
+        ("servos:brownout", 0.05), ("servos:reset", 0.0), ("servos:unplug", 0.3),
+        ("servo.steer_FL:brownout", 0.05), ("servo.drive_BL:off", 1.0),
+    ],
+)  # fmt: skip
+def test_whenever_it_happens_while_the_bench_opens_the_robot_is_held_in_the_end(kind, duration_s, at_s):
+    with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
+        wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert moved_from(bench, 1.0) < 2.0
+    assert bench.held.state == "HELD"
+
+
+def test_servos_that_do_not_come_back_while_they_are_enabled_are_named_in_time():
+    with hil.open_bench("emulated", seed=1) as bench:
+        began_s = bench.clock.now_ns() / SECOND
+        bench.world.faults.add(parse_fault(f"servo.drive_BL:off@{began_s}"))
+        wait(bench, 0.01)
+        with pytest.raises(DeviceError, match="drive_BL timeout"):
+            bench.rig.servos.enable()
+        assert 1.4 < bench.clock.now_ns() / SECOND - began_s < 2.0
 
 
 @pytest.mark.long
@@ -176,10 +204,10 @@ def test_wheels_that_a_program_forgot_come_to_rest_and_stay_looked_after():
 
 def test_an_enable_that_fails_is_made_good_when_the_servos_come_back():
     with hil.open_bench("emulated", seed=1) as bench:
-        bench.world.faults.add(parse_fault(f"servos:brownout@{bench.clock.now_ns() / SECOND}+0.4"))
+        bench.world.faults.add(parse_fault(f"servos:brownout@{bench.clock.now_ns() / SECOND}+2.5"))
         wait(bench, 0.01)
         with pytest.raises(HilError):
             bench.rig.servos.enable()
-        wait(bench, 0.7)
+        wait(bench, 1.3)
         assert moved_from(bench, 0.5) < 2.0
         assert bench.look().state == "HELD"

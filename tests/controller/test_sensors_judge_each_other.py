@@ -89,6 +89,47 @@ def test_a_frozen_camera_is_named_at_once_and_lived_without_for_a_while(way, at_
     ride.assert_near()
 
 
+LONG = line(ORIGIN, [1.5, 0.0, 0.0], duration_s=30.0)
+BLIND = {
+    "tracker:stuck@0": ("frozen", 0.0), "tracker:wrong@0.3,confidence=0": ("not tracked", 0.3),
+    "tracker:wrong@2.5,confidence=1": ("low confidence", 2.5),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("fault", list(BLIND))
+def test_nobody_is_driven_far_past_a_camera_that_gives_no_usable_pose(fault):
+    ride = Ride(LONG, fault)
+    word, at_s = BLIND[fault]
+    assert isinstance(ride.stop, SafetyStop | DeviceTimeoutError)
+    assert word in str(ride.stop)
+    assert at_s + 2.0 < ride.ended_s < at_s + 3.2
+    ride.assert_near()
+
+
+@pytest.mark.parametrize("at_s", [0.0, 0.3, 0.45])
+def test_a_camera_that_was_frozen_before_the_loop_began_is_named_at_once(at_s):
+    with open_bench("emulated", faults=(f"tracker:stuck@{at_s}",)) as bench:
+        bench.clock.sleep_until_ns(1_000_000_000)
+        began_s, events = bench.clock.now_ns() * 1e-9, []
+        bench.observe(0.5, on_cycle=lambda record: events.extend(record.events))
+    told_s = [e.t_ns * 1e-9 for e in events if e.source == "tracker" and "frozen" in e.message]
+    assert told_s
+    assert told_s[0] < began_s + 0.3
+
+
+def test_who_follows_odometry_or_nothing_needs_no_camera():
+    ride = Ride(straight(UP), "tracker:wrong@0.3,confidence=1", feedback="odometry")
+    assert ride.stop is None
+    with open_bench("emulated", faults=("tracker:wrong@0.3,confidence=1",)) as bench:
+        bench.observe(3.0)
+
+
+def test_a_bench_without_a_camera_follows_its_filter():
+    ride = Ride(straight(UP), tracker=None)
+    assert not ride.bench.has("tracker")
+    assert ride.stop is None
+
+
 @pytest.mark.parametrize("device", ["imu", "mocap"])
 def test_other_frozen_streams_are_named_too(device):
     ride = Ride(straight(UP), f"{device}:stuck@2+0.6")

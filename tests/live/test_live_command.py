@@ -29,7 +29,7 @@ PATIENT = {"safety.servo_stale_s": 2.0, "servos.fail_after_s": 5.0, "servos.repl
 """A machine that runs tests may be busy: what is late here is not what is tested here."""
 
 
-def live(folder, *options):
+def live(folder, *options, **process):
     """A running `hil live` in a folder, on an emulated bench that allows for a busy host."""
     bench = folder / "bench.toml"
     tree = load_bench("emulated", overrides=PATIENT).model_dump(mode="json", by_alias=True, exclude_none=True)
@@ -37,7 +37,7 @@ def live(folder, *options):
     return subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, **process,
     )  # fmt: skip
 
 
@@ -151,11 +151,49 @@ def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
     assert summary["held"]["state"] == "HELD"
     assert summary["held"]["moved_m"] < 0.005
     assert abs(summary["pose"][0]) < 0.01
-    assert "at the start HELD" in err
+    assert "at the start HELD: torque on" in err
+    assert "since the stop" not in err
     assert summary["timing"]["cycles"] > 0
     records = list(read_cycles(tmp_path / "run.mcap"))
     assert all(r.reference is None for r in records)
     assert verified(tmp_path / "run.mcap")[1]["identical"]
+
+
+@pytest.mark.parametrize("names", ["SIGTERM SIGHUP", "SIGINT SIGINT SIGINT"])
+def test_a_second_signal_does_not_cut_short_how_the_robot_is_left(tmp_path, names):
+    """The terminal's Ctrl-C goes to the emulated devices, too: they have to live for as long as the robot."""
+    process = live(tmp_path, "--record", str(tmp_path / "run.mcap"), start_new_session=True)
+    while process.poll() is None and not _some(tmp_path / "run.mcap"):
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.1)
+    first, *others = names.split()
+    for name in (first, *others):
+        number = getattr(signal, name)
+        with contextlib.suppress(ProcessLookupError):
+            os.kill(process.pid, number) if name == "SIGTERM" else os.killpg(process.pid, number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.12)
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 4, err
+    summary = json.loads(out)
+    assert summary["ended"] == first
+    assert summary["held"]["state"] == "HELD", summary["held"]
+
+
+@pytest.mark.parametrize(
+    ("told", "name", "state"), [("recording to", "SIGTERM", ""), ("at the start", "SIGHUP", "HELD")]
+)
+def test_a_signal_before_the_session_begins_is_answered_with_the_summary(tmp_path, told, name, state):
+    process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
+    while told not in process.stderr.readline():
+        assert process.poll() is None
+    os.kill(process.pid, getattr(signal, name))
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 4, err
+    summary = json.loads(out)
+    assert summary["ended"] == name
+    assert summary["held"]["state"] in (state, "HELD", "NOT HELD")[0 if state else 1 :]
+    assert f"ended by {name}" in err
 
 
 def _some(path):

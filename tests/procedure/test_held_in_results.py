@@ -1,13 +1,18 @@
 """Every run says in its result, its recording and its page whether it left the robot held."""
 
 import json
+import os
+import signal
 
 import pytest
 
+from hil.bench.holding import HoldWatch, held_in_words
+from hil.cli import main
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.recording.mcap_reader import RecordingReader
+from hil.report import run_page
 from hil.report.run_page import write_run_page
 from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
@@ -53,3 +58,95 @@ def test_a_robot_on_the_floor_needs_nobody(tmp_path):
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
     assert json.loads((result.folder / "result.json").read_text())["held"]["state"] == "not needed"
     assert result.exit_code == 0
+
+
+def send(*names):
+    for name in names:
+        os.kill(os.getpid(), getattr(signal, name))
+
+
+def ran(folder, proc):
+    """The result of a run in virtual time."""
+    result = run_procedure(proc, BenchSource("emulated"), RunOptions(folder, MonotonicClock(), "now", {}))
+    return result, json.loads((folder / "result.json").read_text())
+
+
+def test_a_signal_while_the_bench_opens_waits_until_the_robot_is_held(tmp_path, monkeypatch):
+    def opened(source, open_bench=BenchSource.open):
+        bench = open_bench(source)
+        bench.on_open(lambda: send("SIGTERM", "SIGHUP"))
+        return bench
+
+    monkeypatch.setattr(BenchSource, "open", opened)
+    result, tree = ran(tmp_path / "run", climb)
+    assert (tree["verdict"], tree["held"]["state"], result.exit_code) == ("ABORTED", "HELD", 4)
+    assert "SIGTERM" in tree["error"]["message"]
+    assert tree["measurements"][0]["outcome"] == "NOT MEASURED"
+
+
+def test_further_signals_do_not_cut_short_what_the_first_one_began(tmp_path, monkeypatch):
+    @procedure(name="struck", needs=("servos",), measurements=())
+    def struck(ctx):
+        """Is stopped at once, and again on the way out."""
+        assert ctx.bench.on_wall
+        try:
+            send("SIGTERM")
+        finally:
+            send("SIGHUP", "SIGINT", "SIGINT")
+            ctx.note("way out")
+
+    def look(watch, limit_s, before=HoldWatch.look):
+        send("SIGINT", "SIGINT", "SIGHUP", "SIGTERM")
+        return before(watch, limit_s)
+
+    monkeypatch.setattr(HoldWatch, "look", look)
+    result, tree = ran(tmp_path / "run", struck)
+    assert (tree["verdict"], tree["held"]["state"], result.exit_code) == ("ABORTED", "HELD", 4)
+    assert "SIGTERM" in tree["error"]["message"]
+    assert tree["notes"] == ["way out"]
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP", "SIGINT"])
+def test_a_signal_after_the_verdict_takes_nothing_of_the_last_word(tmp_path, monkeypatch, capsys, name):
+    """The report is still being written when it comes; before, in and after that are the same."""
+    script = tmp_path / "nothing.py"
+    script.write_text(
+        "from hil.procedure import procedure\n\n\n"
+        '@procedure(name="nothing", measurements=())\n'
+        'def nothing(ctx):\n    """Opens its bench."""\n    assert ctx.bench.on_wall\n'
+    )
+
+    def slowly(folder, write=write_run_page):
+        send(name, name)
+        return write(folder)
+
+    monkeypatch.setattr(run_page, "write_run_page", slowly)
+    assert main(["run", str(script), "--out", str(tmp_path / "run"), "--json"]) == 0
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree["verdict"], tree["held"]["state"]) == ("PASS", "HELD")
+    assert (tmp_path / "run" / "report.html").exists()
+
+
+def test_what_nobody_has_looked_at_has_not_moved_by_a_number(tmp_path):
+    """A bench that does not open, and a procedure that opens none, know nothing of any way."""
+    source = BenchSource("emulated", faults=("servos:off@0",))
+    result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
+    tree = json.loads((result.folder / "result.json").read_text())
+    assert (tree["held"]["state"], tree["held"]["moved_m"]) == ("NOT HELD", None)
+    assert held_in_words(tree["held"]).startswith("NOT HELD: nobody looked: the bench did not open")
+    assert "nobody looked" in write_run_page(tmp_path / "run").read_text()
+
+
+def test_where_no_device_was_opened_nobody_needs_to_be_held(tmp_path, capsys):
+    script = tmp_path / "wrong.py"
+    script.write_text(
+        "from hil.procedure import procedure\n\n\n"
+        '@procedure(name="wrong", measurements=())\n'
+        'def wrong(ctx):\n    """Asks for what there is not."""\n'
+        '    ctx.reopen(overrides={"servos.colour": "red"})\n'
+    )
+    assert main(["run", str(script), "--out", str(tmp_path / "run"), "--json"]) == 2
+    tree = json.loads(capsys.readouterr().out)
+    assert (tree["held"]["state"], tree["held"]["moved_m"]) == ("not needed", None)
+    assert "no device was opened" in tree["held"]["why"]
+    assert "moved" not in held_in_words(tree["held"])

@@ -77,6 +77,15 @@ def test_frozen_poses_are_marked_and_then_an_error(tracker_bench, follow):
         follow(bench, 4.0)
 
 
+def test_a_frozen_camera_is_frozen_whatever_it_says_of_its_confidence(tracker_bench, follow):
+    """A camera that froze before it was sure of itself repeats that it is not tracked, too."""
+    bench = tracker_bench("tracker:wrong@1,confidence=0", "tracker:stuck@2")
+    bench.driver.open()
+    before = [s for s in follow(bench, 2.0) if 1_100_000_000 < s.stamp.t_ns < 1_950_000_000]
+    assert {s.status for s in before} == {Status.NOT_TRACKED}
+    assert follow(bench, 0.5)[-1].status is Status.FROZEN
+
+
 def test_wrong_scale_looks_plausible_and_wrong_confidence_is_told(tracker_bench, travelling_plant, follow):
     bench = tracker_bench(
         "tracker:wrong@1+1,scale=1.5", "tracker:wrong@3,confidence=0",

@@ -109,6 +109,13 @@ def test_frozen_poses_are_marked_and_then_an_error(mavlink_bench):
         follow(bench, 4.0)
 
 
+def test_a_frozen_sender_is_frozen_whatever_it_says_of_its_quality(mavlink_bench):
+    bench = mavlink_bench("tracker:wrong@2,quality=-1", "tracker:stuck@3")
+    bench.driver.open()
+    assert until(bench, 2.95)[-1].status is Status.NOT_TRACKED
+    assert until(bench, 4.0)[-1].status is Status.FROZEN
+
+
 def test_wrong_scale_looks_plausible_and_wrong_quality_and_frames_are_told(mavlink_bench, travelling_plant):
     bench = mavlink_bench(
         "tracker:wrong@2+1,scale=1.5", "tracker:wrong@4+1,quality=-1", "tracker:wrong@5+1,quality=5",

@@ -43,6 +43,8 @@ _LOG = logging.getLogger(__name__)
 
 _PAUSE_NS = 200_000_000
 _READ_ATTEMPTS = 3
+_PATIENCE_NS, _RETRY_NS = nanoseconds(1.5), nanoseconds(0.02)
+"""How long servos that fall silent while they are enabled are waited for, as while they are opened."""
 
 
 class DynamixelServos(Actuators):
@@ -87,7 +89,8 @@ class DynamixelServos(Actuators):
             self.close()
             raise
 
-    def _set_up(self, bus: Bus) -> None:
+    def _set_up(self, bus: Bus, *, last: bool = False) -> None:
+        """Who is there, and RAM; from the beginning once more where a servo falls silent in between."""
         config = self._config
         acknowledge_all(bus, config.ids)
         answers = ident.read_blocks(bus, config, self._clock)
@@ -99,7 +102,13 @@ class DynamixelServos(Actuators):
         bus.port.return_delay_s = max(delays) * RETURN_DELAY_STEP_S
         fast = ident.reads_fast(config, registers, blocks)
         self._upkeep = Upkeep(bus, config, registers, self.name, fast=fast)
-        self._upkeep.prepare(blocks)
+        try:
+            self._upkeep.prepare(blocks)
+        except DeviceTimeoutError as error:
+            if last:
+                raise
+            _LOG.warning("%s; everything once more", error)
+            return self._set_up(bus, last=True)
         mapped = self._upkeep.mapped
         self._cycle = CycleReader(bus, config, registers, self._clock, fast=fast, mapped=mapped)
         self._health = HealthWatch(config, model, self._clock)
@@ -210,38 +219,48 @@ class DynamixelServos(Actuators):
         return self._health.take()
 
     def enable(self) -> None:
-        """Goal := present, watchdog armed, torque on; checked.
+        """Goal := present, watchdog armed, torque on; checked. Servos that fall silent are waited for.
 
         Raises:
-            DeviceError: a servo does not answer, has a hardware error or did not take its torque.
+            DeviceError: a servo does not answer for 1.5 s, has a hardware error or did not take its torque.
         """
         with self._talking:
             bus = self._opened()
             self._upkeep.torque = True
             self._caretaker.begin()
-            self._enable(bus)
+            end_ns = self._clock.now_ns() + _PATIENCE_NS
+            while not self._enable(bus, last=self._clock.now_ns() >= end_ns):
+                self._clock.sleep_until_ns(self._clock.now_ns() + _RETRY_NS)
 
-    def _enable(self, bus: Bus) -> None:
+    def _enable(self, bus: Bus, *, last: bool) -> bool:
+        """One attempt; False where it is worth another: who is silent may be starting up after a dip."""
+        try:
+            self._await_answers(bus)
+            self._upkeep.audit(self._cycle.live_ids)
+            self._goals.hold(self._samples.registers())
+            self._upkeep.refuse_hardware_errors()
+            self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
+            self._read(bus)
+        except DeviceError:
+            if last or any(self._upkeep.hardware_error):
+                raise
+            return False
+        return True
+
+    def _await_answers(self, bus: Bus) -> None:
         answering = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
         for _ in range(_READ_ATTEMPTS):
             sample = self._read(bus)
             if all(s in answering for s in sample.status):
-                break
-        else:
-            raise DeviceTimeoutError(
-                self.name,
-                "cannot be enabled: " + ", ".join(
-                    f"{SERVOS[j]} {s.value}" for j, s in enumerate(sample.status) if s is not Status.OK
-                ),
-                port=self._config.port,
-                expected="an answer from all eight servos",
-                remedy="check cable, power and IDs",
-            )  # fmt: skip
-        self._upkeep.audit(self._cycle.live_ids)
-        self._upkeep.refuse_hardware_errors()
-        self._goals.hold(self._samples.registers())
-        self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
-        self._read(bus)
+                return
+        raise DeviceTimeoutError(
+            self.name,
+            "cannot be enabled: "
+            + ", ".join(f"{SERVOS[j]} {s.value}" for j, s in enumerate(sample.status) if s is not Status.OK),
+            port=self._config.port,
+            expected="an answer from all eight servos",
+            remedy="check cable, power and IDs",
+        )
 
     def command(self, setpoint: ServoSetpoint) -> None:
         """One write of the eight goals, clipped to the limits of bench and servos.

@@ -240,9 +240,13 @@ class Upkeep:
         return found
 
     def restore(self, joint: int) -> None:
-        """Write map and registers again into a servo that has restarted; torque and watchdog stay off."""
+        """Write map and registers again into a servo that has restarted; torque and watchdog stay off.
+
+        One that got its torque with the others' in the same instant would refuse the map for ever.
+        """
         servo_id = self._ids[joint]
         if self.mapped:
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(servo_id, b"\x00")]))
             wanted = self._map.indirect_map(self._goal_addresses[joint])
             self._bus.send(packets.sync_write(self._map.indirect_address, len(wanted), [(servo_id, wanted)]))
         for address, data in self._registers[joint]:

@@ -282,10 +282,10 @@ class T265Tracker(Sensor[TrackerSample]):
         near = math.hypot(*pose[:3]) < _FARTHEST_M and max(map(abs, raw[11:])) < _FASTEST
         if not (_NORM_LOW < norm < _NORM_HIGH and near):
             return Status.IMPLAUSIBLE
-        if confidence <= 0:
-            return Status.NOT_TRACKED
         if self._stuck.stuck(pose, int(raw[0])):
             return Status.FROZEN
+        if confidence <= 0:
+            return Status.NOT_TRACKED
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
         if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):

@@ -241,10 +241,10 @@ class MavlinkTracker(Sensor[TrackerSample]):
 
     def _status(self, message: Any, pose: tuple[float, ...], t_ns: int, host_ns: int) -> Status:
         confidence = self._confidence(message.quality)
-        if confidence == 0:
-            return Status.NOT_TRACKED
         if self._stuck.stuck(pose, host_ns):
             return Status.FROZEN
+        if confidence == 0:
+            return Status.NOT_TRACKED
         if confidence < _USABLE_CONFIDENCE:
             return Status.LOW_CONFIDENCE
         if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
