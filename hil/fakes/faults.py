@@ -175,6 +175,11 @@ class FaultPlan:
                 )
 
     @property
+    def supported(self) -> Mapping[str, Supported]:
+        """What every name that devices announced can produce."""
+        return self._supported
+
+    @property
     def empty(self) -> bool:
         """Whether there is nothing to ask for: lets devices skip the query."""
         return not self._faults
