@@ -17,7 +17,7 @@ help:
 	@echo "make test       run the default test suite"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
-	@echo "make docs       write docs/bench-file.md and the picture of the robot afresh"
+	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
 	@echo "make bench      print the measured ratios"
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
@@ -74,6 +74,7 @@ bench: $(BIN)/.installed
 
 docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
+	$(BIN)/python docs/make_fault_reference.py
 	$(BIN)/python docs/images/render_robot_on_wall.py
 
 lock: $(BIN)/.installed

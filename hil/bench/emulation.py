@@ -113,9 +113,9 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
 def check_faults(
     config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
 ) -> tuple[Fault, ...]:
-    """Read the faults of a bench, and refuse what none of its emulated devices can produce.
+    """Read the faults of a bench, and refuse what none of its emulated devices can be or produce.
 
-    Nothing is opened.
+    All of them are built once, so that a wrong `[emulation.KIND]` is told here. Nothing is opened.
 
     Args:
         config: the bench; the faults that it names come first.
@@ -126,7 +126,7 @@ def check_faults(
         All faults.
 
     Raises:
-        UsageError, ConfigError: a spec or a file that cannot be read.
+        UsageError, ConfigError: a spec or a file that cannot be read, or an emulated device that cannot be.
         FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
     """
     faults = read_faults((*config.emulation.faults, *given))
@@ -135,7 +135,7 @@ def check_faults(
             f"fault {describe(faults[0])}: every device of {config.name} is real",
             remedy="use --emulate for the devices that faults are meant for",
         )
-    if faults:
+    if config.emulated():
         connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
     return faults
 

@@ -18,32 +18,22 @@ import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from hil.calibration.calibrate import Calibration
+from hil.calibration.parameters import (
+    Four,
+    Parameters,
+    Row,
+    Tyres,
+    impossible_nominal,
+    impossible_twist,
+    impossible_tyres,
+    impossible_wheels,
+)
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.reading import read_toml
 
-Four = tuple[float, float, float, float]
 FourNumbers = tuple[int, int, int, int]
-Row = tuple[float, float, float]
-
-
-class Parameters(BaseModel):
-    """Effective wheel parameters, wheel order FL, BL, BR, FR."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    x_w_m: Four
-    y_w_m: Four
-    r_m: Four
-    delta0_rad: Four = (0.0, 0.0, 0.0, 0.0)
-
-
-class Tyres(BaseModel):
-    """What the forward model `creep` was told of the wheels; see `hil.robot.kinematics.WheelGeometry`."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-    load: Four
-    creep_ratio: float
 
 
 class MadeFor(BaseModel):
@@ -138,10 +128,26 @@ def read_calibration(path: Path) -> CalibrationFile:
     """Read and check a file; raises `ConfigError` with every problem at once."""
     tree = read_toml(path, remedy="run hil calibrate --out")
     try:
-        return CalibrationFile.model_validate(tree)
+        file = CalibrationFile.model_validate(tree)
     except ValidationError as error:
         problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
-    raise ConfigError(f"{path}: not a calibration of schema 1", problems=problems)
+        raise ConfigError(f"{path}: not a calibration of schema 1", problems=problems) from None
+    _check_possible(file, f"{path}: no robot can be driven with this calibration")
+    return file
+
+
+def _check_possible(file: CalibrationFile, message: str) -> None:
+    """Raise `ConfigError` with every number that cannot be meant."""
+    problems = list(impossible_nominal(file.nominal))
+    if not problems:
+        problems += impossible_wheels(file.parameters, file.nominal)
+    problems += impossible_twist(file.twist_correction)
+    if file.tyres is not None:
+        problems += impossible_tyres(file.tyres)
+    if problems:
+        raise ConfigError(
+            message, problems=tuple(problems), remedy="put an earlier version back, or calibrate anew"
+        )
 
 
 def calibration_file(
@@ -194,7 +200,12 @@ def calibration_file(
 
 
 def save_calibration(path: Path, file: CalibrationFile) -> None:
-    """Write a file in one step: a reader sees the old content or the new one; raises `ConfigError`."""
+    """Write a file in one step: a reader sees the old content or the new one.
+
+    Raises:
+        ConfigError: it cannot be written, or no reader would take it.
+    """
+    _check_possible(file, f"{path}: not written, no robot can be driven with this calibration")
     partial = path.with_suffix(path.suffix + ".part")
     text = tomli_w.dumps(file.model_dump(mode="python", by_alias=True, exclude_none=True))
     try:

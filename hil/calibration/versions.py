@@ -29,6 +29,7 @@ from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
 
 PASSED = ("PASS", "MARGINAL")
 _SAME_M = 1e-6
@@ -58,9 +59,10 @@ class Shelf:
         """Every version, oldest first; a damaged file raises `ConfigError`."""
         pattern = re.compile(re.escape(self.path.stem) + r"\.v(\d+)" + re.escape(self.path.suffix))
         try:
-            current = self.path.read_bytes() if self.path.exists() else None
-        except OSError as error:
-            raise ConfigError(f"{self.path}: cannot be read ({error.strerror or error})") from None
+            current = read_bytes(self.path, MOST_TOML_BYTES) if self.path.exists() else None
+        except (OSError, ValueError) as error:
+            why = getattr(error, "strerror", None) or error
+            raise ConfigError(f"{self.path}: cannot be read ({why})") from None
         found = [
             KeptVersion(p, read_calibration(p), p.read_bytes() == current)
             for p in self.path.parent.glob("*")

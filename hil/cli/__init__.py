@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import json
 import logging
 import os
 import sys
@@ -16,8 +17,8 @@ import click
 
 from hil import __version__
 from hil.cli.options import SuggestingGroup
-from hil.cli.output import Output
-from hil.vocabulary.errors import EXIT_ABORTED, EXIT_USAGE, Aborted, HilError
+from hil.cli.output import Answered, Output, error_as_json
+from hil.vocabulary.errors import EXIT_ABORTED, Aborted, HilError, UsageError
 from hil.vocabulary.reading import printable
 from hil.vocabulary.stop_signals import deaf_from_now_on
 
@@ -84,28 +85,32 @@ def cli(verbose: int) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
+    With `--json` an error is told on stdout too, as the one object that is promised there.
+
     Returns:
         The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted.
     """
+    words = list(sys.argv[1:] if argv is None else argv)
+    answered = Answered()
     try:
-        result = cli.main(
-            args=list(argv) if argv is not None else None, prog_name="hil", standalone_mode=False
-        )
+        result = cli.main(args=words, prog_name="hil", standalone_mode=False, obj=answered)
     except HilError as error:
         click.echo(printable(f"hil: {error}"), err=True)
-        return error.exit_code
-    except click.exceptions.Abort:
-        click.echo("hil: aborted", err=True)
-        return EXIT_ABORTED
-    except KeyboardInterrupt:
-        click.echo("hil: interrupted", err=True)
-        return EXIT_ABORTED
+        told = error_as_json(error)
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
         error.show(sys.stderr)
-        return EXIT_USAGE
-    return result if isinstance(result, int) else 0
+        told = error_as_json(UsageError(error.format_message()))
+    except (click.exceptions.Abort, KeyboardInterrupt) as error:
+        word = "interrupted" if isinstance(error, KeyboardInterrupt) else "aborted"
+        click.echo(f"hil: {word}", err=True)
+        told = error_as_json(Aborted(word))
+    else:
+        return result if isinstance(result, int) else 0
+    if "--json" in words and not answered.already:
+        click.echo(json.dumps({"error": told}))
+    return int(told["exit_code"])
 
 
 def script() -> None:

@@ -33,7 +33,7 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 )
 @click.option(
     "--bounds",
-    type=FiniteRange(0.0, 0.5, min_open=True),
+    type=FiniteRange(0.0, 0.2, min_open=True),
     help="Hard bounds instead of the prior: share of a length, rad of a zero, e.g. 0.05.",
 )
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the stochastic methods.")

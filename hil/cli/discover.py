@@ -44,17 +44,20 @@ def command(
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
     text = found.to_toml()
-    if out is not None:
+    if out is not None and found.sections:
         write_text(out, text)
         click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
     if as_json:
         parts = {kind: [asdict(part) for part in parts] for kind, parts in found.parts.items() if parts}
         servos = {"servos": parts.pop("servos", [])}
         click.echo(json.dumps({"sections": found.sections, **servos, **parts, "notes": found.notes}))
-    elif out is None:
+    elif out is None and found.sections:
         click.echo(text)
     if not found.sections:
-        click.echo("hil: nothing answered; check power, cables and permissions (group dialout)", err=True)
+        unwritten = f"; {out} was not written" if out is not None else ""
+        click.echo(
+            f"hil: nothing answered; check power, cables and permissions (group dialout){unwritten}", err=True
+        )
         return EXIT_DEVICE
     return EXIT_PASS
 

@@ -15,6 +15,7 @@ from types import FrameType
 import click
 
 from hil.cli.options import SEED
+from hil.cli.output import Answered
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS
 
@@ -78,6 +79,8 @@ def command(
     line = json.dumps(server.endpoints())
     click.echo(line)
     sys.stdout.flush()
+    if (answered := click.get_current_context().find_object(Answered)) is not None:
+        answered.already = True
     try:
         server.run(ready=partial(file.write, line) if file is not None else None)
     finally:

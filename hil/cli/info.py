@@ -9,7 +9,7 @@ import click
 
 from hil import __version__
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.vocabulary.extras import MODULES, is_installed
+from hil.vocabulary.extras import MODULES, lacks
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
 
@@ -54,7 +54,7 @@ def command(compiling: bool, as_json: bool) -> int:
     if compiling:
         _compile()
     packages = {name: version_of(name) for name in _PACKAGES}
-    extras = {name: is_installed(name) for name in MODULES}
+    missing = {name: lacks(name) for name in MODULES}
     host = platform.platform()
     devices, problem = dict[str, list[dict[str, str]]](), ""
     try:
@@ -64,13 +64,17 @@ def command(compiling: bool, as_json: bool) -> int:
     code = EXIT_USAGE if problem else EXIT_PASS
     if as_json:
         found = {"hil": __version__, "python": platform.python_version(), "platform": host}
-        told = {"devices": devices, **({"problem": problem} if problem else {})}
-        click.echo(json.dumps({**found, "packages": packages, "extras": extras, **told}))
+        usable = {name: not why for name, why in missing.items()}
+        lacking = {"extras_lack": {name: why for name, why in missing.items() if why}}
+        told = {**lacking, "devices": devices, **({"problem": problem} if problem else {})}
+        click.echo(json.dumps({**found, "packages": packages, "extras": usable, **told}))
         return code
     click.echo(f"hil {__version__}, Python {platform.python_version()}, {host}")
     for name, version in packages.items():
         click.echo(f"  {name:16} {version}")
-    click.echo("extras: " + ", ".join(f"{n} ({'yes' if there else 'no'})" for n, there in extras.items()))
+    click.echo("extras:")
+    for name, why in missing.items():
+        click.echo(f"  {name:16} {f'no: {why}' if why else 'yes'}")
     click.echo("devices:" if devices else f"devices: {problem}")
     for kind, models in devices.items():
         for model in models:

@@ -3,6 +3,8 @@
 Whoever reads may go (`| head`, a closed terminal, a full disk). What is written from then on goes nowhere;
 the command is asked to end as by SIGTERM where it takes that, so that a robot is held and results are
 complete, and with `Aborted` where it does not. The exit code is 4 either way.
+
+Also what `--json` writes to it when a command ends in an error.
 """
 
 from __future__ import annotations
@@ -12,9 +14,27 @@ import os
 import signal
 import sys
 import threading
+from dataclasses import dataclass
 from typing import Any
 
-from hil.vocabulary.errors import Aborted
+from hil.vocabulary.errors import Aborted, HilError
+
+
+@dataclass
+class Answered:
+    """Whether a command has written its JSON object and goes on; an error then adds none."""
+
+    already: bool = False
+
+
+def error_as_json(error: HilError) -> dict[str, Any]:
+    """What `--json` gives in place of a result: `message`, `expected`, `remedy` and `exit_code`."""
+    return {
+        "message": error.message,
+        "expected": error.expected,
+        "remedy": error.remedy,
+        "exit_code": error.exit_code,
+    }
 
 
 class _Raw(io.FileIO):

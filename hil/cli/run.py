@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @start.option
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
-@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="Fault, e.g. imu:stuck@2+3.")
+@click.option("--fault", "faults", multiple=True, metavar="SPEC",
+              help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
+              "repeatable. docs/faults.md lists devices, kinds and options.")  # fmt: skip
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
 @click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")

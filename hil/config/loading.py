@@ -214,6 +214,8 @@ def _reason(item: Any) -> str:
         return f"model {tag!r} is unknown; expected {' or '.join(names)}{_also(did_you_mean(tag, names))}"
     if item["type"] == "missing":
         return "missing"
+    if item["type"] in ("model_type", "model_attributes_type"):
+        return f"expected a table (found {item['input']!r})"
     return f"{item['msg']} (found {item['input']!r})"
 
 

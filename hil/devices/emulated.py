@@ -13,6 +13,7 @@ from typing import Any, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
+from hil.devices.imperfections import impossible
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import Face
@@ -56,19 +57,23 @@ class Setting:
         Raises:
             ConfigError: naming every key that is wrong.
         """
-        given = {**known, **self.given}
         names = [f.name for f in fields(imperfections)]  # type: ignore[arg-type]
         where = f"emulation.{self.kind}"
         problems = [
             f"{where}.{key}: unknown; {did_you_mean(key, names) or 'one of ' + ', '.join(names)}"
-            for key in given
+            for key in self.given
             if key not in names
         ]
         if not problems:
+            problems = [f"{where}.{key}: {why}" for key, why in impossible(imperfections, self.given)]
+        if not problems:
             try:
-                return TypeAdapter(imperfections).validate_python(given)
+                return TypeAdapter(imperfections).validate_python({**known, **self.given})
             except ValidationError as error:
-                problems = [f"{where}.{e['loc'][0]}: {e['msg']}" for e in error.errors()]
+                problems = [
+                    f"{where}.{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}"
+                    for e in error.errors()
+                ]
         raise ConfigError(f"[{where}]: {len(problems)} problem(s)", problems=tuple(problems))
 
 

@@ -85,14 +85,16 @@ def make_fault(
             remedy=did_you_mean(kind, VOCABULARY),
         )  # fmt: skip
     if not 0 <= at <= _LARGEST or (duration is not None and not 0 < duration <= _LARGEST):
+        lasts = "" if duration is None else f" and duration {duration:g} s"
         raise UsageError(
-            f"fault {device}:{kind} has start {at} s and duration {duration} s",
+            f"fault {device}:{kind} has start {at:g} s{lasts}",
             expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
         )
     wrong = [key for key, value in options.items() if not abs(value) <= _LARGEST]
     if wrong:
         raise UsageError(
-            f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]}", expected=f"at most {_LARGEST:g}"
+            f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]:g}",
+            expected=f"a finite number, at most {_LARGEST:g}",
         )
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)
@@ -171,6 +173,11 @@ class FaultPlan:
                     expected="one of " + ", ".join(options) if options else "no option",
                     remedy=did_you_mean(key, options),
                 )
+
+    @property
+    def supported(self) -> Mapping[str, Supported]:
+        """What every name that devices announced can produce."""
+        return self._supported
 
     @property
     def empty(self) -> bool:

@@ -58,10 +58,11 @@ class BenchSource:
         return tuple(n for n in self.config.devices() if n not in self.config.emulated())
 
     def check_faults(self) -> None:
-        """Read the faults and hold them against the emulated devices, before anything is opened.
+        """Plan the emulated devices and hold the faults against them, before anything is opened.
 
         Raises:
-            UsageError, ConfigError: a fault that cannot be read, or that no device can produce.
+            UsageError, ConfigError: a device that cannot be emulated like that, or a fault that cannot be
+                read or that no device can produce.
         """
         from hil.bench import check_faults
 

@@ -6,6 +6,7 @@ import importlib
 import importlib.util
 import pkgutil
 import sys
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
@@ -38,7 +39,7 @@ def load_procedure(script: str) -> Procedure:
     path = Path(target + ".py" if wanted else target)
     if path.suffix == ".py":
         if not path.is_file():
-            raise ConfigError(f"script {path}: no such file", expected=_known())
+            raise ConfigError(f"script {path}: no such file", expected=_known(), remedy=_near(str(path)))
         module = _from_file(path)
     elif target in shipped_names():
         module = _shipped(target)
@@ -46,13 +47,22 @@ def load_procedure(script: str) -> Procedure:
         raise ConfigError(
             f"procedure {script!r} is unknown",
             expected=_known(),
-            remedy=did_you_mean(target, shipped_names()),
+            remedy=_near(target),
         )
     return _choose(module, wanted, script)
 
 
 def _known() -> str:
     return "a path to a .py file, or one of " + ", ".join(shipped_names())
+
+
+def _near(target: str) -> str:
+    """What was probably meant: a shipped procedure, or a script where one was looked for."""
+    folder = Path(target).parent
+    with suppress(OSError):
+        scripts = [str(folder / found.name) for found in folder.glob("*.py")]
+        return did_you_mean(target, [*shipped_names(), *scripts])
+    return did_you_mean(target, shipped_names())
 
 
 def _from_file(path: Path) -> ModuleType:

@@ -24,6 +24,8 @@ LOG = logging.getLogger(__name__)
 
 METADATA, CLOCK_AT_START, CLOCK_AT_END = "hil", "hil_clock_at_start", "hil_clock_at_end"
 PACKAGES = "packages"
+LIBRARY = "hil"
+"""What the head of a file says wrote it."""
 _FLUSH_NS = NS_PER_S // 2
 _FOREVER = "{sec: 9223372036, nsec: 854775807}"
 _LATCHED = "- " + "\n  ".join(
@@ -137,7 +139,7 @@ class RecordingFile:
         self._safe_bytes = 0
         self.flushed = self.unflushed = 0
         self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
-        self._mcap.start(profile="ros2", library="hil")
+        self._mcap.start(profile="ros2", library=LIBRARY)
         self._mcap.add_metadata(
             METADATA,
             {

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import io
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO, TypeVar
 
 from hil.recording.cdr import octets_of, text_of
 from hil.recording.cycle_decoder import CycleDecoder, StoredCycle
 from hil.recording.cycle_layout import check_packages
-from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, METADATA, PACKAGES
+from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METADATA, PACKAGES
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
@@ -26,6 +26,8 @@ NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
 _CYCLE, _NOTE = "/hil/cycle", "/hil/notes"
 _RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
+_MAGIC_BYTES = 8
+_COPY = "copy it again from where it was recorded"
 
 Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
 
@@ -58,7 +60,7 @@ class RecordingReader:
         self.problems += self._decoder.notes
 
     def _open(self) -> tuple[dict[str, Any], CycleDecoder]:
-        from mcap.records import Chunk, Metadata
+        from mcap.records import Chunk, Header, Metadata
 
         if self.path.is_dir() or self.path.suffix == ".db3":
             raise DataError(
@@ -67,25 +69,37 @@ class RecordingReader:
                 expected="a .mcap file",
                 remedy=NEEDS_TOPICS,
             )
-        for record in _records(self.path, []):
-            if isinstance(record, Metadata) and record.name == METADATA:
-                try:
-                    check_packages(json_object(record.metadata.get(PACKAGES, "{}")))
-                    header = json_object(record.metadata["header"])
-                    return header, CycleDecoder(json_object(record.metadata["layout"]))
-                except ConfigError as error:
-                    raise ConfigError(
-                        f"{self.path}: {error.message}", expected=error.expected, remedy=error.remedy
-                    ) from None
-                except (KeyError, ValueError) as error:
-                    raise DataError(
-                        str(self.path),
-                        f"cannot be understood ({error})",
-                        remedy="read it with the version that wrote it",
-                    ) from None
-            if isinstance(record, Chunk):
+        problems: list[str] = []
+        ours, at = False, 0
+        for at, record in _records(self.path, problems):
+            if isinstance(record, Header):
+                ours = record.library == LIBRARY
+            elif isinstance(record, Metadata) and record.name == METADATA:
+                return self._described(at, record.metadata)
+            elif isinstance(record, Chunk):
                 break
+        if ours and not problems:
+            problems.append(f"is damaged before byte {at}: what says how to read it is not there")
+        if problems:
+            raise DataError(str(self.path), problems[0], remedy=_COPY)
         raise DataError(str(self.path), "holds no cycle records of this project", remedy=NEEDS_TOPICS)
+
+    def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleDecoder]:
+        """What the record at byte `at` says of the header and of how cycles are stored."""
+        try:
+            check_packages(json_object(metadata.get(PACKAGES, "{}")))
+            header = json_object(metadata["header"])
+            return header, CycleDecoder(json_object(metadata["layout"]))
+        except ConfigError as error:
+            raise ConfigError(
+                f"{self.path}: {error.message}", expected=error.expected, remedy=error.remedy
+            ) from None
+        except (KeyError, ValueError) as error:
+            raise DataError(
+                str(self.path),
+                f"cannot be understood, or is damaged after byte {at} ({error})",
+                remedy=f"{_COPY}, or read it with the version that wrote it",
+            ) from None
 
     def items(self) -> Iterator[CycleRecord | Note]:
         """Cycles and notes in the order in which they were written."""
@@ -102,7 +116,7 @@ class RecordingReader:
         allowance = Allowance(self.path, self.path.stat().st_size)
         topics: dict[int, str] = {}
         cycles = 0
-        for record in _records(self.path, self.problems):
+        for at, record in _records(self.path, self.problems):
             if not isinstance(record, Chunk):
                 continue
             try:
@@ -112,7 +126,7 @@ class RecordingReader:
                 self.problems.append(f"{why}: what follows cycle {cycles} was not read")
                 return
             except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
-                self.problems.append(f"a chunk after cycle {cycles} is damaged ({error})")
+                self.problems.append(f"a chunk after cycle {cycles}, at byte {at}, is damaged ({error})")
                 continue
             for topic, data in parts:
                 try:
@@ -169,8 +183,8 @@ def _ours(data: bytes, topics: dict[int, str]) -> list[tuple[str, bytes]]:
 def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
     """Top-level records, in their order, with the byte at which each begins.
 
-    Chunks and their indices, metadata and footer are parsed, None stands for every other: nine of ten are
-    message indices, which a pass from the beginning does not need.
+    Header, chunks and their indices, metadata and footer are parsed, None stands for every other: nine of ten
+    are message indices, which a pass from the beginning does not need.
 
     Args:
         stream: the file.
@@ -182,12 +196,12 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
     from mcap.data_stream import ReadDataStream
     from mcap.exceptions import EndOfFile, RecordLengthLimitExceeded
     from mcap.opcode import Opcode
-    from mcap.records import Chunk, ChunkIndex, Footer, Metadata
+    from mcap.records import Chunk, ChunkIndex, Footer, Header, Metadata
     from mcap.stream_reader import read_magic
 
     wanted: dict[int, Any] = {
         Opcode.CHUNK: Chunk, Opcode.CHUNK_INDEX: ChunkIndex, Opcode.METADATA: Metadata,
-        Opcode.FOOTER: Footer,
+        Opcode.FOOTER: Footer, Opcode.HEADER: Header,
     }  # fmt: skip
     source = ReadDataStream(stream)
     read_magic(source)
@@ -196,52 +210,64 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
         at = source.count
         opcode, length = _RECORD.unpack(source.read(_RECORD.size))
         if length > limit:
+            if opcode not in iter(Opcode):
+                raise ValueError(f"what begins at byte {at} is no record")
             raise RecordLengthLimitExceeded(opcode, length, limit)
         data, kind = source.read(length), wanted.get(opcode)
         if len(data) < length:
             raise EndOfFile
-        yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+        try:
+            yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
+        except (EndOfFile, UnicodeDecodeError, struct.error):
+            raise ValueError(f"the record at byte {at} does not hold what it says") from None
     read_magic(source)
 
 
-def _records(path: Path, problems: list[str]) -> Iterator[Any]:
-    """Records that `top_level` gives; a file that ends early ends the iteration and is named in `problems`.
+def _records(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
+    """What `top_level` gives; damage ends the iteration and is named in `problems`.
 
     Raises:
         DataError: not there or not MCAP.
     """
-    from mcap.exceptions import InvalidMagic, McapError
+    from mcap.exceptions import McapError
 
     try:
         with path.open("rb") as stream:
-            records, count = top_level(stream, max(1, path.stat().st_size)), 0
+            records, at = top_level(stream, max(1, path.stat().st_size)), 0
             while True:
                 try:
-                    _, record = next(records)
+                    at, record = next(records)
                 except StopIteration:
                     return
-                except (InvalidMagic, struct.error) as error:
-                    if count == 0:
-                        raise DataError(
-                            str(path), "is not an MCAP file", expected="a recording (.mcap)"
-                        ) from None
-                    problems.append(_ended(stream.tell(), error))
+                except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
+                    _must_be_mcap(path, stream.tell(), error if at == 0 else None)
+                    problems.append(_damage(at, stream.tell(), error))
                     return
-                except (McapError, ValueError, EOFError, MemoryError) as error:
-                    if count == 0:
-                        why = str(error) or "it is empty or ends within its first record"
-                        raise DataError(str(path), f"is not a readable MCAP file ({why})") from None
-                    problems.append(_ended(stream.tell(), error))
-                    return
-                count += 1
-                yield record
+                yield at, record
     except OSError as error:
         raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
 
 
-def _ended(at: int, error: Exception) -> str:
-    why = f": {error}" if str(error) else ""
-    return f"ends early at byte {at} (writer killed or disk full){why}"
+def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
+    """Refuse a file of another kind, given what its first record failed with."""
+    from mcap.exceptions import InvalidMagic
+
+    if error is None:
+        return
+    if reached == 0:
+        raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=_COPY)
+    if isinstance(error, InvalidMagic) or reached < _MAGIC_BYTES:
+        raise DataError(str(path), "is not an MCAP file", expected="a recording (.mcap)")
+
+
+def _damage(at: int, reached: int, error: Exception) -> str:
+    """What is wrong behind the record at byte `at`, where reading reached a byte."""
+    from mcap.exceptions import EndOfFile, InvalidMagic, RecordLengthLimitExceeded
+
+    if isinstance(error, (EndOfFile, InvalidMagic, RecordLengthLimitExceeded, struct.error)):
+        why = f": {error}" if str(error) else ""
+        return f"ends early at byte {reached} (writer killed, disk full, or damaged there){why}"
+    return f"is damaged after byte {at}: {error or type(error).__name__}"
 
 
 def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator[CycleRecord]:
@@ -273,7 +299,7 @@ def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:
     """
     from mcap.records import Metadata
 
-    kept = (r for r in _records(Path(path), []) if isinstance(r, Metadata))
+    kept = (r for _, r in _records(Path(path), []) if isinstance(r, Metadata))
     try:
         return tuple(
             WallOffset(*(int(r.metadata[name]) for name in WallOffset._fields))

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shlex
 import sys
+from contextlib import suppress
 from importlib import metadata, util
 
 from packaging.requirements import Requirement
@@ -28,6 +29,26 @@ def is_installed(extra: str) -> bool:
     return util.find_spec(MODULES[extra]) is not None
 
 
+def lacks(extra: str) -> str:
+    """What keeps an extra from being used in this Python; empty where it can be.
+
+    That its module can be imported is not enough: one of another version may no longer do what it is for.
+    """
+    if not is_installed(extra):
+        return "not installed"
+    wanted = _behind(extra)
+    fitting = [r for r in wanted if _fits(r, extra)]
+    if wanted and not fitting:
+        needed = ", ".join(map(str, wanted)).replace(f' and extra == "{extra}"', "")
+        return f"this Python cannot have it: {needed}"
+    for requirement in fitting:
+        with suppress(metadata.PackageNotFoundError):
+            found = metadata.version(requirement.name)
+            if not requirement.specifier.contains(found, prereleases=True):
+                return f"{requirement.name} {found} is installed; it needs {_plain(requirement)}"
+    return ""
+
+
 def how_to_install(extra: str, *, only: str = "") -> str:
     """The shell line that adds an extra to this Python, or what the extra needs where it cannot.
 
@@ -35,10 +56,10 @@ def how_to_install(extra: str, *, only: str = "") -> str:
         extra: its name.
         only: the one package of it that is wanted; all when empty.
     """
-    wanted = [r for r in _requirements() if f'extra == "{extra}"' in str(r.marker) and only in ("", r.name)]
+    wanted = [r for r in _behind(extra) if only in ("", r.name)]
     if not wanted:
         return f"install the extra {extra} of {DISTRIBUTION}"
-    fitting = [r for r in wanted if r.marker is None or r.marker.evaluate({"extra": extra})]
+    fitting = [r for r in wanted if _fits(r, extra)]
     if not fitting:
         return f"this Python cannot have the extra {extra}: {', '.join(map(str, wanted))}"
     names = " ".join(shlex.quote(_plain(r)) for r in fitting)
@@ -46,6 +67,14 @@ def how_to_install(extra: str, *, only: str = "") -> str:
     if util.find_spec("pip") is None:
         return f"install it with: uv pip install --python {python} {names}"
     return f"install it with: {python} -m pip install {names}"
+
+
+def _behind(extra: str) -> list[Requirement]:
+    return [r for r in _requirements() if f'extra == "{extra}"' in str(r.marker)]
+
+
+def _fits(requirement: Requirement, extra: str) -> bool:
+    return requirement.marker is None or requirement.marker.evaluate({"extra": extra})
 
 
 def _requirements() -> list[Requirement]:

@@ -171,6 +171,14 @@ def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(emulator, 
 def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
     assert main(["discover", "--port", str(tmp_path / "no-port")]) == 3
     assert "nothing answered" in capsys.readouterr().err
+    out = tmp_path / "found.toml"
+    for form in ([], ["--json"]):
+        assert main(["discover", "--port", str(tmp_path / "no-port"), "--out", str(out), *form]) == 3
+        said = capsys.readouterr()
+        assert "nothing answered" in said.err
+        assert f"{out} was not written" in said.err
+        assert "surface" not in said.out
+        assert not out.exists()
     assert main(["discover", "--can", "can0"]) == 2
     assert main(["discover", "--mocap", "somewhere"]) == 2
     assert "IPv4" in capsys.readouterr().err

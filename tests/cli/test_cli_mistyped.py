@@ -57,7 +57,10 @@ def unopened(monkeypatch):
         ("imu:wrong,rate_rads=1", "did you mean rate_rad_s?"),
         ("imu:stuck,scale=2", "expected no option"),
         ("tracker:wrong,scale=nan", "scale is nan"),
+        ("tracker:wrong,scale=nan", "expected a finite number"),
         ("imu:stuck@1e999", "a start >= 0"),
+        ("servos:brownout@-1", "has start -1 s; expected"),
+        ("servos:brownout@1+-2", "has start 1 s and duration -2 s; expected"),
     ],
 )
 def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened, command, spec, meant):
@@ -125,6 +128,19 @@ def test_a_mistyped_view_is_refused_and_no_file_of_that_name_is_written(refused,
 )
 def test_a_mistyped_name_is_answered_with_the_nearest(refused, arguments, meant):
     assert f"did you mean {meant}?" in refused(*arguments)
+
+
+@pytest.mark.parametrize("typed", ["short_lin", "short_lin.py", "shot_line.py:drive"])
+def test_a_mistyped_script_is_answered_with_one_that_is_there(tmp_path, monkeypatch, capsys, typed):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short_line.py").touch()
+    assert main(["run", typed]) == 2
+    assert "did you mean short_line.py?" in capsys.readouterr().err
+
+
+def test_a_value_in_place_of_a_table_is_told_in_words_of_the_file(refused):
+    said = refused("run", "bring_up", "--set", "bench.servos=3")
+    assert "servos: expected a table (found 3)" in said
 
 
 def test_a_command_like_no_other_is_answered_with_all_of_them(refused):

@@ -32,6 +32,18 @@ def test_the_reference_of_the_bench_file_is_current():
     assert re.findall(r"\| `(\w+)` \| [^|]* \|  \|", now) == []
 
 
+def test_the_page_of_faults_is_current_and_every_fault_and_option_on_it_is_explained():
+    script = ROOT / "docs" / "make_fault_reference.py"
+    code = f"import runpy; print(runpy.run_path({str(script)!r})['page'](), end='')"
+    now = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    assert (ROOT / "docs" / "faults.md").read_text(encoding="utf-8") == now
+    for name in ("servo.drive_FL", "tracker", "plant", "wrong", "confidence", "brownout", "adhesion_loss"):
+        assert f"`{name}`" in now
+    explained, _, devices = now.partition("## Options")[2].partition("## Devices")
+    taken = {o for group in re.findall(r"\(([^)]*)\)", devices) for o in re.findall(r"`(\w+)", group)}
+    assert taken == set(re.findall(r"^\| `(\w+)` \|", explained, re.MULTILINE))
+
+
 def python_block(containing):
     found = [b for b in blocks(README, "python") if containing in b]
     assert len(found) == 1

@@ -135,9 +135,9 @@ def test_a_damaged_chunk_is_skipped_and_named(recording, tmp_path):
 @pytest.mark.parametrize(
     ("content", "reason"),
     [
-        (b"", "not a readable MCAP file"),
+        (b"", "is empty"),
         (b"t,phi1\n0,1\n" * 10, "is not an MCAP file"),
-        (b"\x89MCAP0\r\n" + b"\xff" * 64, "not a readable MCAP file"),
+        (b"\x89MCAP0\r\n" + b"\xff" * 64, "is damaged after byte 0"),
     ],
 )
 def test_foreign_files_are_refused_by_name(tmp_path, content, reason):

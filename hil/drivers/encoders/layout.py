@@ -16,9 +16,12 @@ from cantools.database import UnsupportedDatabaseFormatError
 
 from hil.config.encoders import EncodersConfig
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import read_bytes
 
 SEQUENCE, NODE_TIME = "Sequence", "NodeTime"
 _WORD_BITS = 18
+_MOST_BYTES = 4 << 20
+_ENCODING = "cp1252"  # of every DBC file; cantools reads them so too
 
 
 @dataclass(frozen=True)
@@ -90,10 +93,11 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
 
 def _load(path: Path) -> Any:
     try:
-        return cantools.database.load_file(path)
+        text = read_bytes(path, _MOST_BYTES).decode(_ENCODING, errors="replace")
+        return cantools.database.load_string(text, "dbc")
     except OSError as error:
         raise DataError(str(path), f"the DBC cannot be read ({error.strerror})") from None
-    except (CantoolsError, UnsupportedDatabaseFormatError, UnicodeDecodeError, ValueError) as error:
+    except (CantoolsError, UnsupportedDatabaseFormatError, ValueError) as error:
         raise DataError(str(path), f"not a usable DBC ({str(error).splitlines()[0]})") from None
 
 

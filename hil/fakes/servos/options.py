@@ -4,11 +4,58 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Annotated, Literal
 
-from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model, servo_models
+from pydantic import AfterValidator, Field
+
+from hil.config.servo_models import (
+    DEFAULT_MODEL,
+    ServoModel,
+    model_text,
+    models_text,
+    servo_model,
+    servo_models,
+)
+from hil.config.servo_models.codes import BAUD_CODES
 
 _BATTERY_V = 11.1
+_MODES = 16
+
+
+def _known_baud(value: int) -> int:
+    if value not in BAUD_CODES:
+        raise ValueError("expected one of " + ", ".join(map(str, BAUD_CODES)))
+    return value
+
+
+def _known_model(value: int) -> int:
+    if value not in servo_models():
+        raise ValueError(f"there is no control table for model {model_text(value)}; expected {models_text()}")
+    return value
+
+
+def _eight_ids(value: tuple[int, ...]) -> tuple[int, ...]:
+    if len(set(value)) != 8 or len(value) != 8:
+        raise ValueError("expected eight different IDs")
+    return value
+
+
+def _in_eeprom(value: Mapping[str, int]) -> Mapping[str, int]:
+    known = {r.name: r for model in servo_models().values() for r in model.table.values() if r.eeprom}
+    for name, raw in value.items():
+        if name not in known:
+            raise ValueError(f"{name} is no EEPROM register of the servos")
+        bits = 8 * known[name].size
+        if not -(1 << (bits - 1)) <= raw < 1 << bits:
+            raise ValueError(f"{name} = {raw} does not fit into its {bits} bits")
+    return value
+
+
+Id = Annotated[int, Field(ge=0, le=252)]
+Byte = Annotated[int, Field(ge=0, le=255)]
+Word = Annotated[int, Field(ge=0, le=65535)]
+Joint = Annotated[int, Field(ge=0, le=7)]
+Counts = Annotated[int, Field(ge=-(1 << 31), lt=1 << 31)]
 
 
 @dataclass(frozen=True)
@@ -43,16 +90,18 @@ class ServoBusOptions:
         overload_s: how long it lasts until it does.
     """
 
-    ids: tuple[int, ...] = (1, 2, 3, 4, 5, 6, 7, 8)
-    baud: int = 1_000_000
-    steer_mode: int = 3
-    return_delay: int = 0
-    firmware: int = 46
-    model_number: int = DEFAULT_MODEL
-    firmware_by_joint: Mapping[int, int] = field(default_factory=dict)
-    model_by_joint: Mapping[int, int] = field(default_factory=dict)
-    eeprom: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
-    absent: frozenset[int] = frozenset()
+    ids: Annotated[tuple[Id, ...], AfterValidator(_eight_ids)] = (1, 2, 3, 4, 5, 6, 7, 8)
+    baud: Annotated[int, AfterValidator(_known_baud)] = 1_000_000
+    steer_mode: Annotated[int, Field(ge=0, le=_MODES)] = 3
+    return_delay: Annotated[int, Field(ge=0, le=254)] = 0
+    firmware: Byte = 46
+    model_number: Annotated[int, AfterValidator(_known_model)] = DEFAULT_MODEL
+    firmware_by_joint: Mapping[Joint, Byte] = field(default_factory=dict)
+    model_by_joint: Mapping[Joint, Word] = field(default_factory=dict)
+    eeprom: Mapping[Joint, Annotated[Mapping[str, int], AfterValidator(_in_eeprom)]] = field(
+        default_factory=dict
+    )
+    absent: frozenset[Id] = frozenset()
     after_absent: Literal["silent", "skip"] = "silent"
     processing_s: float = 25e-6
     ping_slot_s: float = 1e-3
@@ -64,7 +113,7 @@ class ServoBusOptions:
     cadence_jitter_s: float = 0.00005
     cadence_gaps_per_s: float = 0.13
     cadence_longest_gap_s: float = 0.029
-    drive_start_counts: tuple[int, int, int, int] = (317, 1204, 2911, 3870)
+    drive_start_counts: tuple[Counts, Counts, Counts, Counts] = (317, 1204, 2911, 3870)
     overload_a: float | None = None
     overload_s: float = 2.0
 

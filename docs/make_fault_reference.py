@@ -1,0 +1,185 @@
+"""Writes `faults.md`: every fault that emulated devices can produce, as they declare it themselves."""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Iterator
+from itertools import groupby
+from pathlib import Path
+
+import hil
+from hil.bench.emulation import build_world, connect_in_process
+from hil.config.loading import load_bench
+from hil.fakes.faults import VOCABULARY, Supported
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import KINDS as KINDS_HERE
+
+PAGE = Path(__file__).with_name("faults.md")
+ROOT = Path(hil.__file__).resolve().parent
+HEAD = """# Faults
+
+Emulated devices fail on request; real ones refuse. A fault is a device, a kind, a time and options:
+
+```
+DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...]
+
+imu:stuck@2+3                        from second 2 to second 5
+servo.drive_FL:off@5                 from second 5 to the end
+tracker:wrong@1,scale=0.8            a camera that sees every step a fifth too short
+servos:drop@0+10,probability=0.2     every fifth reply is lost, for ten seconds
+```
+
+`hil run`, `hil live` and `hil emulate` take it as `--fault` (repeatable), the bench file as
+`[emulation] faults = ["imu:stuck@2+3"]`, a pytest test as `@pytest.mark.fault("imu", "stuck", at=2.0,
+duration=3.0)`. A path that ends in `.toml` is a timeline of several:
+
+```toml
+[[fault]]
+device = "imu"
+kind = "stuck"
+at_s = 2.0
+duration_s = 3.0                     # without it: until the end
+options = { }
+```
+
+**World time.** Seconds count from the start of the emulated world, not of the motion. Opening the devices
+takes the first part of it, 0.44 s on the shipped profile: a fault at 0 meets devices that are being opened.
+In virtual time it is the bench's clock; `hil emulate --await-start` lets it stand still until the client is
+ready. Without a start a fault acts from the beginning, without a duration to the end. `reset`, and `jump`
+except of motion capture, act once, at the start.
+
+A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
+is written by `docs/make_fault_reference.py` from what the devices declare.
+"""
+KINDS = {
+    "off": "no power, or no server: silence; what comes back has started anew",
+    "stuck": "the last value again and again, with fresh stamps and counters",
+    "garbage": "random content in well-formed answers or frames",
+    "wrong": "plausible values that are not true",
+    "slow": "output at a lower rate, or late answers",
+    "delayed": "values of some time ago",
+    "intermittent": "silence for a part of every period",
+    "drop": "messages that are lost, at random",
+    "corrupt": "messages with a damaged byte or bit, at random",
+    "truncate": "messages that end early, at random",
+    "duplicate": "messages that come twice, at random",
+    "baud_mismatch": "the line runs at another rate than the host",
+    "bus_off": "the CAN controller has left the bus",
+    "unplug": "cable or adapter gone; the port fails as a real one does",
+    "brownout": "supply below what the device needs; it starts anew afterwards",
+    "reset": "starts anew, once",
+    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
+    "adhesion_loss": "the fan presses less",
+}
+OPTIONS = {
+    "angle_rad": "size of the error or step, rad",
+    "announced": "1: the jump is announced by the reset counter; 0: it is not",
+    "answer_s": "extra time before an answer, s",
+    "clock": "1: random time stamps",
+    "code": "error code answered instead of silence; 0: silence",
+    "confidence": "what the camera calls its poses, 0 failed to 3 high; the poses stay true",
+    "delay_s": "by how much, s",
+    "distance_m": "size of the step, m",
+    "duty": "part of every period that is silent, 0 to 1",
+    "factor": "of the output period; of the fan's force for `adhesion_loss`",
+    "flags": "status bits of the encoder chip to set, instead of random words",
+    "frame": "MAVLink number of the frame that poses claim",
+    "nan": "1: NaN instead of random numbers",
+    "occlude": "1: the body is out of sight; 0: no frame is sent",
+    "offset_m": "along x, m",
+    "offset_rad": "size of the error, rad",
+    "packets": "1: random packets",
+    "period_s": "length of a period, s",
+    "probability": "of each message, 0 to 1",
+    "quality": "what the computer calls its poses, -1 to 100; the poses stay true",
+    "rate_rad_s": "added to every axis of the gyroscope, rad/s",
+    "scale": "factor on every step seen",
+}
+SHARED = {"period_s": "0.5", "duty": "0.5", "probability": "0.1", "factor": "5", "delay_s": "0.1"}
+_ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
+
+
+def page() -> str:
+    """The whole page."""
+    return "".join((HEAD, *_kinds(), *_options(), *_devices()))
+
+
+def _kinds() -> Iterator[str]:
+    yield "\n## Kinds\n\n| kind | what happens |\n|---|---|\n"
+    yield from (f"| `{kind}` | {KINDS[kind]} |\n" for kind in VOCABULARY)
+
+
+def _options() -> Iterator[str]:
+    yield "\n## Options\n\n| option | meaning |\n|---|---|\n"
+    yield from (f"| `{option}` | {meaning} |\n" for option, meaning in OPTIONS.items())
+
+
+def _devices() -> Iterator[str]:
+    yield "\n## Devices\n\nOptions with their defaults; a kind without options takes none.\n"
+    for kind in map(kinds().__getitem__, KINDS_HERE):
+        for model in kind.models:
+            if model.emulate is None:
+                continue
+            several = f' with model = "{model.name}"' if len(kind.models) > 1 else ""
+            yield from _table(f"{model.title}{several}", _declared(kind.name, model.name), _room(model))
+    yield from _table("The robot on its surface", {"plant": _world({})["plant"]}, "hil.fakes.plant")
+
+
+def _world(tables: dict[str, object]) -> dict[str, Supported]:
+    config = load_bench("emulated")
+    tree = {"schema": 1, "name": "faults", **tables}
+    world = build_world(type(config).model_validate(tree), seed=0)
+    connect_in_process(type(config).model_validate(tree), world).close()
+    return dict(world.faults.supported)
+
+
+def _declared(kind: str, model: str) -> dict[str, Supported]:
+    found = _world({kind: {"model": model, "backend": "emulated"}})
+    return {name: faults for name, faults in found.items() if name != "plant"}
+
+
+def _room(model: object) -> str:
+    return model.imperfections().__module__.rpartition(".")[0]  # type: ignore[attr-defined]
+
+
+def _table(title: str, declared: dict[str, Supported], room: str) -> Iterator[str]:
+    defaults = _defaults(room)
+    yield f"\n### {title}\n\n| device | kinds |\n|---|---|\n"
+    for faults, names in groupby(declared, key=lambda name: tuple(declared[name].items())):
+        listed = ", ".join(_with_options(kind, options, defaults) for kind, options in faults)
+        yield f"| {', '.join(f'`{name}`' for name in names)} | {listed} |\n"
+
+
+def _with_options(kind: str, options: tuple[str, ...], defaults: dict[tuple[str, str], str]) -> str:
+    told = [
+        f"`{option}{f'={value}' if (value := _default(kind, option, defaults)) else ''}`"
+        for option in options
+    ]
+    return f"`{kind}`" + (f" ({', '.join(told)})" if told else "")
+
+
+def _default(kind: str, option: str, defaults: dict[tuple[str, str], str]) -> str:
+    return defaults.get((kind, option)) or defaults.get(("", option)) or SHARED.get(option, "")
+
+
+def _defaults(room: str) -> dict[tuple[str, str], str]:
+    """Default of an option by kind, from the lines of a room that ask for it."""
+    found: dict[tuple[str, str], str] = {}
+    for path in sorted((ROOT / Path(*room.split(".")[1:])).glob("*.py")):
+        module = importlib.import_module(f"{room}.{path.stem}")
+        kind = ""
+        for match in _ASKED.finditer(path.read_text(encoding="utf-8")):
+            asked, option, value, delay = match.groups()
+            kind = asked or kind
+            if option or delay:
+                number = getattr(module, value or delay, value)
+                found.setdefault(
+                    (kind if kind in VOCABULARY else "", option or "delay_s"), f"{float(number):g}"
+                )
+                found.setdefault(("", option or "delay_s"), f"{float(number):g}")
+    return found
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page(), encoding="utf-8")

@@ -1,0 +1,80 @@
+"""Which values of `[emulation.KIND]` can be meant: bounds by unit, so that every device has them.
+
+Names say their unit (`latency_s`, `scale_sigma`), and what is wrong with a device has a size that belongs to
+the unit: a pose that comes a year late, or noise below zero, is a slip of the pen. A device that needs other
+bounds writes `Annotated[float, Within(...)]` in its dataclass; its own bounds then count instead.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, get_args, get_type_hints
+
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    "leakage_s": (0.01, 3600.0), "supply_v": (1.0, 60.0),
+    "_m_sqrt_m": (0.0, 1.0), "_rad_sqrt_s": (0.0, 1.0), "_m_s2": (0.0, 100.0), "_rad_s": (0.0, 100.0),
+    "_m_s": (0.0, 100.0), "_per_s": (0.0, 1000.0), "_probability": (0.0, 1.0), "_share": (0.0, 1.0),
+    "_sigma": (0.0, 0.5), "_ppm": (0.0, 10_000.0), "_hz": (1.0, 10_000.0), "_rad": (0.0, math.pi),
+    "_ut": (0.0, 1000.0), "_ohm": (0.0, 10.0), "_v": (0.0, 60.0), "_a": (0.0, 100.0), "_c": (-50.0, 100.0),
+    "_s": (0.0, 60.0), "_m": (0.0, 10.0),
+}  # fmt: skip
+"""End of a name -> smallest and largest value; the first that fits counts. Vectors of lengths (`_m`) have a
+direction, so their parts may be negative."""
+
+_UNIT = "_wxyz"
+_ROTATION_NORM = (0.99, 1.01)
+
+
+def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Key and reason of every value that cannot be meant.
+
+    Args:
+        imperfections: dataclass of the device.
+        given: values of fields of it, as a file or an option holds them.
+    """
+    hints = get_type_hints(imperfections, include_extras=True)
+    for key, value in given.items():
+        why = _truth_value(hints[key], value) or _not_finite(value) or _beyond(key, hints[key], value)
+        if why:
+            yield key, why
+
+
+def _truth_value(hint: Any, value: Any) -> str:
+    """Why true or false cannot stand where a number is meant; pydantic would take them for 1 and 0."""
+    kinds = {hint, *get_args(hint)}
+    for part in value if isinstance(value, (list, tuple)) else (value,):
+        if isinstance(part, bool) and bool not in kinds:
+            return f"expected a number, found {str(part).lower()}"
+    return ""
+
+
+def _numbers(value: Any) -> Iterator[float]:
+    parts = value.values() if isinstance(value, Mapping) else value
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        yield value
+    elif isinstance(parts, (list, tuple)) or isinstance(value, Mapping):
+        for part in parts:
+            yield from _numbers(part)
+
+
+def _not_finite(value: Any) -> str:
+    wrong = next((number for number in _numbers(value) if not math.isfinite(number)), None)
+    return "" if wrong is None else f"expected a finite number, found {wrong:g}"
+
+
+def _beyond(key: str, hint: Any, value: Any) -> str:
+    numbers = list(_numbers(value))
+    if hasattr(hint, "__metadata__") or not numbers:
+        return ""
+    if key.endswith(_UNIT):
+        norm = math.hypot(*numbers)
+        return "" if _ROTATION_NORM[0] < norm < _ROTATION_NORM[1] else f"has norm {norm:.3g}, not 1"
+    suffix = next((s for s in BOUNDS if key.endswith(s)), None)
+    if suffix is None:
+        return ""
+    low, high = BOUNDS[suffix]
+    if suffix == "_m" and isinstance(value, (list, tuple)):
+        low = -high
+    wrong = next((number for number in numbers if not low <= number <= high), None)
+    return "" if wrong is None else f"expected {low:g} to {high:g}, found {wrong:g}"

@@ -1,0 +1,80 @@
+"""`--json` gives one object on stdout however a command ends: its result, or the error."""
+
+import json
+
+import click
+import pytest
+
+from hil import bench as benches
+from hil.cli import COMMANDS, main
+from hil.vocabulary.errors import DeviceError
+
+GONE = "nowhere.toml"
+WRONG = {
+    "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
+    "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
+    "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE], "info": ["--magic"],
+    "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "run": ["latency", "--bench", GONE],
+    "setup": ["--port", "/dev/no-such-port", "--id", "999"], "tune": ["nowhere"],
+}  # fmt: skip
+
+
+def one_object(capsys):
+    said = capsys.readouterr()
+    assert len(said.out.splitlines()) == 1
+    assert said.err
+    return json.loads(said.out)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_answers_a_mistake_with_one_object(tmp_path, monkeypatch, capsys, command):
+    monkeypatch.chdir(tmp_path)
+    code = main([command, *WRONG[command], "--json"])
+    told = one_object(capsys)["error"]
+    assert set(told) == {"message", "expected", "remedy", "exit_code"}
+    assert told["message"]
+    assert told["exit_code"] == code == 2
+
+
+def test_the_parts_of_an_error_are_told_apart(capsys):
+    assert main(["run", "latency", "--bench", "emulatd", "--json"]) == 2
+    told = one_object(capsys)["error"]
+    assert told["message"] == "bench 'emulatd' is neither a file nor a shipped profile"
+    assert told["expected"].startswith("a path to a .toml file")
+    assert told["remedy"] == "did you mean emulated?"
+
+
+@pytest.mark.parametrize(
+    ("raised", "code"),
+    [(DeviceError("imu", "gone", port="/dev/x"), 3), (KeyboardInterrupt(), 4), (click.exceptions.Abort(), 4)],
+)
+def test_other_ends_give_their_exit_code(monkeypatch, capsys, raised, code):
+    def failing(*args, **kwargs):
+        raise raised
+
+    monkeypatch.setattr(benches, "open_emulation", failing)
+    assert main(["emulate", "--json"]) == code
+    assert one_object(capsys)["error"]["exit_code"] == code
+
+
+def test_an_emulator_that_fails_later_adds_no_second_object(monkeypatch, capsys):
+    class Server:
+        def endpoints(self):
+            return {"imu": {"port": "x"}}
+
+        def run(self, ready=None):
+            raise DeviceError("imu", "gone")
+
+        def stop(self):
+            """Never called."""
+
+    monkeypatch.setattr(benches, "open_emulation", lambda *args, **kwargs: Server())
+    monkeypatch.setattr("signal.signal", lambda *args: None)
+    monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda priority: None)
+    assert main(["emulate", "--json"]) == 3
+    assert one_object(capsys) == {"imu": {"port": "x"}}
+
+
+def test_without_it_stdout_stays_empty(capsys):
+    assert main(["run", "latency", "--bench", GONE]) == 2
+    assert capsys.readouterr().out == ""

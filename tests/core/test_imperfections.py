@@ -1,0 +1,106 @@
+"""Values of `[emulation.KIND]` that cannot be meant are refused with their key before anything opens."""
+
+import dataclasses
+from typing import Annotated
+
+import pytest
+
+from hil.bench import check_faults
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.config.values import Within
+from hil.devices.emulated import Setting
+from hil.devices.imperfections import impossible
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import kinds
+
+SIGNED = {"ambient_c"}
+NUMBERS = [
+    (kind.name, model, field)
+    for kind in kinds().values()
+    for model in kind.models
+    if model.imperfections is not None
+    for field in dataclasses.fields(model.imperfections())
+    if isinstance(field.default, float)
+]
+
+
+def options(model, values):
+    return Setting(model.kind, None, values, None, "x").options(model.imperfections())
+
+
+@pytest.mark.parametrize(
+    ("kind", "model", "field"), NUMBERS, ids=[f"{k}-{m.name}-{f.name}" for k, m, f in NUMBERS]
+)
+def test_no_number_of_any_device_takes_nonsense_and_each_takes_its_default(kind, model, field):
+    wrong = [float("nan"), float("inf"), 1e300, 1e9, True, "x", *([] if field.name in SIGNED else [-1])]
+    for value in wrong:
+        with pytest.raises(ConfigError, match=rf"emulation\.{kind}\.{field.name}: "):
+            options(model, {field.name: value})
+    assert getattr(options(model, {field.name: field.default}), field.name) == field.default
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("servos.ids", [1] * 8), ("servos.ids", [1, 2]), ("servos.baud", 5), ("servos.model_number", 7),
+        ("servos.firmware", 999), ("servos.eeprom", {"1": {"x": 1}}), ("servos.return_delay", -1),
+        ("servos.eeprom", {"1": {"velocity_limit": 10**12}}), ("servos.model_by_joint", {"9": 1010}),
+        ("servos.drive_start_counts", [10**12, 0, 0, 0]), ("tracker.settle_s", [0.1, float("nan"), 0.1]),
+        ("tracker.mount_rotation_wxyz", [0.0] * 4), ("tracker.mount_position_m", [0.0, 0.0, 1e9]),
+        ("tracker.settle_s", [True, 0.1, 0.1]), ("imu.leakage_s", 0.0), ("servos.supply_v", 0.0),
+        ("mocap.rate_hz", 0.0),
+    ],
+)  # fmt: skip
+def test_a_bench_is_checked_without_any_fault(key, value):
+    config = load_bench("emulated", overrides={f"emulation.{key}": value})
+    with pytest.raises(ConfigError, match=rf"emulation\.{key}"):
+        check_faults(config, [])
+
+
+@pytest.mark.parametrize(
+    "given", ["scale_sigma=-1", "latency_s=1e9", "scale_sigma=true", "scale=1", 'boot_s="x"']
+)
+def test_a_run_ends_with_2_before_it_has_begun(tmp_path, capsys, given):
+    out = tmp_path / "out"
+    assert main(["run", "latency", "--set", f"bench.emulation.tracker.{given}", "--out", str(out)]) == 2
+    told = capsys.readouterr()
+    assert f"emulation.tracker.{given.partition('=')[0]}: " in told.err
+    assert "NOT HELD" not in told.err + told.out
+    assert not out.exists()
+
+
+@pytest.mark.parametrize("command", [["live", "--duration", "1"], ["emulate"], ["doctor"]])
+def test_every_command_that_emulates_checks(tmp_path, capsys, command):
+    bench = tmp_path / "bench.toml"
+    bench.write_text(
+        'schema = 1\nname = "x"\n[imu]\nbackend = "emulated"\n[emulation.imu]\ngyro_noise_rad_s = -1.0\n'
+    )
+    assert main([*command, "--bench", str(bench)]) == 2
+    assert "emulation.imu.gyro_noise_rad_s: expected 0 to 100, found -1" in capsys.readouterr().err
+
+
+def test_wrong_values_are_told_all_at_once():
+    config = load_bench("emulated", overrides={"emulation.imu": {"clock_ppm": -1, "leakage_s": 0}})
+    with pytest.raises(ConfigError) as error:
+        check_faults(config, [])
+    assert [p.partition(":")[0] for p in error.value.problems] == [
+        "emulation.imu.clock_ppm",
+        "emulation.imu.leakage_s",
+    ]
+
+
+def test_a_device_may_have_bounds_of_its_own():
+    @dataclasses.dataclass(frozen=True)
+    class Own:
+        """Another package's device."""
+
+        slope_rad: Annotated[float, Within(-9.0, 9.0, "it may lean")] = 0.0
+        gain: float = 1.0
+
+    assert not list(impossible(Own, {"slope_rad": -8.0, "gain": -1e6}))
+    assert [key for key, _ in impossible(Own, {"slope_rad": float("nan"), "gain": float("inf")})] == [
+        "slope_rad",
+        "gain",
+    ]
+    assert list(impossible(Own, {"gain": False})) == [("gain", "expected a number, found false")]

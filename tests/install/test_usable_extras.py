@@ -1,0 +1,49 @@
+"""`hil info` calls an extra usable only if what is installed fits what the extra asks for."""
+
+import json
+from importlib import metadata, util
+
+import pytest
+
+from hil.cli import main
+from hil.vocabulary import extras
+
+OURS = [
+    'camera==2.53.1.*; python_version < "3" and extra == "t265"',
+    'numba>=0.59; extra == "fast"',
+    'rerun-sdk>=0.20; extra == "rerun"',
+    'pyarrow==1.*; extra == "parquet"',
+]
+VERSIONS = {"camera": "2.59.1", "numba": "0.60.0", "rerun-sdk": "0.21.0", "pyarrow": "26.0.1"}
+
+
+@pytest.fixture
+def installed(monkeypatch):
+    """Another set of packages: everything but pymavlink and distributed."""
+    there = {"numba", "rerun", "pyarrow", "pyrealsense2"}
+    monkeypatch.setattr(metadata, "requires", lambda name: OURS)
+    monkeypatch.setattr(metadata, "version", VERSIONS.__getitem__)
+    monkeypatch.setattr(util, "find_spec", lambda name: name in there or None)
+
+
+def test_each_extra_says_what_it_lacks(installed):
+    assert {name: extras.lacks(name) for name in extras.MODULES} == {
+        "fast": "",
+        "rerun": "",
+        "parquet": "pyarrow 26.0.1 is installed; it needs pyarrow==1.*",
+        "t265": 'this Python cannot have it: camera==2.53.1.*; python_version < "3"',
+        "mavlink": "not installed",
+        "campaign": "not installed",
+    }
+
+
+def test_info_tells_it(capsys, monkeypatch):
+    monkeypatch.setattr("hil.cli.info.lacks", lambda name: "not today" if name == "t265" else "")
+    assert main(["info", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["extras"] == dict.fromkeys(extras.MODULES, True) | {"t265": False}
+    assert found["extras_lack"] == {"t265": "not today"}
+    assert main(["info"]) == 0
+    told = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["t265", "no:", "not", "today"] in told
+    assert ["fast", "yes"] in told

@@ -1,0 +1,69 @@
+"""A damaged recording is called damaged, with the byte; only another robot's needs a topic mapping."""
+
+import re
+
+import pytest
+from mcap_cases import driving_record
+
+from hil.cli import main
+from hil.recording.mcap_reader import read_cycles
+from hil.recording.mcap_writer import McapRecorder
+from hil.vocabulary.errors import DataError
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    recorder = McapRecorder(path, {"config": {}}, lossless=True)
+    for k in range(50):
+        recorder.write(driving_record(k))
+    recorder.close()
+    return path.read_bytes()
+
+
+def told(tmp_path, data):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(data)
+    with pytest.raises(DataError) as error:
+        list(read_cycles(path))
+    assert "topic" not in str(error.value)
+    assert str(error.value).startswith(f"{path}: ")
+    return error.value.message.partition(": ")[2]
+
+
+@pytest.mark.parametrize("length", [8, 10, 50, 100, 400, 2000])
+def test_a_beginning_alone_ends_early(tmp_path, whole, length):
+    assert re.match(r"ends early at byte \d+", told(tmp_path, whole[:length]))
+
+
+def test_an_empty_file_is_called_empty(tmp_path):
+    assert told(tmp_path, b"") == "is empty"
+
+
+@pytest.mark.parametrize(
+    ("find", "put", "message"),
+    [
+        (b"\x0c", b"\x2c", r"is damaged before byte \d+: what says how to read it is not there"),
+        (b"layout", b"lay\xffut", r"is damaged after byte \d+: the record at byte 32 does not hold"),
+        (b'{"config"', b'{"conf"g"', r"cannot be understood, or is damaged after byte 32 \("),
+        (b"\x03\x00\x00\x00hil", b"\x03\x10\x00\x00hil", r"is damaged after byte \d+: the record at byte 32"),
+    ],
+    ids=["kind of a record", "text", "JSON", "length of a text"],
+)
+def test_flipped_bytes_of_the_head_are_damage(tmp_path, whole, find, put, message):
+    at = whole.index(find, 30)
+    assert re.match(message, told(tmp_path, whole[:at] + put + whole[at + len(find) :]))
+
+
+def test_rubbish_between_records_is_damage(tmp_path, whole):
+    assert re.match(
+        r"is damaged after byte 8: what begins at byte 32 is no record",
+        told(tmp_path, whole[:32] + b"\xee" * 200 + whole[232:]),
+    )
+
+
+def test_the_command_says_so_and_ends_with_2(tmp_path, whole, capsys):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(whole[:100])
+    assert main(["replay", str(path)]) == 2
+    assert "run.mcap: ends early at byte" in capsys.readouterr().err
