@@ -11,6 +11,7 @@ import click
 
 from hil.cli import start
 from hil.cli.options import SEED, FiniteRange, rerun_option
+from hil.cli.output import Answered, unreadable
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_file
 
@@ -145,7 +146,7 @@ def command(
         if recorder is not None and (lost := recorder.objection()) is not None:
             raise lost
         if stop.name:
-            raise Aborted(f"{stop.name} came while the bench was being closed")
+            raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
     return EXIT_PASS
 
 
@@ -202,6 +203,9 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
     if monitor is not None:
         summary["monitor"] = {"dropped": monitor.dropped, "failure": monitor.failure}
     click.echo(json.dumps(summary) if as_json else _text(summary))
+    answered = click.get_current_context().find_object(Answered)
+    if answered is not None:
+        answered.already = True
 
 
 def _text(summary: dict[str, Any]) -> str:

@@ -63,6 +63,13 @@ def _to_nowhere(descriptor: int) -> None:
         os.close(nowhere)
 
 
+def unreadable() -> str:
+    """Why nobody reads standard output or standard error any more, in a sentence; empty while somebody does."""
+    raws = (getattr(getattr(stream, "buffer", None), "raw", None) for stream in (sys.stdout, sys.stderr))
+    why = next((raw.lost for raw in raws if isinstance(raw, _Raw) and raw.lost), "")
+    return f"the output cannot be written any more ({why})" if why else ""
+
+
 def _end_command(why: str) -> None:
     if callable(signal.getsignal(signal.SIGTERM)):
         os.kill(os.getpid(), signal.SIGTERM)

@@ -118,7 +118,7 @@ def test_it_goes_on_where_it_was_and_may_grow(campaign, tmp_path):
 )
 def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, options, told):
     code, tree, said = campaign("--workers", "0", "--out", "o", *options)
-    assert (code, tree) == (2, None)
+    assert (code, tree["error"]["exit_code"]) == (2, 2)
     assert told in said
     assert not (tmp_path / "o").exists()
 
@@ -143,7 +143,7 @@ def test_an_error_in_one_run_is_a_row(campaign):
 def test_a_run_that_is_aborted_ends_the_campaign_until_it_is_resumed(campaign, tmp_path):
     common = ("--seeds", "0:3", "--set", "asks=1", "--workers", "0", "--out", "o")
     code, tree, said = campaign(*common)
-    assert (code, tree) == (4, None)
+    assert (code, tree["error"]["exit_code"]) == (4, 4)
     assert "there is no operator to answer" in said
     assert not (tmp_path / "o" / "runs" / "seed=2").exists()
     (tmp_path / "answers.txt").write_text("yes\n")
@@ -172,7 +172,7 @@ def test_a_run_that_kills_its_worker_is_lost_alone(campaign):
 def test_without_dask_it_says_what_to_install(campaign, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "distributed", None)
     code, tree, said = campaign("--seeds", "0:2", "--workers", "2", "--out", "o")
-    assert (code, tree) == (2, None)
+    assert (code, list(tree)) == (2, ["error"])
     assert "-m pip install 'dask[distributed]" in said
 
 
