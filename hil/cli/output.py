@@ -64,7 +64,7 @@ def _to_nowhere(descriptor: int) -> None:
 
 
 def unreadable() -> str:
-    """Why nobody reads standard output or standard error any more, in a sentence; empty while somebody does."""
+    """Why nobody reads standard output or standard error any more; empty while somebody does."""
     raws = (getattr(getattr(stream, "buffer", None), "raw", None) for stream in (sys.stdout, sys.stderr))
     why = next((raw.lost for raw in raws if isinstance(raw, _Raw) and raw.lost), "")
     return f"the output cannot be written any more ({why})" if why else ""
