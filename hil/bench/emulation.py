@@ -110,6 +110,22 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
     return connected
 
 
+def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[Fault, ...]:
+    """All faults of a bench, read; whether its devices can produce them is seen when these are built.
+
+    Raises:
+        UsageError, ConfigError: a spec or a file that cannot be read.
+        FaultNotSupportedError: every device is real.
+    """
+    faults = read_faults((*config.emulation.faults, *given))
+    if faults and not config.emulated():
+        raise FaultNotSupportedError(
+            f"fault {describe(faults[0])}: every device of {config.name} is real",
+            remedy="use --emulate for the devices that faults are meant for",
+        )
+    return faults
+
+
 def check_faults(
     config: BenchConfig, given: Sequence[str | Fault], *, only: Sequence[str] = ()
 ) -> tuple[Fault, ...]:
@@ -129,12 +145,7 @@ def check_faults(
         UsageError, ConfigError: a spec or a file that cannot be read, or an emulated device that cannot be.
         FaultNotSupportedError: naming the fault, what would do, and what was probably meant.
     """
-    faults = read_faults((*config.emulation.faults, *given))
-    if faults and not config.emulated():
-        raise FaultNotSupportedError(
-            f"fault {describe(faults[0])}: every device of {config.name} is real",
-            remedy="use --emulate for the devices that faults are meant for",
-        )
+    faults = planned_faults(config, given)
     if config.emulated():
         connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
     return faults

@@ -12,7 +12,7 @@ from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.drivers import make_rig, model_of
-from hil.bench.emulation import build_world, check_faults, connect_in_process
+from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
@@ -62,15 +62,15 @@ def open_bench(
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
-    plan = check_faults(checked, faults)
     emulated = checked.emulated()
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
     if not emulated:
+        planned_faults(checked, faults)
         clock = MonotonicClock()
         return Bench(checked, clock, make_rig(checked, clock, {}), **common)
     if realtime or len(emulated) < len(checked.devices()):
-        return _at_the_wire(checked, plan, seed, common)
-    world = build_world(checked, seed=seed, faults=plan)
+        return _at_the_wire(checked, check_faults(checked, faults), seed, common)
+    world = build_world(checked, seed=seed, faults=planned_faults(checked, faults))
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
     bench = Bench(checked, virtual, make_rig(checked, virtual, connected.connections), world=world, **common)
