@@ -97,6 +97,7 @@ OPTIONS = {
     "scale": "factor on every step seen",
 }
 SHARED = {"period_s": "0.5", "duty": "0.5", "probability": "0.1", "factor": "5", "delay_s": "0.1"}
+_INHERITED = re.compile(r"from (hil[\w.]+\.faulty) import")
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 
 
@@ -164,12 +165,15 @@ def _default(kind: str, option: str, defaults: dict[tuple[str, str], str]) -> st
 
 
 def _defaults(room: str) -> dict[tuple[str, str], str]:
-    """Default of an option by kind, from the lines of a room that ask for it."""
+    """Default of an option by kind, from the lines of a room, and of those it builds on, that ask for it."""
     found: dict[tuple[str, str], str] = {}
-    for path in sorted((ROOT / Path(*room.split(".")[1:])).glob("*.py")):
-        module = importlib.import_module(f"{room}.{path.stem}")
-        kind = ""
-        for match in _ASKED.finditer(path.read_text(encoding="utf-8")):
+    own = [f"{room}.{path.stem}" for path in sorted((ROOT / Path(*room.split(".")[1:])).glob("*.py"))]
+    texts = {name: _source(name) for name in own}
+    built_on = {name for text in texts.values() for name in _INHERITED.findall(text)} - texts.keys()
+    texts |= {name: _source(name) for name in sorted(built_on)}
+    for name, text in texts.items():
+        module, kind = importlib.import_module(name), ""
+        for match in _ASKED.finditer(text):
             asked, option, value, delay = match.groups()
             kind = asked or kind
             if option or delay:
@@ -179,6 +183,10 @@ def _defaults(room: str) -> dict[tuple[str, str], str]:
                 )
                 found.setdefault(("", option or "delay_s"), f"{float(number):g}")
     return found
+
+
+def _source(module: str) -> str:
+    return (ROOT / Path(*module.split(".")[1:])).with_suffix(".py").read_text(encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from typing import Any
 
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import CycleRecord, Status
+from hil.vocabulary.signals import CycleRecord, Status, worst
 
 
 @dataclass
@@ -31,10 +31,9 @@ class SampleCount:
         if self.last_seq is not None:
             self.missing += max(0, sample.stamp.seq - self.last_seq - 1)
         self.last_seq = sample.stamp.seq
-        status = sample.status if isinstance(sample.status, tuple) else (sample.status,)
-        wrong = next((s for s in status if s is not Status.OK), None)
-        if wrong is not None:
-            self.bad[wrong.value] += 1
+        status = worst(sample)
+        if status is not Status.OK:
+            self.bad[status.value] += 1
 
     def to_json(self) -> dict[str, object]:
         """As plain data."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import Event, Inputs, Status
+from hil.vocabulary.signals import Event, Inputs, Status, worst
 
 _FORGOTTEN_NS = 1_000_000_000
 _TOLD = {
@@ -51,7 +51,7 @@ class SampleWatch:
                 elif not labels:
                     self._last_bad[name] = sample.status
                     self._look(name, "", sample.status, t_ns, events)
-                elif sample.status == (Status.OK,) * len(labels):
+                elif worst(sample) is Status.OK:
                     good = True
                 else:
                     for label, status in zip(labels, sample.status, strict=True):

@@ -1,55 +1,21 @@
 """A moving plant and the shortest serial line there is, so that the chip and the driver meet directly."""
 
-import math
 import sys
 import types
 from collections import deque
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import serial
+from turning_plant import TurningPlant
 
 from hil.config.imu import Bno055Config
 from hil.drivers.imu import Bno055Imu
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.imu import Bno055Chip, ImuTruthOptions
-from hil.fakes.plant_api import PlantState
 from hil.fakes.world import VirtualClock, World
 
 _LINES = {}
-
-
-class TurningPlant:
-    """Turns at a constant rate about the body origin, on a surface of given tilt."""
-
-    def __init__(self, tilt_rad=math.pi / 2, theta_rad=0.0, rate_rad_s=0.0):
-        self.t_ns, self.tilt_rad, self.theta_rad, self.rate_rad_s = 0, tilt_rad, theta_rad, rate_rad_s
-        self.acceleration = np.zeros(2)
-
-    def command(self, joint, command):
-        raise AssertionError("an IMU commands nothing")
-
-    def advance(self, t_ns):
-        self.theta_rad += self.rate_rad_s * (t_ns - self.t_ns) * 1e-9
-        self.t_ns = t_ns
-
-    def joints(self):
-        return np.zeros(8), np.zeros(8), np.zeros(8)
-
-    def truth(self):
-        return PlantState(
-            self.t_ns,
-            np.array([0.0, 0.0, self.theta_rad]),
-            np.array([0.0, 0.0, self.rate_rad_s]),
-            self.acceleration.copy(),
-            *(np.zeros(8) for _ in range(3)),
-            np.zeros(4),
-            np.full(4, 8.0),
-            np.zeros((4, 2)),
-            self.tilt_rad,
-            False,
-        )
 
 
 class DirectPort:

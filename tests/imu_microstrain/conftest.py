@@ -1,17 +1,15 @@
 """An emulated MicroStrain sensor on its line, a plant that turns, and the driver on it, in virtual time."""
 
-import math
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
+from turning_plant import TurningPlant
 
 from hil.devices.imu.microstrain.chip import MicrostrainChip
 from hil.devices.imu.microstrain.config import MicrostrainConfig
 from hil.devices.imu.microstrain.driver import MicrostrainImu
 from hil.devices.imu.microstrain.sensing import MicrostrainTruthOptions
 from hil.fakes.faults import FaultPlan, parse_fault
-from hil.fakes.plant_api import PlantState
 from hil.fakes.serial_line import SerialLine
 from hil.fakes.world import VirtualClock, World
 
@@ -19,38 +17,6 @@ IDEAL = MicrostrainTruthOptions(
     gyro_noise_rad_s=0, gyro_bias_rad_s=0, accelerometer_noise_m_s2=0, accelerometer_offset_m_s2=0,
     heading_drift_rad_s=0, filter_gravity_m_s2=9.80665,
 )  # fmt: skip
-
-
-class TurningPlant:
-    """Turns at a constant rate about the body origin, on a surface of given tilt."""
-
-    def __init__(self, tilt_rad=math.pi / 2, theta_rad=0.0, rate_rad_s=0.0):
-        self.t_ns, self.tilt_rad, self.theta_rad, self.rate_rad_s = 0, tilt_rad, theta_rad, rate_rad_s
-        self.acceleration = np.zeros(2)
-
-    def command(self, joint, command):
-        raise AssertionError("an IMU commands nothing")
-
-    def advance(self, t_ns):
-        self.theta_rad += self.rate_rad_s * (t_ns - self.t_ns) * 1e-9
-        self.t_ns = t_ns
-
-    def joints(self):
-        return np.zeros(8), np.zeros(8), np.zeros(8)
-
-    def truth(self):
-        return PlantState(
-            self.t_ns,
-            np.array([0.0, 0.0, self.theta_rad]),
-            np.array([0.0, 0.0, self.rate_rad_s]),
-            self.acceleration.copy(),
-            *(np.zeros(8) for _ in range(3)),
-            np.zeros(4),
-            np.full(4, 8.0),
-            np.zeros((4, 2)),
-            self.tilt_rad,
-            False,
-        )
 
 
 @pytest.fixture

@@ -43,6 +43,6 @@ KIND = DeviceKind(
     gap_s=0.1,
     delivered=0.95,
     topics=(Topic("/imu/data", "sensor_msgs/msg/Imu", imu_message),),
-    witness=Witness(still=0.2, value=_gravity),
+    witness=Witness(still=0.2, value=_gravity),  # m/s^2: gravity turns with the robot, 0.17 for a degree
     look=look,
 )

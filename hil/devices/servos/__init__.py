@@ -60,6 +60,6 @@ KIND = DeviceKind(
         Plot("Health", "Temperatures (C)", "servos/temperature_c"),
         Plot("Health", "Voltages (V)", "servos/voltage_v"),
     ),
-    witness=Witness(still=0.01, value=_positions),
+    witness=Witness(still=0.01, value=_positions),  # rad: a servo holds its place within three counts, 0.005
     look=look,
 )

@@ -30,7 +30,38 @@ _WRONG_RATE_RAD_S = 0.1
 _JUMP_RAD = 0.5
 
 
-class ImuFaults(DeviceFaults):
+class InertialFaults(DeviceFaults):
+    """What goes wrong with any inertial sensor: it dies and comes back, turns its heading, measures wrongly.
+
+    Attributes:
+        dead: without power, as `boot_at_ns` has seen it last.
+    """
+
+    def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
+        super().__init__(plan, name, rng)
+        self.dead = False
+
+    def boot_at_ns(self, t_ns: int) -> int | None:
+        """When the sensor last came up because of a fault, if that is news; keeps `dead` up to date."""
+        was_dead = self.dead
+        self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
+        if was_dead and not self.dead:
+            return t_ns
+        fault = self.news("reset", t_ns)
+        return None if fault is None else fault.start_ns
+
+    def jump_rad(self, t_ns: int) -> float:
+        """A heading step that is due now, once per fault."""
+        fault = self.news("jump", t_ns)
+        return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
+
+    def wrong_rate_rad_s(self, t_ns: int) -> float:
+        """What is added to every gyro axis now."""
+        fault = self.find("wrong", t_ns)
+        return 0.0 if fault is None else fault.option("rate_rad_s", _WRONG_RATE_RAD_S)
+
+
+class ImuFaults(InertialFaults):
     """What is wrong with the chip.
 
     Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period
@@ -42,33 +73,17 @@ class ImuFaults(DeviceFaults):
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: bytes | None = None
-        self.dead = False
-
-    def boot_at_ns(self, t_ns: int) -> int | None:
-        """When the chip last came up because of a fault, if that is news; keeps `dead` up to date."""
-        was_dead = self.dead
-        self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
-        if was_dead and not self.dead:
-            return t_ns
-        fault = self.news("reset", t_ns)
-        return None if fault is None else fault.start_ns
 
     def delay_ns(self, t_ns: int) -> int:
         """Extra time before an answer while slow."""
         fault = self.find("slow", t_ns)
         return 0 if fault is None else nanoseconds(fault.option("answer_s", 0.0))
 
-    def jump_rad(self, t_ns: int) -> float:
-        """A heading step that is due now, once per fault."""
-        fault = self.news("jump", t_ns)
-        return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
-
     def distort(self, sensed: Sensed, t_ns: int) -> Sensed:
         """A sensor that measures wrongly."""
-        fault = self.find("wrong", t_ns)
-        if fault is None:
+        extra = self.wrong_rate_rad_s(t_ns)
+        if not extra:
             return sensed
-        extra = fault.option("rate_rad_s", _WRONG_RATE_RAD_S)
         x, y, z = sensed.rate
         return dataclasses.replace(sensed, rate=(x + extra, y + extra, z + extra))
 

@@ -7,7 +7,8 @@ import dataclasses
 import numpy as np
 
 from hil.devices.imu.microstrain.sensing import Fused
-from hil.fakes.faults import PERIODIC, DeviceFaults, FaultPlan, Supported
+from hil.fakes.faults import PERIODIC, FaultPlan, Supported
+from hil.fakes.imu.faulty import InertialFaults
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),
@@ -22,11 +23,8 @@ SUPPORTED_FAULTS: Supported = {
     "jump": ("angle_rad",),
 }
 
-_WRONG_RATE_RAD_S = 0.1
-_JUMP_RAD = 0.5
 
-
-class MicrostrainFaults(DeviceFaults):
+class MicrostrainFaults(InertialFaults):
     """What is wrong with the sensor.
 
     Options: `wrong,rate_rad_s=` added to every gyro axis; `slow,factor=` stretches the output period;
@@ -37,21 +35,6 @@ class MicrostrainFaults(DeviceFaults):
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: Fused | None = None
-        self.dead = False
-
-    def boot_at_ns(self, t_ns: int) -> int | None:
-        """When the sensor last came up because of a fault, if that is news; keeps `dead` up to date."""
-        was_dead = self.dead
-        self.dead = any(self.find(kind, t_ns) for kind in ("off", "brownout"))
-        if was_dead and not self.dead:
-            return t_ns
-        fault = self.news("reset", t_ns)
-        return None if fault is None else fault.start_ns
-
-    def jump_rad(self, t_ns: int) -> float:
-        """A step of the heading that is due now, once per fault."""
-        fault = self.news("jump", t_ns)
-        return 0.0 if fault is None else fault.option("angle_rad", _JUMP_RAD)
 
     def distort(self, fused: Fused, t_ns: int) -> Fused:
         """What the sensor believes to have measured."""
@@ -59,10 +42,9 @@ class MicrostrainFaults(DeviceFaults):
             self._frozen = self._frozen or fused
             return self._frozen
         self._frozen = None
-        fault = self.find("wrong", t_ns)
-        if fault is None:
+        extra = self.wrong_rate_rad_s(t_ns)
+        if not extra:
             return fused
-        extra = fault.option("rate_rad_s", _WRONG_RATE_RAD_S)
         x, y, z = fused.rate
         return dataclasses.replace(fused, rate=(x + extra, y + extra, z + extra))
 

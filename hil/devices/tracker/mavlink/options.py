@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from hil.devices.tracker.mavlink.config import PoseFrame
+from hil.fakes.tracker.options import IDEAL as IDEAL_CAMERA
 from hil.fakes.tracker.options import TrackerTruthOptions
 
 
@@ -34,18 +35,5 @@ class ComputerTruthOptions(TrackerTruthOptions):
     answers_timesync: bool = True
 
 
-IDEAL = ComputerTruthOptions(
-    scale_sigma=0.0,
-    yaw_rate_sigma_rad_s=0.0,
-    yaw_walk_rad_sqrt_s=0.0,
-    position_walk_m_sqrt_m=0.0,
-    position_noise_m=0.0,
-    angle_noise_rad=0.0,
-    velocity_noise_m_s=0.0,
-    rate_noise_rad_s=0.0,
-    jitter_s=0.0,
-    clock_ppm=0.0,
-    drop_probability=0.0,
-    settle_s=(0.0, 0.0, 0.0),
-)
+IDEAL = ComputerTruthOptions(**{f.name: getattr(IDEAL_CAMERA, f.name) for f in fields(IDEAL_CAMERA)})
 """A computer without errors: 20 ms late, otherwise true to single precision."""
