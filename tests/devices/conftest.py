@@ -1,35 +1,17 @@
 """Device packages as a user has them: in folders beside `hil`."""
 
 import importlib
-import os
 import shutil
-import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from installing import EXAMPLE, install
 
 from hil.cli import main
 from hil.config.bench import bench_model
 from hil.recording.cycle_layout import record_types
 from hil.vocabulary.kinds import kinds
-
-ROOT = Path(__file__).resolve().parents[2]
-EXAMPLE = ROOT / "examples" / "rangefinder"
-
-
-def environment(*folders):
-    """Variables of a process that finds this checkout, and packages in further folders."""
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, *folders)))}
-
-
-def install(folder, target):
-    """Install the package of a folder into another folder; nothing is asked of the network."""
-    options = ("--quiet", "--no-index", "--no-deps", "--no-build-isolation", "--disable-pip-version-check")
-    subprocess.run(
-        [sys.executable, "-m", "pip", "install", *options, "--target", str(target), str(folder)], check=True
-    )
 
 
 @pytest.fixture(scope="session")

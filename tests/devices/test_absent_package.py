@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from conftest import EXAMPLE, ROOT, environment
+from installing import EXAMPLE, ROOT, environment
 from mcap.reader import make_reader
 
 OLD = ROOT / "tests" / "recording" / "data" / "recorded_by_0_1_0.mcap"

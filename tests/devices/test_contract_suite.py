@@ -2,7 +2,7 @@
 
 import os
 
-from conftest import ROOT
+from installing import ROOT
 
 pytest_plugins = ["pytester"]
 

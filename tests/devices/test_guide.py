@@ -8,7 +8,7 @@ import sys
 from dataclasses import fields
 
 import pytest
-from conftest import ROOT
+from installing import ROOT
 
 from hil.vocabulary.kinds import DeviceKind, DeviceModel
 
