@@ -11,13 +11,12 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import tomli_w
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
-from hil.calibration.calibrate import Calibration
 from hil.calibration.parameters import (
     Four,
     Parameters,
@@ -32,6 +31,9 @@ from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.reading import read_toml
+
+if TYPE_CHECKING:
+    from hil.calibration.calibrate import Calibration
 
 FourNumbers = tuple[int, int, int, int]
 

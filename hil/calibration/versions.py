@@ -11,6 +11,7 @@ import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -24,12 +25,14 @@ from hil.calibration.artefact import (
     read_calibration,
     save_calibration,
 )
-from hil.calibration.calibrate import Calibration
 from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
+
+if TYPE_CHECKING:
+    from hil.calibration.calibrate import Calibration
 
 PASSED = ("PASS", "MARGINAL")
 _SAME_M = 1e-6

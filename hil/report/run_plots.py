@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from hil.vocabulary.geometry import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 PALETTE: Mapping[str, str] = {
     "reference": "#71717b",
@@ -33,6 +33,8 @@ _POINTS = 400
 
 def new_figure(width_in: float = 6.4, height_in: float = 3.6) -> Figure:
     """An empty figure; its text stays text, in the reader's font."""
+    from matplotlib.figure import Figure  # takes 0.7 s, which a run that draws nothing should not wait
+
     return Figure(figsize=(width_in, height_in), layout="constrained")
 
 

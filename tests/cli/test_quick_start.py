@@ -1,0 +1,24 @@
+"""What a command does not use it does not import: a start is what every short run and every campaign pays."""
+
+import subprocess
+import sys
+
+import pytest
+
+SOLVERS = {"scipy.optimize", "scipy.stats", "hil.calibration.solvers", "hil.calibration.calibrate"}
+DRAWING = {"matplotlib"}
+
+
+@pytest.mark.parametrize(
+    ("modules", "unused"),
+    [
+        ("hil.procedures.wall_tracking, hil.procedure.runner", SOLVERS | DRAWING),
+        ("hil.bench, hil.live", SOLVERS | DRAWING),
+        ("hil.replay.comparison, hil.replay.recordings", SOLVERS | DRAWING),
+        ("hil.calibration.calibrate", DRAWING),
+    ],
+)
+def test_what_is_not_used_is_not_imported(modules, unused):
+    script = f"import {modules}, sys; print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert not unused & set(loaded.stdout.split())
