@@ -5,6 +5,7 @@ Joints are numbered 0..7: drives FL, BL, BR, FR, then steers FL, BL, BR, FR (`hi
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -34,6 +35,19 @@ class JointCommand:
 
 
 @dataclass(frozen=True)
+class HoldingForces:
+    """What holds a robot on its surface besides its wheels.
+
+    Attributes:
+        adhesion_n: of the ducted fan, towards the surface, at the body's origin.
+        thrust_n: of both propellers, along body x.
+    """
+
+    adhesion_n: float
+    thrust_n: float
+
+
+@dataclass(frozen=True)
 class PlantState:
     """Physical truth at `t_ns`.
 
@@ -47,6 +61,7 @@ class PlantState:
         slip_m_s: (4, 2) longitudinal and lateral slip velocity in the wheel frame.
         tilt_rad: 0 floor, pi/2 wall.
         fallen: the robot has left the wall.
+        adhesion_n, thrust_n: forces of fan and propellers as they act now; NaN where nobody knows.
     """
 
     t_ns: int
@@ -61,6 +76,8 @@ class PlantState:
     slip_m_s: Array
     tilt_rad: float
     fallen: bool
+    adhesion_n: float = math.nan
+    thrust_n: float = math.nan
 
 
 class Plant(Protocol):
@@ -74,6 +91,23 @@ class Plant(Protocol):
     @abstractmethod
     def command(self, joint: int, command: JointCommand) -> None:
         """Set what a joint's motor is asked to do from now on."""
+
+    @property
+    def working_point(self) -> HoldingForces | None:
+        """What this robot's fan and propellers truly give where `[robot]` says what they do on a wall.
+
+        On a wall they act from the beginning, until others are set. None where nobody knows, or nothing
+        holds the body but itself.
+        """
+        return None
+
+    def set_adhesion(self, force_n: float) -> None:
+        """The fan's force from the next internal step on."""
+        return
+
+    def set_thrust(self, force_n: float) -> None:
+        """The propellers' force along body x from the next internal step on; their imbalance goes with it."""
+        return
 
     @abstractmethod
     def advance(self, t_ns: int) -> None:

@@ -12,6 +12,7 @@ from hil.fakes.plant import Patch, Surface
 from hil.fakes.plant.robot import GRAVITY_M_S2
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import circle
+from hil.vocabulary.errors import UsageError
 
 WEIGHT_N = 3.25 * GRAVITY_M_S2
 
@@ -221,3 +222,46 @@ def test_no_step_creates_energy(seed, surface):
         assert gain <= 1e-9
         energy, before, lost = now, after, lost - gain
     assert lost > 0.01
+
+
+def test_forces_that_are_set_act_as_the_same_constants_do():
+    """A fan and propellers that blow as on paper leave the robot where the constants leave it."""
+    plain, set_now = build(3, random=True), build(3, random=True)
+    point = set_now.working_point
+    set_now.set_adhesion(point.adhesion_n)
+    set_now.set_thrust(point.thrust_n)
+    for plant in (plain, set_now):
+        settle(plant)
+        drive(plant, 1.5)
+        wait(plant, 2.0)
+    assert (set_now.truth().adhesion_n, set_now.truth().thrust_n) == (point.adhesion_n, point.thrust_n)
+    assert (plain.truth().adhesion_n, plain.truth().thrust_n) == (point.adhesion_n, point.thrust_n)
+    assert np.abs(set_now.truth().pose_body_in_wall - plain.truth().pose_body_in_wall).max() < 1e-12
+
+
+def test_the_robot_slides_where_the_fan_is_set_below_the_closed_form():
+    needed_n = (1.0 - 0.7) * WEIGHT_N / 0.45
+    for force_n, falls in ((1.1 * needed_n, False), (0.9 * needed_n, True)):
+        plant = build()
+        settle(plant)
+        plant.set_adhesion(force_n)
+        wait(plant, 4.0)
+        assert plant.truth().fallen == falls
+
+
+def test_the_robot_slides_without_its_propellers():
+    plant = build()
+    settle(plant)
+    plant.set_thrust(0.0)
+    wait(plant, 4.0)
+    assert plant.truth().fallen
+    assert plant.truth().thrust_n == 0.0
+
+
+@pytest.mark.parametrize("force_n", [-1.0, math.nan, math.inf])
+def test_no_fan_pushes_the_robot_off(force_n):
+    plant = build()
+    for act in (plant.set_adhesion, plant.set_thrust):
+        with pytest.raises(UsageError, match="a finite force >= 0"):
+            act(force_n)
+    assert plant.truth().adhesion_n == plant.working_point.adhesion_n

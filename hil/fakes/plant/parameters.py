@@ -13,6 +13,7 @@ import numpy as np
 from hil.config.robot import RobotConfig
 from hil.config.servo_models import ServoModel
 from hil.fakes.plant.surfaces import Surface
+from hil.fakes.plant_api import HoldingForces
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
@@ -79,6 +80,8 @@ class TrueParameters:
         adhesion_n: towards the surface, 0 where the fan is off.
         thrust_n: both propellers, along body x.
         thrust_torque_n_m: their imbalance, about the body's origin.
+        thrust_lever_m: the same per thrust.
+        working_point: what fan and propellers give at their nominal forces on a wall, needed or not.
         propeller_height_m, supply_v: as `RobotConfig`.
     """
 
@@ -92,6 +95,8 @@ class TrueParameters:
     adhesion_n: float
     thrust_n: float
     thrust_torque_n_m: float
+    thrust_lever_m: float
+    working_point: HoldingForces
     propeller_height_m: float
     supply_v: float
     contact: ContactParameters
@@ -139,6 +144,10 @@ def nominal_parameters(
         adhesion_n=on * robot.edf_force_n,
         thrust_n=on * thrust_n,
         thrust_torque_n_m=on * thrust_n * robot.thrust_imbalance * robot.propeller_y_m,
+        thrust_lever_m=robot.thrust_imbalance * robot.propeller_y_m,
+        working_point=HoldingForces(
+            robot.edf_force_n, robot.thrust_compensation * robot.mass_kg * gravity_m_s2
+        ),
         propeller_height_m=robot.propeller_height_m,
         supply_v=robot.supply_v,
         contact=ContactParameters(surface.friction, surface.creep_along, surface.creep_across),
@@ -163,7 +172,8 @@ def draw(
             the same seed draws the same robot, nearer to its nominal geometry.
     """
     x, y, height = nominal.centre_of_mass_m
-    thrust_n = nominal.thrust_n * _spread(rng, 0.01)
+    thrust_spread = _spread(rng, 0.01)
+    thrust_n = nominal.thrust_n * thrust_spread
     imbalance = rng.uniform(-0.005, 0.005)
     steering = np.clip(
         rng.normal(0.0, _STEERING_SIGMA_RAD, 4), -2.5 * _STEERING_SIGMA_RAD, 2.5 * _STEERING_SIGMA_RAD
@@ -177,9 +187,13 @@ def draw(
         mass_kg=nominal.mass_kg * _spread(rng, 0.005),
         centre_of_mass_m=(x + rng.uniform(-2e-3, 2e-3), y + rng.uniform(-1e-3, 1e-3), height),
         yaw_inertia_kg_m2=nominal.yaw_inertia_kg_m2 * _spread(rng, 0.1),
-        adhesion_n=nominal.adhesion_n * _spread(rng, 0.02),
+        adhesion_n=nominal.adhesion_n * (fan_spread := _spread(rng, 0.02)),
         thrust_n=thrust_n,
         thrust_torque_n_m=nominal.thrust_torque_n_m + thrust_n * imbalance * propeller_y_m,
+        thrust_lever_m=nominal.thrust_lever_m + imbalance * propeller_y_m,
+        working_point=HoldingForces(
+            nominal.working_point.adhesion_n * fan_spread, nominal.working_point.thrust_n * thrust_spread
+        ),
         supply_v=nominal.supply_v * _spread(rng, 0.01),
         contact=replace(
             nominal.contact,

@@ -17,7 +17,7 @@ from hil.fakes.plant import kernel as k
 from hil.fakes.plant.compiled import choose_advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
-from hil.fakes.plant_api import JointCommand, Plant, PlantState
+from hil.fakes.plant_api import HoldingForces, JointCommand, Plant, PlantState
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
@@ -101,6 +101,30 @@ class WallRobot(Plant):
         q[k.RATE_LIMIT + joint], q[k.AMPS_LIMIT + joint] = limits[:2]
         q[k.DUTY_LIMIT + joint] = min(limits[2], 1.0)
 
+    @property
+    def working_point(self) -> HoldingForces:
+        """What fan and propellers of this robot truly give at their nominal forces."""
+        return self.parameters.working_point
+
+    def set_adhesion(self, force_n: float) -> None:
+        """The fan's force from the next internal step on.
+
+        Raises:
+            UsageError: not a finite force towards the surface.
+        """
+        self._constants[k.ADHESION] = _force(force_n, "the fan presses")
+        self._truth = None
+
+    def set_thrust(self, force_n: float) -> None:
+        """The propellers' force along body x from the next internal step on.
+
+        Raises:
+            UsageError: not a finite force forwards.
+        """
+        self._constants[k.THRUST] = _force(force_n, "the propellers push")
+        self._constants[k.THRUST_TORQUE] = force_n * self.parameters.thrust_lever_m
+        self._truth = None
+
     def advance(self, t_ns: int) -> None:
         """Integrate up to `t_ns`: whole internal steps; the remainder waits."""
         end = t_ns // self._step_ns
@@ -161,7 +185,15 @@ class WallRobot(Plant):
             slip_m_s=s[k.SLIP : k.SLIP + 8].reshape(4, 2),
             tilt_rad=self.tilt_rad,
             fallen=bool(s[k.FALLEN]),
+            adhesion_n=float(self._constants[k.ADHESION]) * self._adhesion_factor(self._steps),
+            thrust_n=float(self._constants[k.THRUST]),
         )
+
+
+def _force(force_n: float, doing: str) -> float:
+    if not (math.isfinite(force_n) and force_n >= 0.0):
+        raise UsageError(f"{doing} with {force_n} N", expected="a finite force >= 0")
+    return force_n
 
 
 def _view(array: Array) -> Array:
