@@ -1,0 +1,1 @@
+"""Drivers of the ducted fan that presses the robot on the wall."""

@@ -1,0 +1,49 @@
+"""What a VESC motor controller says and understands on CAN; `vesc.dbc` describes the same frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hil.drivers.adhesion.vesc.frames import (
+    EVERYBODY,
+    HIGHEST_ID,
+    Frame,
+    Message,
+    Order,
+    Packet,
+    Pong,
+    Status,
+    Status2,
+    Status3,
+    Status4,
+    Status5,
+    Status6,
+    address,
+    decode,
+    order_frame,
+    ping_frame,
+)
+
+__all__ = [
+    "DBC",
+    "EVERYBODY",
+    "HIGHEST_ID",
+    "Frame",
+    "Message",
+    "Order",
+    "Packet",
+    "Pong",
+    "Status",
+    "Status2",
+    "Status3",
+    "Status4",
+    "Status5",
+    "Status6",
+    "address",
+    "decode",
+    "order_frame",
+    "ping_frame",
+]
+
+DBC = Path(__file__).with_name("vesc.dbc")
+"""The frames for cantools and the like, of a controller with id 0: add yours to each identifier."""
