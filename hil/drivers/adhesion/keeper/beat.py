@@ -1,0 +1,178 @@
+"""One beat of a keeper: listen on the bus, decide, send. A bus that fails is tried again for ever."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+import can
+
+from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint
+from hil.drivers.adhesion.keeper.dialects import dialect
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.vesc import EVERYBODY, Frame
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import DeviceError
+
+_MOST_FRAMES = 512
+_REOPEN_NS = nanoseconds(0.5)
+_REPEAT_NS = nanoseconds(10.0)
+_ECHOES = 16
+BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
+
+
+def open_bus(spec: Spec) -> can.BusABC:
+    """The fan's bus; raises `DeviceError`."""
+    options: dict[str, Any] = dict(spec.options)
+    try:
+        return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate, **options)
+    except (*BUS_ERRORS, ImportError) as error:
+        raise DeviceError(
+            DEVICE,
+            f"the CAN bus cannot be opened ({error})",
+            port=f"{spec.interface}:{spec.channel}",
+            expected="a python-can interface that several programs can share, such as socketcan",
+            remedy="check adhesion.interface and adhesion.channel; bring the interface up",
+        ) from None
+
+
+class Beat:
+    """A keeper at a bus.
+
+    Args:
+        spec: the fan.
+        keeper: what decides.
+        say: is told in words what changes.
+        bus: opened already; opened on the first beat when None, and again whenever it is lost.
+
+    Attributes:
+        bus_error: what is wrong with the bus; empty for nothing.
+        sent_ns: when the latest command was sent.
+        worst_gap_ns: the longest time between two commands since the fan is kept.
+        commands: commands sent.
+    """
+
+    def __init__(
+        self, spec: Spec, keeper: Keeper, say: Callable[[str], None], bus: can.BusABC | None = None
+    ) -> None:
+        self._spec, self.keeper, self._say, self._bus = spec, keeper, say, bus
+        self._dialect = dialect(spec.dialect)
+        self._mine: deque[Frame] = deque(maxlen=_ECHOES)
+        self._state = ""
+        self._quiet_until_ns = 0
+        self._failing_ns: int | None = None
+        self.bus_error = ""
+        self.sent_ns: int | None = None
+        self.worst_gap_ns = 0
+        self.commands = 0
+
+    def beat(self, t_ns: int) -> None:
+        """Listen, decide, send. Never raises for what a bus does."""
+        bus = self._bus or self._opened(t_ns)
+        if bus is not None:
+            self._listen(bus, t_ns)
+        order = self.keeper.order(t_ns)
+        if order is None:
+            self.sent_ns, self.worst_gap_ns = None, 0
+        elif bus is not None:
+            self._send(bus, order, t_ns)
+        if (state := self.keeper.state()) != self._state:
+            self._state = state
+            at = f" at {order.quantity} {order.value:.4g}" if order is not None and state != "idle" else ""
+            self._say(f"{state}{at}")
+
+    def status(self, t_ns: int) -> dict[str, Any]:
+        """How the fan is kept, as plain values."""
+        keeper = self.keeper
+        return {
+            "state": keeper.state(),
+            "sent": keeper.sent,
+            "target": keeper.target,
+            "sent_age_s": _age_s(self.sent_ns, t_ns),
+            "worst_gap_s": self.worst_gap_ns / NS_PER_S,
+            "commands": self.commands,
+            "report": keeper.report,
+            "report_age_s": _age_s(keeper.report_ns, t_ns),
+            "others": sorted(keeper.others),
+            "bus_error": self.bus_error,
+            "timeout_s": self._spec.timeout_s,
+        }
+
+    def close(self) -> None:
+        """Let go of the bus. Idempotent; never raises."""
+        bus, self._bus = self._bus, None
+        if bus is not None:
+            try:
+                bus.shutdown()
+            except BUS_ERRORS as error:
+                self._say(f"the bus did not shut down cleanly ({error})")
+
+    def _opened(self, t_ns: int) -> can.BusABC | None:
+        if self._failing_ns is not None and t_ns - self._failing_ns < _REOPEN_NS:
+            return None
+        self._failing_ns = t_ns
+        try:
+            self._bus = open_bus(self._spec)
+        except DeviceError as error:
+            self._troubled(error.message)
+            return None
+        self._failing_ns = None
+        return self._bus
+
+    def _listen(self, bus: can.BusABC, t_ns: int) -> None:
+        """Take what has arrived; anybody may send, so that it is bounded."""
+        for _ in range(_MOST_FRAMES):
+            try:
+                message = bus.recv(0)
+            except BUS_ERRORS as error:
+                self._failed(error, t_ns)
+                return
+            if message is None:
+                return
+            if message.is_extended_id and not message.is_error_frame and not message.is_remote_frame:
+                self._take(Frame(message.arbitration_id, bytes(message.data)), t_ns)
+
+    def _take(self, frame: Frame, t_ns: int) -> None:
+        heard = self._dialect.hear(*frame)
+        if heard is None:
+            return
+        if heard.order is None:
+            self.keeper.reported(t_ns, heard.controller_id, heard.report)
+        elif heard.controller_id in (self._spec.controller_id, EVERYBODY) and frame not in self._mine:
+            if self.keeper.sent is not None and t_ns >= self._quiet_until_ns:
+                self._quiet_until_ns = t_ns + _REPEAT_NS
+                self._say(f"somebody else commands this fan: {heard.order.quantity} {heard.order.value:.4g}")
+            self.keeper.overheard(t_ns, heard.order)
+
+    def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
+        frame = self._dialect.order(self._spec.controller_id, order)
+        self._mine.append(frame)
+        try:
+            bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=True))
+        except BUS_ERRORS as error:
+            self._failed(error, t_ns)
+            return
+        if self.sent_ns is not None:
+            self.worst_gap_ns = max(self.worst_gap_ns, t_ns - self.sent_ns)
+        self.sent_ns = t_ns
+        self.commands += 1
+        self._failing_ns = None
+        self._troubled("")
+
+    def _failed(self, error: Exception, t_ns: int) -> None:
+        """The bus failed: once more at the next beat, and opened anew when that does not help."""
+        self._troubled(str(error) or type(error).__name__)
+        if self._failing_ns is None:
+            self._failing_ns = t_ns
+        elif t_ns - self._failing_ns >= _REOPEN_NS:
+            self.close()
+
+    def _troubled(self, text: str) -> None:
+        if text != self.bus_error:
+            self.bus_error = text
+            self._say(f"CAN: {text}; commands do not reach the fan" if text else "CAN: works again")
+
+
+def _age_s(then_ns: int | None, now_ns: int) -> float | None:
+    return None if then_ns is None else (now_ns - then_ns) / NS_PER_S

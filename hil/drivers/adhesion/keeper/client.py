@@ -1,0 +1,168 @@
+"""How a program finds the keeper of a fan, starts one, and asks it for something."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import re
+import select
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.drivers.adhesion.keeper.core import DEVICE, SetPoint
+from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
+
+_START_S = 15.0
+_ANSWER_S = 2.0
+_REMEDY = "`hil adhesion on` starts one"
+
+Status = Mapping[str, Any]
+
+
+def connect(spec: Spec) -> socket.socket | None:
+    """A connection to the keeper of a fan; None where there is none.
+
+    Raises:
+        DeviceError: it belongs to another user, or takes no more clients.
+    """
+    connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    connection.settimeout(_ANSWER_S)
+    try:
+        connection.connect(address(spec))
+        owner = peer(connection)[1]
+    except ConnectionRefusedError:
+        connection.close()
+        return None
+    except OSError as error:
+        connection.close()
+        raise DeviceError(
+            DEVICE, f"the fan's keeper cannot be reached ({error})", port=spec.name,
+            remedy="end programs that talk to it and try again",
+        ) from None  # fmt: skip
+    if not trusted(owner):
+        connection.close()
+        raise DeviceError(
+            DEVICE, f"the fan's keeper belongs to another user ({owner})", port=spec.name,
+            expected=f"user {os.getuid()} or root", remedy="run both as the same user",
+        )  # fmt: skip
+    return connection
+
+
+def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) -> Status:
+    """Ask and wait for the answer.
+
+    Raises:
+        UsageError, DeviceError: it was refused, or the keeper does not answer.
+    """
+    try:
+        connection.send(json.dumps(request).encode())
+        packet = connection.recv(MOST_BYTES)
+        if not packet:
+            raise ConnectionResetError("it hung up")
+    except OSError as error:
+        raise DeviceError(
+            DEVICE, f"the fan's keeper does not answer ({error})", port=spec.name, remedy=_REMEDY
+        ) from None
+    return understood(packet, spec)
+
+
+def understood(packet: bytes, spec: Spec) -> Status:
+    """An answer of the keeper; raises what it refused with."""
+    answer: dict[str, Any] = json.loads(packet)
+    error = answer.get("error")
+    if error is None:
+        return answer
+    if error["exit_code"] == EXIT_USAGE:
+        raise UsageError(error["message"], expected=error["expected"], remedy=error["remedy"])
+    raise DeviceError(
+        DEVICE, error["message"].partition(": ")[2] or error["message"], port=spec.name,
+        expected=error["expected"], remedy=error["remedy"],
+    )  # fmt: skip
+
+
+def set_request(point: SetPoint) -> dict[str, object]:
+    """Asks for a set-point."""
+    return {"do": "set", "quantity": point.quantity, "value": point.value}
+
+
+def off_request(confirmed_by: str) -> dict[str, object]:
+    """Asks to let the fan come to rest."""
+    return {"do": "off", "confirmed_by": confirmed_by}
+
+
+def log_path(spec: Spec) -> Path:
+    """Where the keeper of a fan writes what it does."""
+    base = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(base) / "hil" / f"adhesion-{re.sub('[^A-Za-z0-9.]+', '-', spec.name)}.log"
+
+
+class Starting:
+    """A keeper that is on its way, in a process that outlives this one.
+
+    Args:
+        spec: the fan.
+        emulator: process that serves an emulated fan; the keeper ends with it.
+    """
+
+    def __init__(self, spec: Spec, *, emulator: int | None = None) -> None:
+        self._spec = spec
+        command = [sys.executable, "-m", "hil.drivers.adhesion.keeper", spec.to_json()]
+        command += ["--log", str(log_path(spec).absolute())]
+        command += ["--emulator", str(emulator)] * (emulator is not None)
+        paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
+        self._child = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            start_new_session=True, env={**os.environ, "PYTHONPATH": paths},
+        )  # fmt: skip
+        self._text = b""
+
+    def said(self, timeout_s: float) -> dict[str, Any] | None:
+        """What it says, its `pid` or an `error`, waiting so long at most; None before that has come."""
+        assert self._child.stdout is not None
+        descriptor = self._child.stdout.fileno()
+        end_s = time.monotonic() + timeout_s
+        while select.select([descriptor], [], [], max(0.0, end_s - time.monotonic()))[0]:
+            piece = os.read(descriptor, 4096)
+            self._text += piece
+            lines = self._text.decode(errors="replace").strip().splitlines() or ["it ended without a word"]
+            with contextlib.suppress(ValueError):
+                return dict(json.loads(lines[-1]))
+            if not piece:
+                return {"error": lines[-1]}
+        return None
+
+    def leave(self) -> None:
+        """Let go of the pipe and of the process that started it. Idempotent."""
+        if self._child.stdout is not None:
+            self._child.stdout.close()
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._child.wait(0.5)
+
+
+def find_or_start(spec: Spec, *, emulator: int | None = None) -> socket.socket:
+    """A connection to the keeper of a fan, which is started where there is none.
+
+    Raises:
+        DeviceError: none can be started.
+    """
+    found = connect(spec)
+    if found is not None:
+        return found
+    starting = Starting(spec, emulator=emulator)
+    said = starting.said(_START_S) or {"error": f"not a word for {_START_S:g} s"}
+    starting.leave()
+    found = connect(spec)
+    if found is None:
+        raise DeviceError(
+            DEVICE, f"the fan's keeper did not start: {said.get('error', 'it has ended')}", port=spec.name,
+            remedy=f"look at {log_path(spec)}",
+        )  # fmt: skip
+    return found

@@ -1,0 +1,181 @@
+"""What the keeper sends to the fan: a pure function of time, of what it heard and of what it was asked.
+
+It never ends by itself. A set-point stays until another is asked for; it changes along a ramp; only `end`
+leads down to rest. A fan that runs already when the keeper starts is taken over as it runs. The same
+class keeps the fan in the keeper's process, in a bench that stands in for it, and in virtual time.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import DeviceError, UsageError
+
+_LISTEN_NS = nanoseconds(1.5)
+"""For so long after its start a keeper looks for a fan that runs already."""
+_FRESH_NS = nanoseconds(1.0)
+_RUNNING_DUTY = 0.02
+_LONGEST_STEP_NS = nanoseconds(0.2)
+_RELEASED_NS = nanoseconds(0.5)
+_MOST_LISTED = 8
+DEVICE = "adhesion"
+
+
+class SetPoint(NamedTuple):
+    """What is asked of the fan: `duty` (share), `current_a` (A) or `erpm` (electrical 1/min)."""
+
+    quantity: str
+    value: float
+
+
+RELEASE = SetPoint("current_a", 0.0)
+
+
+def check_point(spec: Spec, point: SetPoint) -> None:
+    """Raises `UsageError` for a set-point that no fan of this kind could have, or that is none."""
+    highest = spec.highest.get(point.quantity)
+    if highest is None:
+        known = ", ".join(spec.highest)
+        raise UsageError(f"adhesion set-point of {point.quantity}", expected=f"one of {known}")
+    if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
+        raise UsageError(
+            f"adhesion set-point {point.quantity} = {point.value:g}",
+            expected=f"above 0, at most {highest:g}",
+            remedy="`hil adhesion off` lets the fan come to rest",
+        )
+
+
+class Keeper:
+    """Keeps one fan.
+
+    Args:
+        spec: the fan; limits and ramps.
+        adopts: whether a fan that runs already at the start is taken over.
+
+    Attributes:
+        sent: the latest set-point that was given out; None while the fan is nobody's.
+        target: where it is going.
+        ending: whether it has been told to let the fan come to rest.
+        report: what the fan has said, by quantity; `report_ns` when it last gave its duty.
+        others: ids of other controllers on the bus.
+    """
+
+    def __init__(self, spec: Spec, *, adopts: bool = True) -> None:
+        self._spec, self._adopts = spec, adopts
+        self.sent: SetPoint | None = None
+        self.target: SetPoint | None = None
+        self.ending = False
+        self.report: dict[str, float] = {}
+        self.report_ns: int | None = None
+        self.others: set[int] = set()
+        self._guessed = False
+        self._born_ns: int | None = None
+        self._last_ns = 0
+        self._released_ns = 0
+
+    def reported(self, t_ns: int, controller_id: int, values: Mapping[str, float]) -> None:
+        """A status of a controller was heard."""
+        if controller_id != self._spec.controller_id:
+            self.others.add(controller_id)
+            return
+        self.report.update(values)
+        if "duty" in values:
+            self.report_ns = t_ns
+            if values["duty"] >= _RUNNING_DUTY and self.sent is None:
+                self._guessed = self._take_over(t_ns, SetPoint("duty", values["duty"]))
+
+    def overheard(self, t_ns: int, order: SetPoint) -> None:
+        """Somebody else has commanded this fan: that is exact, where its report is rounded."""
+        if order.value > 0.0 and (self.sent is None or self._guessed) and self._take_over(t_ns, order):
+            self._guessed = False
+
+    def _take_over(self, t_ns: int, running: SetPoint) -> bool:
+        """A fan that runs when the keeper starts is kept as it runs; whether it is."""
+        since_ns = self._born(t_ns)
+        taken = self._adopts and not self._released_ns and t_ns - since_ns <= _LISTEN_NS
+        if taken:
+            self.resume(t_ns, running, running)
+        return taken
+
+    def resume(self, t_ns: int, sent: SetPoint, target: SetPoint) -> None:
+        """Go on from a set-point that somebody else has sent until now."""
+        self._born(t_ns)
+        self._last_ns = t_ns
+        self.sent, self.target, self.ending = self._clipped(sent), self._clipped(target), False
+
+    def wish(self, t_ns: int, wanted: SetPoint) -> None:
+        """Another set-point; calls off an `end` that is under way.
+
+        Raises:
+            UsageError: it is none; what is kept stays as it is.
+            DeviceError: the fan does not say how it runs, so that nobody could begin without a step.
+        """
+        self._born(t_ns)
+        check_point(self._spec, wanted)
+        if self.sent is None or self.sent.quantity != wanted.quantity:
+            self.sent = self._clipped(SetPoint(wanted.quantity, self._measured(t_ns, wanted.quantity)))
+        self.target, self.ending, self._guessed = wanted, False, False
+
+    def end(self, t_ns: int) -> None:
+        """Let the fan come to rest along the ramp. Whoever asks has seen to it that nothing hangs by it."""
+        self._born(t_ns)
+        if self.sent is not None:
+            self.target, self.ending, self._guessed = SetPoint(self.sent.quantity, 0.0), True, False
+
+    def order(self, t_ns: int) -> SetPoint | None:
+        """What to send now; None while the fan is nobody's."""
+        self._born(t_ns)
+        step_s = min(t_ns - self._last_ns, _LONGEST_STEP_NS) / NS_PER_S
+        self._last_ns = t_ns
+        if self.sent is None or self.target is None:
+            return RELEASE if t_ns < self._released_ns else None
+        quantity, value = self.sent
+        highest, aim = self._spec.highest[quantity], self.target.value
+        if aim >= value:
+            value = min(aim, value + step_s * highest / self._spec.ramp_up_s)
+        else:
+            value = max(aim, value - step_s * highest / self._spec.ramp_down_s)
+        self.sent = SetPoint(quantity, value)
+        if self.ending and value <= 0.0:
+            self.sent = self.target = None
+            self.ending, self._released_ns = False, t_ns + _RELEASED_NS
+            return RELEASE
+        return self.sent
+
+    def state(self) -> str:
+        """One word: `keeping`, `ending`, or `idle` while the fan is nobody's."""
+        return "idle" if self.sent is None else "ending" if self.ending else "keeping"
+
+    def _born(self, t_ns: int) -> int:
+        """When this keeper began: when it was first told the time."""
+        if self._born_ns is None:
+            self._born_ns = self._last_ns = t_ns
+        return self._born_ns
+
+    def _clipped(self, point: SetPoint) -> SetPoint:
+        return SetPoint(point.quantity, min(max(point.value, 0.0), self._spec.highest[point.quantity]))
+
+    def _measured(self, t_ns: int, quantity: str) -> float:
+        """How the fan runs now, by its own report; raises `DeviceError` where it is silent."""
+        if self.report_ns is None or t_ns - self.report_ns > _FRESH_NS or quantity not in self.report:
+            raise self._silent()
+        return self.report[quantity]
+
+    def _silent(self) -> DeviceError:
+        where = f"{self._spec.interface}:{self._spec.channel}"
+        heard = ", ".join(map(str, sorted(self.others)[:_MOST_LISTED]))
+        remedy = (
+            "check its supply, the CAN bit rate and wiring; switch on status messages 1, 4 and 5 in VESC Tool"
+        )
+        return DeviceError(
+            DEVICE,
+            f"controller {self._spec.controller_id} sends no status"
+            + (f", but controller {heard} does" if heard else ""),
+            port=where,
+            expected="status message 1 at 5 Hz or more",
+            remedy=f"set adhesion.controller_id, or {remedy}" if heard else remedy,
+        )

@@ -1,0 +1,294 @@
+"""How a bench keeps its fan: through the keeper's process, or itself for as long as there is none.
+
+The bench's link to the keeper is looked at twenty times a second, beside whatever the bench does. When the
+keeper hangs up, is silent or no longer reaches the bus, the bench sends the same set-point itself, at once;
+it starts a new keeper, and steps back when that one has taken over.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import socket
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hil.drivers.adhesion.keeper.beat import Beat, open_bus
+from hil.drivers.adhesion.keeper.client import (
+    Starting,
+    Status,
+    ask,
+    connect,
+    find_or_start,
+    off_request,
+    set_request,
+    understood,
+)
+from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint, check_point
+from hil.drivers.adhesion.keeper.door import MOST_BYTES
+from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, HilError
+
+_LOG = logging.getLogger(__name__)
+
+_LOOK_NS = nanoseconds(0.025)
+_PATIENCE = 0.25
+"""Share of the controller's time-out after which a keeper that is silent counts as dead."""
+_AGAIN_NS = nanoseconds(2.0)
+_LIKE = 0.02
+"""Share of the highest set-point by which a new keeper may differ from the bench that steps back."""
+_HAND_OVER_S = 10.0
+Request = dict[str, object]
+_STATUS: Request = {"do": "status"}
+
+
+@dataclass
+class _Link:
+    """The connection to the keeper's process, asked one thing at a time and never waited for."""
+
+    socket: socket.socket
+    since_ns: int
+    answered_ns: int
+    asked: Request | None = None
+
+
+class KeptByProcess(Kept):
+    """A fan that is kept by a process of its own.
+
+    Args:
+        spec: the fan.
+        clock: the bench clock; real time.
+        emulator: process that serves the fan, where it is emulated.
+        say: told in words when the bench stands in for the keeper, and when no longer.
+    """
+
+    def __init__(
+        self,
+        spec: Spec,
+        clock: Clock,
+        *,
+        emulator: int | None = None,
+        say: Callable[[str], None] = _LOG.warning,
+    ) -> None:
+        self._spec, self._clock, self._emulator, self._say = spec, clock, emulator, say
+        self._lock = threading.Lock()
+        self._patience_ns = nanoseconds(_PATIENCE * spec.timeout_s)
+        self._end: Callable[[], None] | None = None
+        self._closed = True
+        self._forget()
+
+    def _forget(self) -> None:
+        self._link: _Link | None = None
+        self._starting: Starting | None = None
+        self._status: Status = {}
+        self._wish: Request | None = None
+        self._refused: HilError | None = None
+        self._in_for = ""
+        self._next_beat_ns = self._next_try_ns = 0
+        self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info)
+
+    def open(self) -> None:
+        """Find the keeper of the fan, or start one, and look after it from now on.
+
+        Raises:
+            DeviceError: none can be started, or the bus cannot be opened.
+        """
+        self.close()
+        self._forget()
+        bus = open_bus(self._spec)
+        self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info, bus)
+        try:
+            link = find_or_start(self._spec, emulator=self._emulator)
+            self._status = ask(link, _STATUS, self._spec)
+        except DeviceError:
+            self._beat.close()
+            raise
+        link.setblocking(False)
+        now_ns = self._clock.now_ns()
+        self._link, self._closed = _Link(link, now_ns, now_ns), False
+        self._end = self._clock.schedule(self._task, now_ns)
+
+    def set(self, point: SetPoint) -> None:
+        """Ask the keeper for another set-point; `trouble` tells if it refuses. Raises `UsageError`."""
+        check_point(self._spec, point)
+        self._ask_for(set_request(point))
+
+    def end(self, confirmed_by: str) -> None:
+        """Ask the keeper to let the fan come to rest."""
+        self._ask_for(off_request(confirmed_by))
+
+    def _ask_for(self, wish: Request) -> None:
+        with self._lock:
+            self._wish, self._refused = wish, None
+            if self._in_for:
+                self._obey(wish, self._clock.now_ns())
+
+    def status(self) -> Status:
+        """The keeper's latest status, or the bench's own while it stands in."""
+        with self._lock:
+            return self._beat.status(self._clock.now_ns()) if self._in_for else self._status
+
+    def trouble(self) -> str:
+        """Who is missing, what was refused, or what is wrong with the bus."""
+        with self._lock:
+            if self._in_for:
+                return "; ".join(text for text in (self._in_for, self._beat.bus_error) if text)
+            return str(self._refused or self._status.get("bus_error", ""))
+
+    def close(self) -> None:
+        """Leave the fan to the keeper; a bench that stands in waits for a new one first."""
+        if self._closed or self._end is None:
+            return
+        give_up_ns = self._clock.now_ns() + nanoseconds(_HAND_OVER_S)
+        while self._stands_in() and self._clock.now_ns() < give_up_ns:
+            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+        if self._stands_in():
+            self._say("the bench ends and the fan has no keeper: it stops. Secure the robot")
+        self._end()
+        with self._lock:
+            self._closed = True
+            if self._link is not None:
+                self._link.socket.close()
+            self._beat.close()
+
+    def _stands_in(self) -> bool:
+        with self._lock:
+            return bool(self._in_for)
+
+    def _task(self, t_ns: int) -> int:
+        with self._lock:
+            if not self._closed:
+                try:
+                    self._look(t_ns)
+                except Exception:
+                    _LOG.exception("looking after the fan's keeper went wrong")
+        return t_ns + _LOOK_NS
+
+    def _look(self, t_ns: int) -> None:
+        """Hear the keeper, stand in for it or step back, ask it again."""
+        self._hear(t_ns)
+        why = self._amiss(t_ns)
+        if why and not self._in_for:
+            self._stand_in(t_ns, why)
+        elif not why and self._in_for and self._link is not None:
+            if self._has_taken_over():
+                self._step_back()
+            elif t_ns - self._link.since_ns > _AGAIN_NS:
+                self._link.since_ns, self._wish = t_ns, self._our_wish()
+        if t_ns >= self._next_beat_ns:
+            self._next_beat_ns = t_ns + nanoseconds(self._spec.period_s)
+            self._beat.beat(t_ns)
+        if self._link is None:
+            self._look_for_another(t_ns)
+        else:
+            self._ask(self._link)
+
+    def _amiss(self, t_ns: int) -> str:
+        """What is wrong with the keeper; empty for nothing."""
+        if self._link is None:
+            return "the fan's keeper has ended"
+        if t_ns - self._link.answered_ns > self._patience_ns:
+            return "the fan's keeper does not answer"
+        age_s = self._status.get("sent_age_s")
+        if self._status["state"] != "idle" and (age_s is None or age_s * NS_PER_S > self._patience_ns):
+            return "the fan's keeper does not reach the bus: " + str(self._status["bus_error"])
+        return ""
+
+    def _hear(self, t_ns: int) -> None:
+        """Take the keeper's answers that have come."""
+        while (link := self._link) is not None and link.asked is not None:
+            try:
+                packet = link.socket.recv(MOST_BYTES)
+            except BlockingIOError:
+                return
+            except OSError:
+                packet = b""
+            if not packet:
+                link.socket.close()
+                self._link = None
+                return
+            if link.asked is self._wish:
+                self._wish = None
+            link.asked, link.answered_ns = None, t_ns
+            try:
+                self._status = understood(packet, self._spec)
+            except HilError as error:
+                self._refused = error
+                self._say(str(error))
+
+    def _ask(self, link: _Link) -> None:
+        if link.asked is not None:
+            return
+        link.asked = self._wish or _STATUS
+        try:
+            link.socket.send(json.dumps(link.asked).encode())
+        except OSError:
+            link.socket.close()
+            self._link = None
+
+    def _stand_in(self, t_ns: int, why: str) -> None:
+        """Send what the keeper has sent, from this very look on."""
+        sent, target = self._status.get("sent"), self._status.get("target")
+        if sent is None or target is None:
+            return
+        self._in_for = f"{why}: the bench commands the fan itself"
+        self._say(self._in_for)
+        self._next_beat_ns = t_ns
+        self._beat.keeper = Keeper(self._spec, adopts=False)
+        self._beat.keeper.resume(t_ns, SetPoint(*sent), SetPoint(*target))
+        if self._status["state"] == "ending":
+            self._beat.keeper.end(t_ns)
+        if self._wish is not None:
+            self._obey(self._wish, t_ns)
+
+    def _obey(self, wish: Request, t_ns: int) -> None:
+        """Do oneself what the keeper was to be asked for."""
+        if wish["do"] == "off":
+            self._beat.keeper.end(t_ns)
+        else:
+            self._beat.keeper.wish(t_ns, SetPoint(str(wish["quantity"]), float(str(wish["value"]))))
+
+    def _has_taken_over(self) -> bool:
+        """Whether the keeper sends what the bench sends."""
+        sent, ours = self._status.get("sent"), self._beat.keeper.sent
+        if sent is None or ours is None:
+            return sent is None and ours is None
+        quantity, value = sent
+        return bool(
+            quantity == ours.quantity and abs(value - ours.value) <= _LIKE * self._spec.highest[quantity]
+        )
+
+    def _step_back(self) -> None:
+        self._wish = self._our_wish()
+        self._beat.keeper = Keeper(self._spec, adopts=False)
+        self._in_for = ""
+        self._say("the fan's keeper has taken over again")
+
+    def _look_for_another(self, t_ns: int) -> None:
+        """Find a keeper that somebody else has started, or start one."""
+        if self._starting is not None:
+            said = self._starting.said(0.0)
+            if said is None:
+                return
+            self._starting = None
+            if "pid" not in said:
+                self._say(f"{DEVICE}: a new keeper did not start: {said.get('error')}")
+        elif t_ns < self._next_try_ns:
+            return
+        found = connect(self._spec)
+        if found is not None:
+            found.setblocking(False)
+            self._link, self._status = _Link(found, t_ns, t_ns), {"state": "idle"}
+        elif t_ns >= self._next_try_ns:
+            self._starting = Starting(self._spec, emulator=self._emulator)
+            self._next_try_ns = t_ns + _AGAIN_NS
+
+    def _our_wish(self) -> Request | None:
+        """What a new keeper is to do, beside what it takes over by itself."""
+        keeper = self._beat.keeper
+        if keeper.ending:
+            return off_request("asked for before the keeper was started anew")
+        return None if keeper.target is None else set_request(keeper.target)

@@ -1,0 +1,121 @@
+"""The keeper's socket: one JSON object a packet, from programs of the same user only.
+
+Its name is in Linux' abstract space and says which fan is kept. So it belongs to one process at a time, of
+whatever user; it vanishes with that process; and it does not vanish with a folder, as a socket file in
+`/run/user` does when its owner logs out. It is visible where the CAN interface is: both belong to a network
+namespace. Both ends look at the kernel's word for who the other is, and talk to their own user and root.
+
+Asked `{"do": "status"}`, `{"do": "set", "quantity": q, "value": v}` or `{"do": "off", "confirmed_by": why}`
+a keeper answers with its status, or with `{"error": {message, expected, remedy, exit_code}}`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import selectors
+import socket
+import struct
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hil.drivers.adhesion.keeper.core import DEVICE
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.errors import DeviceError, HilError, UsageError
+
+MOST_BYTES = 8192
+_MOST_CLIENTS = 32
+_MOST_AT_ONCE = 16
+_PEER = struct.Struct("3i")
+_LONGEST_NAME = 100
+
+Answer = Callable[[Mapping[str, Any], str], Mapping[str, Any]]
+"""Answers a request, of (what was asked, who asks in words); raises `HilError` to refuse it."""
+
+
+def address(spec: Spec) -> str:
+    """Where the keeper of a fan is to be found."""
+    return f"\0hil-adhesion {spec.name}"[:_LONGEST_NAME]
+
+
+def peer(connection: socket.socket) -> tuple[int, int]:
+    """Process and user id of the other end, by the kernel."""
+    pid, uid, _ = _PEER.unpack(connection.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size))
+    return pid, uid
+
+
+def trusted(uid: int) -> bool:
+    """Whether a user may talk to us, or be talked to: ourselves and root."""
+    return uid in (0, os.getuid())
+
+
+class Door:
+    """The keeper's end; raises `DeviceError` when the fan has a keeper already."""
+
+    def __init__(self, spec: Spec) -> None:
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        try:
+            self._listener.bind(address(spec))
+        except OSError as error:
+            self._listener.close()
+            raise DeviceError(
+                DEVICE, f"the fan has a keeper already ({error.strerror})", port=spec.name
+            ) from None
+        self._listener.listen(_MOST_CLIENTS)
+        self._listener.setblocking(False)
+        self._ready = selectors.DefaultSelector()
+        self._ready.register(self._listener, selectors.EVENT_READ)
+        self.clients = 0
+
+    def serve(self, timeout_s: float, answer: Answer) -> None:
+        """Wait for requests, so long at most, and answer those that are there."""
+        for key, _ in self._ready.select(timeout_s)[:_MOST_AT_ONCE]:
+            if key.fileobj is self._listener:
+                self._accept()
+            else:
+                assert isinstance(key.fileobj, socket.socket)
+                self._answer(key.fileobj, answer)
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            connection, _ = self._listener.accept()
+            if self.clients >= _MOST_CLIENTS or not trusted(peer(connection)[1]):
+                connection.close()
+                return
+            connection.setblocking(False)
+            self._ready.register(connection, selectors.EVENT_READ)
+            self.clients += 1
+
+    def _answer(self, connection: socket.socket, answer: Answer) -> None:
+        """Answer one packet; whoever hangs up, or does not read, is let go."""
+        try:
+            packet = connection.recv(MOST_BYTES)
+            if not packet:
+                raise ConnectionResetError
+            who = "process {} of user {}".format(*peer(connection))
+            connection.send(_answered(packet, who, answer))
+        except OSError:
+            self._ready.unregister(connection)
+            connection.close()
+            self.clients -= 1
+
+
+def _answered(packet: bytes, who: str, answer: Answer) -> bytes:
+    try:
+        asked = json.loads(packet)
+        if not isinstance(asked, dict):
+            raise UsageError("a request to the keeper that is no object", expected='{"do": "status"}')
+        told = answer(asked, who)
+    except HilError as error:
+        told = {"error": _described(error)}
+    except (ValueError, RecursionError):
+        told = {"error": _described(UsageError("a request to the keeper that is no JSON"))}
+    return json.dumps(told).encode()[:MOST_BYTES]
+
+
+def _described(error: HilError) -> dict[str, object]:
+    return {
+        "message": error.message, "expected": error.expected, "remedy": error.remedy,
+        "exit_code": error.exit_code,
+    }  # fmt: skip

@@ -1,0 +1,88 @@
+"""What a keeper is told when it starts: which fan, on which bus, how often, how fast it may ramp."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from hil.vocabulary.errors import ConfigError
+
+QUANTITIES = ("duty", "current_a", "erpm")
+_HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
+_PERIODS = 10
+"""At least so many commands fit into the controller's time-out."""
+_LONGEST_PERIOD_S = 0.1
+
+
+@dataclass(frozen=True)
+class Spec:
+    """One fan and how it is kept.
+
+    Attributes:
+        interface, channel, bitrate, options: of python-can; two programs must be able to share the channel.
+        controller_id: of the motor controller.
+        dialect: what it speaks: `vesc` or `dronecan`.
+        period_s: time between two commands.
+        timeout_s: after which the controller releases the motor when it hears no command, as it is set there.
+        ramp_up_s, ramp_down_s: from rest to the highest set-point, and back.
+        highest: the highest set-point for each quantity.
+    """
+
+    interface: str
+    channel: str
+    controller_id: int
+    bitrate: int = 500_000
+    options: Mapping[str, Any] = field(default_factory=dict)
+    dialect: str = "vesc"
+    period_s: float = 0.05
+    timeout_s: float = 1.0
+    ramp_up_s: float = 2.0
+    ramp_down_s: float = 4.0
+    highest: Mapping[str, float] = field(default_factory=lambda: dict(_HIGHEST))
+
+    def __post_init__(self) -> None:
+        figures = (self.period_s, self.timeout_s, self.ramp_up_s, self.ramp_down_s, *self.highest.values())
+        if not all(math.isfinite(f) for f in figures) or min(*self.highest.values(), self.ramp_up_s) <= 0.0:
+            raise ConfigError(f"{self.name}: ramps and highest set-points", expected="finite, above 0")
+        if not 0.0 < self.period_s <= _LONGEST_PERIOD_S:
+            raise ConfigError(
+                f"{self.name}: period_s = {self.period_s:g}", expected=f"above 0, at most {_LONGEST_PERIOD_S}"
+            )
+        if self.timeout_s == 0.0:
+            raise ConfigError(
+                f"{self.name}: time-out 0: the fan would run for ever once nobody commands it",
+                expected="the controller's time-out in s",
+                remedy="set it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
+            )
+        if self.timeout_s < _PERIODS * self.period_s:
+            raise ConfigError(
+                f"{self.name}: the controller's time-out of {self.timeout_s:g} s is too short for commands "
+                f"every {self.period_s:g} s: one late command would let go of the robot",
+                expected=f"at least {_PERIODS * self.period_s:g} s",
+                remedy="raise it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
+            )
+        if self.ramp_down_s < 1.0:
+            raise ConfigError(f"{self.name}: ramp_down_s = {self.ramp_down_s:g}", expected="at least 1 s")
+
+    @property
+    def name(self) -> str:
+        """The fan, as messages and the socket call it: no two keepers have the same."""
+        port = f":{self.options['port']}" if "port" in self.options else ""
+        return f"{self.interface}:{self.channel}{port}, controller {self.controller_id}"
+
+    def to_json(self) -> str:
+        """As the process is given it."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_json(cls, text: str) -> Spec:
+        """Raises `ConfigError`."""
+        try:
+            return cls(**json.loads(text))
+        except (ValueError, TypeError) as error:
+            if isinstance(error, ConfigError):
+                raise
+            raise ConfigError(f"the keeper's start ({error})", expected="what Spec.to_json writes") from None

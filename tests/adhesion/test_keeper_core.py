@@ -1,0 +1,201 @@
+"""What the keeper sends, as a function of time: it holds, it ramps, it never steps and never ends by itself."""
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hil.drivers.adhesion.keeper.core import RELEASE, Keeper, SetPoint
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
+
+SPEC = Spec("udp_multicast", "239.74.164.9", 7)
+PERIOD_NS = nanoseconds(SPEC.period_s)
+HOUR_NS = nanoseconds(3600.0)
+AT_REST = {"duty": 0.0, "current_a": 0.0, "erpm": 0.0}
+
+
+def keeper_at(t_ns, **report):
+    """A keeper that has just heard its fan."""
+    keeper = Keeper(SPEC)
+    keeper.order(0)
+    keeper.reported(t_ns, 7, {**AT_REST, **report})
+    return keeper
+
+
+def orders(keeper, start_ns, duration_s):
+    times = range(start_ns, start_ns + nanoseconds(duration_s), PERIOD_NS)
+    return [(t_ns, keeper.order(t_ns)) for t_ns in times]
+
+
+def steps(given):
+    values = [order.value for _, order in given if order is not None and order.quantity == "duty"]
+    return [after - before for before, after in itertools.pairwise(values)]
+
+
+def test_a_set_point_is_reached_along_a_ramp_and_kept_for_good():
+    keeper = keeper_at(0)
+    keeper.wish(0, SetPoint("duty", 0.57))
+    rising = orders(keeper, 0, 2.0)
+    largest = PERIOD_NS / 1e9 * SPEC.highest["duty"] / SPEC.ramp_up_s
+    assert 0.0 < max(steps(rising)) <= largest * 1.001
+    assert rising[-1][1] == SetPoint("duty", 0.57)
+    keeper.order(HOUR_NS)
+    assert keeper.order(HOUR_NS + PERIOD_NS) == SetPoint("duty", 0.57)
+    assert keeper.state() == "keeping"
+
+
+def test_a_fan_that_runs_is_taken_over_without_a_step():
+    keeper = keeper_at(PERIOD_NS, duty=0.571)
+    assert [order for _, order in orders(keeper, PERIOD_NS, 1.0)] == [SetPoint("duty", 0.571)] * 20
+
+
+@pytest.mark.parametrize("first", ["report", "order"])
+def test_what_somebody_else_sends_is_taken_over_exactly(first):
+    keeper = Keeper(SPEC)
+    heard = [
+        lambda: keeper.reported(PERIOD_NS, 7, {"duty": 0.571}),
+        lambda: keeper.overheard(PERIOD_NS, SetPoint("erpm", 57123.0)),
+    ]
+    for hear in heard if first == "report" else heard[::-1]:
+        hear()
+    assert keeper.order(PERIOD_NS) == SetPoint("erpm", 57123.0)
+
+
+def test_only_a_new_keeper_takes_a_fan_over():
+    keeper = Keeper(SPEC)
+    keeper.order(0)
+    keeper.reported(nanoseconds(1.6), 7, {"duty": 0.5})
+    keeper.overheard(nanoseconds(1.6), SetPoint("duty", 0.5))
+    assert keeper.order(nanoseconds(1.6)) is None
+
+
+def test_a_fan_at_rest_and_another_fan_are_left_alone():
+    keeper = keeper_at(0)
+    keeper.reported(0, 23, {"duty": 0.5})
+    assert keeper.order(PERIOD_NS) is None
+    assert keeper.state() == "idle"
+
+
+def test_a_fan_that_runs_by_another_hand_is_asked_for_more_without_a_step():
+    keeper = keeper_at(nanoseconds(5.0), duty=0.4)
+    keeper.wish(nanoseconds(5.0), SetPoint("duty", 0.5))
+    assert keeper.order(nanoseconds(5.0)).value == pytest.approx(0.4)
+
+
+def test_another_quantity_begins_where_the_fan_is():
+    keeper = keeper_at(0, duty=0.57, erpm=57000.0)
+    keeper.wish(0, SetPoint("erpm", 60000.0))
+    assert keeper.order(0) == SetPoint("erpm", 57000.0)
+
+
+def test_off_is_a_ramp_then_a_release_then_silence():
+    keeper = keeper_at(0, duty=0.6)
+    keeper.end(0)
+    assert keeper.state() == "ending"
+    given = orders(keeper, 0, 6.0)
+    largest = PERIOD_NS / 1e9 * SPEC.highest["duty"] / SPEC.ramp_down_s
+    assert -largest * 1.001 <= min(steps(given))
+    assert max(steps(given)) <= 0.0
+    said = [order for _, order in given]
+    assert said.count(RELEASE) >= 5
+    assert said[-1] is None
+    assert keeper.state() == "idle"
+
+
+def test_after_off_a_fan_that_still_turns_is_not_taken_over_again():
+    keeper = keeper_at(0, duty=0.03)
+    keeper.end(0)
+    orders(keeper, 0, 0.3)
+    keeper.reported(nanoseconds(0.3), 7, {"duty": 0.03})
+    assert keeper.order(nanoseconds(0.3)) == RELEASE
+
+
+def test_a_set_point_calls_off_an_end():
+    keeper = keeper_at(0, duty=0.6)
+    keeper.end(0)
+    down = orders(keeper, 0, 1.0)
+    keeper.wish(nanoseconds(1.0), SetPoint("duty", 0.6))
+    up = orders(keeper, nanoseconds(1.0), 2.0)
+    assert max(map(abs, steps(down + up))) < 0.03
+    assert up[-1][1] == SetPoint("duty", 0.6)
+
+
+def test_a_keeper_that_was_suspended_goes_on_without_a_step():
+    keeper = keeper_at(0, duty=0.5)
+    before = keeper.order(0)
+    keeper.wish(0, SetPoint("duty", 0.9))
+    after = keeper.order(nanoseconds(60.0))
+    assert after.value - before.value <= 0.2 * SPEC.highest["duty"] / SPEC.ramp_up_s + 1e-9
+
+
+@given(st.lists(st.one_of(st.floats(0.01, 0.95), st.just("end")), max_size=20), st.data())
+def test_whatever_is_asked_no_command_steps(wishes, data):
+    keeper = keeper_at(0)
+    t_ns, given = 0, []
+    for wish in wishes:
+        keeper.reported(t_ns, 7, {"duty": keeper.sent.value if keeper.sent else 0.0})
+        keeper.end(t_ns) if wish == "end" else keeper.wish(t_ns, SetPoint("duty", wish))
+        duration_s = data.draw(st.floats(0.0, 3.0))
+        given += orders(keeper, t_ns, duration_s)
+        t_ns += nanoseconds(duration_s)
+    assert all(abs(step) <= 0.0238 for step in steps(given))
+
+
+@pytest.mark.parametrize("value", [-0.1, 0.0, math.nan, math.inf, 0.96])
+def test_impossible_set_points_are_refused_and_change_nothing(value):
+    keeper = keeper_at(0, duty=0.5)
+    with pytest.raises(UsageError, match="adhesion set-point duty"):
+        keeper.wish(0, SetPoint("duty", value))
+    assert keeper.order(PERIOD_NS) == SetPoint("duty", 0.5)
+
+
+def test_an_unknown_quantity_is_refused():
+    with pytest.raises(UsageError, match="duty, current_a, erpm"):
+        keeper_at(0).wish(0, SetPoint("force", 45.0))
+
+
+def test_a_fan_that_says_nothing_is_not_started():
+    keeper = Keeper(SPEC)
+    with pytest.raises(DeviceError, match="switch on status messages 1, 4 and 5") as raised:
+        keeper.wish(0, SetPoint("duty", 0.5))
+    assert "controller 7 sends no status" in str(raised.value)
+    assert keeper.order(PERIOD_NS) is None
+
+
+def test_the_wrong_controller_id_is_named_beside_the_right_one():
+    keeper = Keeper(SPEC)
+    keeper.reported(0, 23, AT_REST)
+    with pytest.raises(DeviceError, match="controller 23 does.*set adhesion.controller_id"):
+        keeper.wish(0, SetPoint("duty", 0.5))
+
+
+def test_a_kept_fan_that_falls_silent_is_kept():
+    keeper = keeper_at(0, duty=0.5)
+    assert keeper.order(HOUR_NS) == SetPoint("duty", 0.5)
+    keeper.wish(HOUR_NS, SetPoint("duty", 0.6))
+    assert keeper.order(HOUR_NS + PERIOD_NS).value > 0.5
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"timeout_s": 0.0}, "run for ever.*VESC Tool"),
+        ({"timeout_s": 0.3}, "too short for commands every 0.05 s.*at least 0.5 s"),
+        ({"period_s": 0.5}, "period_s"),
+        ({"ramp_down_s": 0.0}, "ramp_down_s"),
+        ({"ramp_up_s": math.nan}, "finite"),
+    ],
+)
+def test_times_that_would_let_go_of_the_robot_are_refused(change, said):
+    with pytest.raises(ConfigError, match=said):
+        Spec("socketcan", "can0", 7, **change)
+
+
+def test_a_spec_survives_the_way_to_the_process():
+    assert Spec.from_json(SPEC.to_json()) == SPEC
+    with pytest.raises(ConfigError, match="the keeper's start"):
+        Spec.from_json('{"interface": "socketcan", "wheels": 4}')
