@@ -4,11 +4,13 @@ import math
 
 import numpy as np
 
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import Plant, PlantState
 
 
 class TurningPlant:
     """Turns at a constant rate about the body origin, on a surface of given tilt."""
+
+    body, steering_rad = Plant.body, Plant.steering_rad
 
     def __init__(self, tilt_rad=math.pi / 2, theta_rad=0.0, rate_rad_s=0.0):
         self.t_ns, self.tilt_rad, self.theta_rad, self.rate_rad_s = 0, tilt_rad, theta_rad, rate_rad_s

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from hil.vocabulary.geometry import Array
 
@@ -80,6 +80,27 @@ class PlantState:
     thrust_n: float = math.nan
 
 
+class BodyMotion(NamedTuple):
+    """How the body moves, in plain numbers: what most chips look at, many times a second.
+
+    Attributes:
+        x_m, y_m, theta_rad: pose in the wall frame, heading unwrapped.
+        v_x_m_s, v_y_m_s, omega_rad_s: twist, body axes.
+        a_x_m_s2, a_y_m_s2: kinematic acceleration (no gravity), body axes.
+        tilt_rad: 0 floor, pi/2 wall.
+    """
+
+    x_m: float
+    y_m: float
+    theta_rad: float
+    v_x_m_s: float
+    v_y_m_s: float
+    omega_rad_s: float
+    a_x_m_s2: float
+    a_y_m_s2: float
+    tilt_rad: float
+
+
 class Plant(Protocol):
     """The robot as a physical body. Deterministic; results do not depend on how `advance` is split."""
 
@@ -120,3 +141,13 @@ class Plant(Protocol):
     @abstractmethod
     def truth(self) -> PlantState:
         """A frozen copy of everything."""
+
+    def body(self) -> BodyMotion:
+        """How the body moves: a part of `truth`, for a plant that has it at hand for less."""
+        state = self.truth()
+        pose, twist, acceleration = state.pose_body_in_wall, state.twist_body, state.acceleration_body
+        return BodyMotion(*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad)
+
+    def steering_rad(self) -> list[float]:
+        """True heading of each wheel in the body frame, wheel order: a part of `truth`, as `body`."""
+        return self.truth().steering_true_rad.tolist()  # type: ignore[no-any-return]

@@ -25,7 +25,14 @@ NEVER_NS = 1 << 62
 
 
 class Scheduled(Protocol):
-    """A part of the world that acts at times of its own."""
+    """A part of the world that acts at times of its own.
+
+    Attributes:
+        alone: what it does in `on_due` never changes when another part is due, so that only this one needs to
+            be asked again.
+    """
+
+    alone: bool = False
 
     @abstractmethod
     def next_due_ns(self) -> int:
@@ -68,18 +75,18 @@ class World:
         if t_ns < self._now_ns:
             return
         parts, plant = self._parts, self.plant
-        while True:
-            due_ns, first = NEVER_NS, None
-            for part in parts:
-                part_ns = part.next_due_ns()
-                if part_ns < due_ns:
-                    due_ns, first = part_ns, part
-            if first is None or due_ns > t_ns:
-                break
-            if due_ns > self._now_ns:
-                self._now_ns = due_ns
+        due_ns = [part.next_due_ns() for part in parts]
+        while due_ns and (first_ns := min(due_ns)) <= t_ns:
+            if first_ns > self._now_ns:
+                self._now_ns = first_ns
             plant.advance(self._now_ns)
+            place = due_ns.index(first_ns)
+            first = parts[place]
             first.on_due(self._now_ns)
+            if first.alone:
+                due_ns[place] = first.next_due_ns()
+            else:
+                due_ns = [part.next_due_ns() for part in parts]
         self._now_ns = t_ns
 
     def next_due_ns(self) -> int:

@@ -10,12 +10,14 @@ from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
 from hil.fakes.faults import FaultPlan, parse_fault
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.world import VirtualClock, World
 
 
 class SteeringPlant:
     """Only its steering angles matter: constant plus rate times time."""
+
+    body, steering_rad = Plant.body, Plant.steering_rad
 
     def __init__(self, steering_rad=(0.0, 0.0, 0.0, 0.0), rate_rad_s=0.0):
         self.t_ns, self.start_rad, self.rate_rad_s = 0, np.array(steering_rad, float), rate_rad_s

@@ -12,7 +12,7 @@ from hil.config.encoders import EncodersConfig
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
@@ -22,6 +22,8 @@ OURS = st.sampled_from([416, 417])
 
 class Parked:
     """Steering straight ahead for ever."""
+
+    body, steering_rad = Plant.body, Plant.steering_rad
 
     t_ns = 0
 

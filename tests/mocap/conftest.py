@@ -11,7 +11,7 @@ from hil.config.mocap import MocapConfig
 from hil.drivers.mocap import NatNetMocap
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.mocap import STILL, NatNetFace, NatNetServer
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.clock import MonotonicClock
@@ -19,6 +19,8 @@ from hil.vocabulary.clock import MonotonicClock
 
 class Climber:
     """Moves with a constant velocity and turn rate in the wall frame."""
+
+    body, steering_rad = Plant.body, Plant.steering_rad
 
     def __init__(self, velocity=(0.05, -0.03), start=(0.3, -0.2, 0.5), rate=0.1):
         self.t_ns, self.start = 0, np.array(start, float)

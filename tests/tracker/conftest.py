@@ -9,13 +9,15 @@ import pytest
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.faults import FaultPlan, parse_fault
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import Plant, PlantState
 from hil.fakes.tracker import IDEAL, T265
 from hil.fakes.world import VirtualClock, World
 
 
 class TravellingPlant:
     """Drives a circle (or a line) with a constant body twist from a given pose."""
+
+    body, steering_rad = Plant.body, Plant.steering_rad
 
     def __init__(self, twist=(0.05, 0.02, 0.1), start=(0.3, -0.2, 0.5), tilt_rad=math.pi / 2):
         self.t_ns, self.tilt_rad = 0, tilt_rad

@@ -119,7 +119,7 @@ class EncoderNode(Scheduled):
         self._due_ns = max(t_ns + 1, self._grid_ns + round(min(3.0, abs(noise[4])) * self._jitter_ns))
         if faulty and self._power(t_ns):
             return
-        steering = self._world.plant.truth().steering_true_rad.tolist()
+        steering = self._world.plant.steering_rad()
         started = t_ns - self._boot_ns >= START_UP_NS
         words = [
             chip.word(a, n, started=started)

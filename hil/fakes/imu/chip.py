@@ -43,6 +43,8 @@ class Bno055Chip(SerialChip, Scheduled):
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
+    alone = True
+
     def __init__(
         self,
         world: World,
@@ -92,7 +94,7 @@ class Bno055Chip(SerialChip, Scheduled):
             return
         sensors = self.sensors
         sensors.yaw_error_rad += self._faults.jump_rad(t_ns)
-        sensed = sensors.sense(self._world.plant.truth(), mode, period_ns * 1e-9)
+        sensed = sensors.sense(self._world.plant.body(), mode, period_ns * 1e-9)
         if not self._world.faults.empty:
             sensed = self._faults.distort(sensed, t_ns)
         block = encode(sensed, mode, self._pages[0][reg.UNIT_SEL], self._calibration_byte(mode), _CELSIUS)

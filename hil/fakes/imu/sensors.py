@@ -15,7 +15,7 @@ import numpy as np
 
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Four as Quaternion
 from hil.vocabulary.geometry import multiplied
 
@@ -163,14 +163,13 @@ class InertialSensors:
         self._leak: Vector = (0.0, 0.0, 0.0)
         self._last_rate: float | None = None
 
-    def sense(self, truth: PlantState, mode: Mode, dt_s: float) -> Sensed:
-        """Sensor outputs for the present truth, `dt_s` after the previous call."""
-        theta, tilt = float(truth.pose_body_in_wall[2]), truth.tilt_rad
+    def sense(self, body: BodyMotion, mode: Mode, dt_s: float) -> Sensed:
+        """Sensor outputs for the present motion of the body, `dt_s` after the previous call."""
+        _, _, theta, vx, vy, w, _, _, tilt = body
         s, c, st, ct = math.sin(theta), math.cos(theta), math.sin(tilt), math.cos(tilt)
-        vx, vy, w = truth.twist_body.tolist()
         noise = self._draw()
         up = apply(self._body_to_out, (st * c, -st * s, ct))
-        kinematic = apply(self._body_to_out, self._acceleration(truth, w, dt_s))
+        kinematic = apply(self._body_to_out, self._acceleration(body, dt_s))
         spin = apply(self._body_to_out, (0.0, 0.0, w))
         still = abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S
         if mode.fusion:
@@ -196,9 +195,9 @@ class InertialSensors:
             block = next(self._noise)
         return block
 
-    def _acceleration(self, truth: PlantState, w: float, dt_s: float) -> Vector:
+    def _acceleration(self, body: BodyMotion, dt_s: float) -> Vector:
         """Kinematic acceleration of the chip in body axes: origin + alpha x r + w x (w x r)."""
-        ax, ay = truth.acceleration_body.tolist()
+        w, ax, ay = body.omega_rad_s, body.a_x_m_s2, body.a_y_m_s2
         rx, ry, _ = self.options.position_m
         alpha = 0.0 if self._last_rate is None or dt_s <= 0 else (w - self._last_rate) / dt_s
         self._last_rate = w

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from hil.fakes.mocap.options import MocapTruthOptions
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import BodyMotion
 
 _BLOCK = 512
 _RARE_GAP = 0.02
@@ -69,9 +69,9 @@ class CaptureVolume:
         """Bodies that are defined, the other one first."""
         return (self._other.name, self._other.identifier), (self._body, self._body_id)
 
-    def see(self, state: PlantState, t_ns: int, *, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
+    def see(self, motion: BodyMotion, t_ns: int, *, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
         """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
-        x, y, theta = state.pose_body_in_wall.tolist()
+        x, y, theta = motion[:3]
         noise = self._noise()
         often = self._options.occlusions_per_s / self._options.rate_hz
         if often and t_ns >= self._hidden_until_ns and self._rng.random() < often:

@@ -133,7 +133,7 @@ class NatNetServer(Scheduled):
         period_ns = NS_PER_S / self._options.rate_hz / self._stretch * faults.slowness(t_ns)
         self._due_ns = t_ns + round(period_ns)
         self._number += 1
-        seen = self._volume.see(self._world.plant.truth(), t_ns, hidden=faults.hidden(t_ns))
+        seen = self._volume.see(self._world.plant.body(), t_ns, hidden=faults.hidden(t_ns))
         bodies = seen if faults.none else faults.distort(seen, t_ns)
         self._last = (self._number, bodies, self._times(t_ns))
         jitter = self._rng.standard_exponential()

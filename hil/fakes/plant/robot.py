@@ -17,7 +17,7 @@ from hil.fakes.plant import kernel as k
 from hil.fakes.plant.compiled import choose_advance
 from hil.fakes.plant.parameters import TrueParameters, draw, nominal_parameters
 from hil.fakes.plant.surfaces import Patch, Surface, find_surface
-from hil.fakes.plant_api import HoldingForces, JointCommand, Plant, PlantState
+from hil.fakes.plant_api import BodyMotion, HoldingForces, JointCommand, Plant, PlantState
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
@@ -74,6 +74,9 @@ class WallRobot(Plant):
         self._commands[k.DUTY_LIMIT :] = 1.0
         self._truth: PlantState | None = None
         self._advance(0, 1.0, self._constants, self._state, self._commands)  # loads the compiled code now
+        self._motion, self._headings = (
+            _view(self._state[at : at + size]) for at, size in ((k.BODY, 8), (k.HEADING, 4))
+        )
         self._views = tuple(_view(self._state[at : at + 8]) for at in (k.ANGLE, k.RATE, k.AMPS))
 
     @property
@@ -164,13 +167,30 @@ class WallRobot(Plant):
             self._truth = self._look()
         return self._truth
 
-    def _look(self) -> PlantState:
-        s = self._state.copy()
-        x, y, theta, vx, vy, turn = s[k.BODY : k.BODY + 6].tolist()
+    def body(self) -> BodyMotion:
+        """How the origin of the body moves; the physics follow the centre of mass."""
+        x, y, theta, vx, vy, turn, ax, ay = self._motion.tolist()
         c, n = math.cos(theta), math.sin(theta)
         com_x, com_y, _ = self.parameters.centre_of_mass_m
-        s[k.BODY : k.BODY + 2] = x - (c * com_x - n * com_y), y - (n * com_x + c * com_y)
-        s[k.VELOCITY : k.VELOCITY + 2] = c * vx + n * vy + turn * com_y, c * vy - n * vx - turn * com_x
+        return BodyMotion(
+            x - (c * com_x - n * com_y),
+            y - (n * com_x + c * com_y),
+            theta,
+            c * vx + n * vy + turn * com_y,
+            c * vy - n * vx - turn * com_x,
+            turn,
+            ax,
+            ay,
+            self.tilt_rad,
+        )
+
+    def steering_rad(self) -> list[float]:
+        """True heading of each wheel in the body frame, wheel order."""
+        return self._headings.tolist()  # type: ignore[no-any-return]
+
+    def _look(self) -> PlantState:
+        s = self._state.copy()
+        s[k.BODY : k.BODY + 8] = self.body()[:8]
         s.setflags(write=False)
         return PlantState(
             t_ns=self.t_ns,

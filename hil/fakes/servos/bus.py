@@ -38,6 +38,8 @@ class ServoBus(SerialChip, Scheduled):
         options: how the servos are set up and supplied.
     """
 
+    alone = True
+
     def __init__(self, world: World, name: str = "servos", options: ServoBusOptions | None = None) -> None:
         self.name = name
         self.supported_faults = BUS_FAULTS

@@ -28,6 +28,8 @@ class Cadence(Scheduled):
         renew: takes one measurement.
     """
 
+    alone = True
+
     def __init__(self, options: ServoBusOptions, rng: np.random.Generator, renew: Callable[[], None]) -> None:
         self._options, self._rng, self._renew = options, rng, renew
         self._period_ns = nanoseconds(options.cadence_s)

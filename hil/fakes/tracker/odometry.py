@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
 from hil.vocabulary.geometry import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
 
@@ -75,17 +75,16 @@ class VisualOdometry:
         step = distance_m * direction / float(np.linalg.norm(direction))
         self._position = [p + s for p, s in zip(self._position, step.tolist(), strict=True)]
 
-    def observe(self, state: PlantState, dt_s: float, scale: float = 1.0) -> CameraPose:
-        """The camera's pose for the body's true state, `dt_s` after the last one."""
-        x, y, theta = state.pose_body_in_wall.tolist()
-        vx, vy, omega = state.twist_body.tolist()
+    def observe(self, body: BodyMotion, dt_s: float, scale: float = 1.0) -> CameraPose:
+        """The camera's pose for the body's true motion, `dt_s` after the last one."""
+        x, y, theta, vx, vy, omega, _, _, tilt = body
         c, s = math.cos(theta), math.sin(theta)
         mx, my, _ = self._mount_m
         arm = c * mx - s * my, s * mx + c * my
         in_wall = x + arm[0], y + arm[1]
         speed = c * vx - s * vy - omega * arm[1], s * vx + c * vy + omega * arm[0]
         if not self._started:
-            self._start(theta, state.tilt_rad, in_wall)
+            self._start(theta, tilt, in_wall)
         noise = self._noise()
         self._move(in_wall, math.hypot(*speed), dt_s, scale, noise)
         return self._pose(theta, speed, omega, noise)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections import deque
 
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.faulty import SUPPORTED_FAULTS, TrackerFaults
 from hil.fakes.tracker.frames import MODEL, FrameCallback, PoseFrame, WorldPipeline
 from hil.fakes.tracker.odometry import VisualOdometry
@@ -34,6 +34,8 @@ class T265(Scheduled):
             where it truly is.
         model: name that the device gives itself.
     """
+
+    alone = True
 
     def __init__(
         self,
@@ -136,9 +138,9 @@ class T265(Scheduled):
             return
         self._exposure_ns = t_ns + round(NS_PER_S / RATE_HZ * self._stretch * faults.slowness(t_ns))
         number, self._number = self._number, self._number + 1
-        state = self._world.plant.truth()
+        body = self._world.plant.body()
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
-        pose = self.odometry.observe(state, dt_s, faults.scale(t_ns))
+        pose = self.odometry.observe(body, dt_s, faults.scale(t_ns))
         self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
         if lost < options.drop_probability or faults.silent(t_ns):
@@ -147,7 +149,7 @@ class T265(Scheduled):
             number=number,
             timestamp_ms=self._epoch_ms + t_ns / _NS_PER_MS / self._stretch,
             pose=pose,
-            confidence=self._confidence(state, t_ns),
+            confidence=self._confidence(body, t_ns),
         )
         late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter) + faults.delay_ns(t_ns)
         self._arrived_ns = max(t_ns + late_ns, self._arrived_ns)
@@ -162,9 +164,9 @@ class T265(Scheduled):
         if distance_m:
             self.odometry.jump(distance_m)
 
-    def _confidence(self, state: PlantState, t_ns: int) -> int:
+    def _confidence(self, body: BodyMotion, t_ns: int) -> int:
         """Low while the map is young and after fast motion."""
-        vx, vy, omega = state.twist_body.tolist()
+        vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self._options
         if abs(omega) > options.fast_rad_s or vx * vx + vy * vy > options.fast_m_s**2:
             self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)

@@ -16,7 +16,7 @@ from hil.devices.tracker.mavlink.faulty import ComputerFaults
 from hil.devices.tracker.mavlink.messages import Parser, dialect
 from hil.devices.tracker.mavlink.odometry import estimate_of
 from hil.devices.tracker.mavlink.options import ComputerTruthOptions
-from hil.fakes.plant_api import PlantState
+from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -154,10 +154,10 @@ class VisualInertialComputer(Scheduled):
         period_s = self._stretch * faults.slowness(t_ns) / options.rate_hz
         self._exposure_ns = t_ns + round(NS_PER_S * period_s)
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
-        state = self._world.plant.truth()
+        body = self._world.plant.body()
         self._relocalise(t_ns, dt_s)
-        pose = self.odometry.observe(state, dt_s, faults.scale(t_ns))
-        self._travelled_m += dt_s * math.hypot(*state.twist_body[:2].tolist())
+        pose = self.odometry.observe(body, dt_s, faults.scale(t_ns))
+        self._travelled_m += dt_s * math.hypot(body.v_x_m_s, body.v_y_m_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
         if lost < options.drop_probability:
             return
@@ -170,7 +170,7 @@ class VisualInertialComputer(Scheduled):
             pose_sigma=sigmas[0],
             twist_sigma=sigmas[1],
             resets=self._resets,
-            quality=self._quality(state, t_ns) if options.sends_quality else _UNKNOWN_QUALITY,
+            quality=self._quality(body, t_ns) if options.sends_quality else _UNKNOWN_QUALITY,
         )
         late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter) + faults.delay_ns(t_ns)
         self._left_ns = max(t_ns + late_ns, self._left_ns)
@@ -195,9 +195,9 @@ class VisualInertialComputer(Scheduled):
         pose = math.hypot(options.position_noise_m, walked_m), options.angle_noise_rad
         return pose, (options.velocity_noise_m_s, options.rate_noise_rad_s)
 
-    def _quality(self, state: PlantState, t_ns: int) -> int:
+    def _quality(self, body: BodyMotion, t_ns: int) -> int:
         """Low while the map is young and after fast motion."""
-        vx, vy, omega = state.twist_body.tolist()
+        vx, vy, omega = body.v_x_m_s, body.v_y_m_s, body.omega_rad_s
         options = self.options
         if abs(omega) > options.fast_rad_s or math.hypot(vx, vy) > options.fast_m_s:
             self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)

@@ -1,0 +1,142 @@
+"""How much faster this source tree is in virtual time than another one, turn by turn in the same minute.
+
+    python benchmarks/virtual_pair.py --against ../before --seconds 20
+
+Both trees run the same two things in a process each, 40 control cycles in turn, so that whatever else the machine
+does meets both: `rig` reads and commands the five devices of the shipped bench; `wall` drives a line up the
+wall with EKF, supervisor and recording. Compared is the 10th percentile of the turns' processor time. Without
+`--against` only this tree is measured.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+RATE_HZ = 100
+TURN_CYCLES = 40
+HERE = Path(__file__).resolve().parents[1]
+
+
+class Turns:
+    """Ends each turn by telling its processor time, and waits to be called for the next."""
+
+    def __init__(self) -> None:
+        self._cycles, self._began_s = 0, 0.0
+
+    def cycle(self) -> None:
+        """One control cycle is over."""
+        self._cycles += 1
+        if self._cycles % TURN_CYCLES:
+            return
+        print(time.process_time() - self._began_s, flush=True)
+        sys.stdin.readline()
+        self._began_s = time.process_time()
+
+
+def rig(seconds: float, cycle: Callable[[], None]) -> None:
+    """Read and command the five devices."""
+    import hil
+    from hil.vocabulary.signals import ServoSetpoint
+
+    with hil.open_bench("emulated", seed=1) as bench:
+        actuators = bench.rig.actuators()
+        deadline_ns = bench.clock.now_ns()
+        for k in range(round(seconds * RATE_HZ)):
+            bench.clock.sleep_until_ns(deadline_ns)
+            bench.rig.read(k)
+            t_s = k / RATE_HZ
+            steer_rad = np.full(4, 0.3 * math.sin(0.5 * t_s))
+            actuators.command(ServoSetpoint(np.full(4, 2.0 * math.sin(0.2 * t_s)), steer_rad))
+            deadline_ns += 1_000_000_000 // RATE_HZ
+            cycle()
+
+
+def wall(seconds: float, cycle: Callable[[], None]) -> None:
+    """Drive a line up the wall by the EKF, recorded."""
+    import hil
+    from hil.recording.mcap_file import McapFile
+    from hil.robot.trajectories import line
+
+    with tempfile.TemporaryDirectory() as folder, hil.open_bench("emulated", seed=1) as bench:
+        bench.add_sink(McapFile(Path(folder) / "wall.mcap", bench.header()))
+        goal_m = min(0.05 * seconds, 1.0)
+        bench.drive(line((0, 0, 0), (goal_m, 0, 0), duration_s=seconds), on_cycle=lambda record: cycle())
+
+
+WORKS = {"rig": rig, "wall": wall}
+
+
+def start(tree: Path, work: str, seconds: float) -> subprocess.Popen[str]:
+    """A tree's process, before its first turn."""
+    command = [sys.executable, __file__, "--turns-of", work, "--seconds", str(seconds)]
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    return subprocess.Popen(
+        command, cwd=tree, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+
+
+def turns(process: subprocess.Popen[str]) -> list[float]:
+    """Processor time of the turn that is under way, s; empty when all is over. Calls for the next."""
+    assert process.stdout is not None
+    assert process.stdin is not None
+    told = process.stdout.readline()
+    if not told:
+        return []
+    process.stdin.write("\n")
+    process.stdin.flush()
+    return [float(told)]
+
+
+def compare(trees: dict[str, Path], work: str, seconds: float) -> dict[str, float]:
+    """Processor time of a cycle by tree, us, and times real time."""
+    processes = {name: start(tree, work, seconds) for name, tree in trees.items()}
+    taken: dict[str, list[float]] = {name: [] for name in trees}
+    going = set(trees)
+    while going:
+        for name in sorted(going):
+            found = turns(processes[name])
+            taken[name] += found
+            going -= set() if found else {name}
+    result: dict[str, float] = {}
+    for name, values in taken.items():
+        if processes[name].wait():
+            raise SystemExit(f"{work} in {trees[name]} failed")
+        us = 1e6 * float(np.percentile(values[2:], 10)) / TURN_CYCLES
+        result[f"{name}_us"], result[f"{name}_times_real"] = round(us, 1), round(1e6 / RATE_HZ / us, 2)
+    if len(trees) > 1:
+        result["faster"] = round(result["before_us"] / result["now_us"], 3)
+    return result
+
+
+def main() -> None:
+    """Measure and print one JSON object."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--against", type=Path, help="another source tree")
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--only", choices=tuple(WORKS))
+    parser.add_argument("--turns-of", choices=tuple(WORKS), help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.turns_of:
+        return WORKS[arguments.turns_of](arguments.seconds, Turns().cycle)
+    trees = {"now": HERE}
+    if arguments.against is not None:
+        trees["before"] = arguments.against.resolve()
+    chosen = [arguments.only] if arguments.only else list(WORKS)
+    print(json.dumps({work: compare(trees, work, arguments.seconds) for work in chosen}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
