@@ -146,7 +146,7 @@ class Plant(Protocol):
         """How the body moves: a part of `truth`, for a plant that has it at hand for less."""
         state = self.truth()
         pose, twist, acceleration = state.pose_body_in_wall, state.twist_body, state.acceleration_body
-        return BodyMotion(*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad)
+        return BodyMotion._make((*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad))
 
     def steering_rad(self) -> list[float]:
         """True heading of each wheel in the body frame, wheel order: a part of `truth`, as `body`."""
