@@ -53,8 +53,12 @@ class Process:
         self._spec, self._log, self._stay = spec, log, stay
         self._keeper = Keeper(spec)
         self._door = Door(spec)
-        self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
-        self._emulator = None if emulator is None else os.pidfd_open(emulator)
+        try:
+            self._emulator = None if emulator is None else os.pidfd_open(emulator)
+            self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
+        except (HilError, OSError):
+            self._door.close()
+            raise
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
 
@@ -71,6 +75,11 @@ class Process:
                 self._beat.beat(now_ns)
             if self._unneeded(now_ns):
                 return
+
+    def close(self) -> None:
+        """Let go of socket and bus."""
+        self._door.close()
+        self._beat.close()
 
     @contextlib.contextmanager
     def _whatever_happens(self) -> Iterator[None]:
@@ -204,6 +213,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.log is not None:
         _away_with(2)
     process.run()
+    process.close()
     log.close()
     return 0
 
