@@ -31,6 +31,7 @@ from hil.vocabulary.clock import NS_PER_S, nanoseconds, sleep_punctually
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
 _IDLE_NS = nanoseconds(30.0)
+_REPEAT_NS = nanoseconds(60.0)
 _NICE, _FIFO_PRIORITY = -15, 20
 _OOM_SCORES = (-1000, -500)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -61,6 +62,7 @@ class Process:
             raise
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
+        self._asked, self._asked_ns = ("", ""), 0
 
     def run(self) -> None:
         """Keep the fan. Returns when it is nobody's, and nobody has asked for anything for a while."""
@@ -113,7 +115,7 @@ class Process:
             ):
                 raise UsageError("a set-point for the keeper", expected="a quantity and a number")
             self._keeper.wish(now_ns, SetPoint(quantity, float(value)))
-            self._log.say(f"set to {quantity} {value:g} by {who}")
+            self._tell_of_wish(now_ns, who, quantity, value)
             if self._beat.sent_ns is None:
                 self._beat.beat(now_ns)
         elif do == "off":
@@ -128,6 +130,13 @@ class Process:
         elif do != "status":
             raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off")
         return self._status(now_ns)
+
+    def _tell_of_wish(self, now_ns: int, who: str, quantity: str, value: float) -> None:
+        """Log who sets what; a bench that trims its set-point all the time is told of once a minute."""
+        asked = (who, quantity)
+        if asked != self._asked or now_ns - self._asked_ns > _REPEAT_NS:
+            self._asked, self._asked_ns = asked, now_ns
+            self._log.say(f"set to {quantity} {value:g} by {who}")
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         return {
