@@ -1,4 +1,4 @@
-"""What the keeper sends, as a function of time: it holds, it ramps, it never steps and never ends by itself."""
+"""What the keeper sends, as a function of time: it holds, it ramps, never steps, never ends by itself."""
 
 import itertools
 import math
@@ -169,7 +169,7 @@ def test_a_fan_that_says_nothing_is_not_started():
 def test_the_wrong_controller_id_is_named_beside_the_right_one():
     keeper = Keeper(SPEC)
     keeper.reported(0, 23, AT_REST)
-    with pytest.raises(DeviceError, match="controller 23 does.*set adhesion.controller_id"):
+    with pytest.raises(DeviceError, match=r"controller 23 does.*set adhesion.controller_id"):
         keeper.wish(0, SetPoint("duty", 0.5))
 
 

@@ -134,13 +134,16 @@ class Starting:
             self._text += piece
             lines = self._text.decode(errors="replace").strip().splitlines() or ["it ended without a word"]
             with contextlib.suppress(ValueError):
-                return dict(json.loads(lines[-1]))
+                said = dict(json.loads(lines[-1]))
+                self.leave()
+                return said
             if not piece:
+                self.leave()
                 return {"error": lines[-1]}
         return None
 
     def leave(self) -> None:
-        """Let go of the pipe and of the process that started it. Idempotent."""
+        """Let go of it, once it has spoken or nobody waits for that any more. Idempotent."""
         if self._child.stdout is not None:
             self._child.stdout.close()
         with contextlib.suppress(subprocess.TimeoutExpired):

@@ -118,6 +118,7 @@ class Keeper:
         check_point(self._spec, wanted)
         if self.sent is None or self.sent.quantity != wanted.quantity:
             self.sent = self._clipped(SetPoint(wanted.quantity, self._measured(t_ns, wanted.quantity)))
+            self._last_ns = t_ns
         self.target, self.ending, self._guessed = wanted, False, False
 
     def end(self, t_ns: int) -> None:

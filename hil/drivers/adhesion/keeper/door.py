@@ -77,6 +77,14 @@ class Door:
                 assert isinstance(key.fileobj, socket.socket)
                 self._answer(key.fileobj, answer)
 
+    def close(self) -> None:
+        """Hang up on everybody and free the name. Idempotent."""
+        for key in list(self._ready.get_map().values()):
+            self._ready.unregister(key.fileobj)
+            assert isinstance(key.fileobj, socket.socket)
+            key.fileobj.close()
+        self.clients = 0
+
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             connection, _ = self._listener.accept()

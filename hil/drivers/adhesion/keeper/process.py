@@ -31,6 +31,7 @@ from hil.vocabulary.clock import NS_PER_S, nanoseconds, sleep_punctually
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
 _IDLE_NS = nanoseconds(30.0)
+_REPEAT_NS = nanoseconds(60.0)
 _NICE, _FIFO_PRIORITY = -15, 20
 _OOM_SCORES = (-1000, -500)
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
@@ -53,10 +54,15 @@ class Process:
         self._spec, self._log, self._stay = spec, log, stay
         self._keeper = Keeper(spec)
         self._door = Door(spec)
-        self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
-        self._emulator = None if emulator is None else os.pidfd_open(emulator)
+        try:
+            self._emulator = None if emulator is None else os.pidfd_open(emulator)
+            self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
+        except (HilError, OSError):
+            self._door.close()
+            raise
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
+        self._asked, self._asked_ns = ("", ""), 0
 
     def run(self) -> None:
         """Keep the fan. Returns when it is nobody's, and nobody has asked for anything for a while."""
@@ -71,6 +77,11 @@ class Process:
                 self._beat.beat(now_ns)
             if self._unneeded(now_ns):
                 return
+
+    def close(self) -> None:
+        """Let go of socket and bus."""
+        self._door.close()
+        self._beat.close()
 
     @contextlib.contextmanager
     def _whatever_happens(self) -> Iterator[None]:
@@ -104,7 +115,7 @@ class Process:
             ):
                 raise UsageError("a set-point for the keeper", expected="a quantity and a number")
             self._keeper.wish(now_ns, SetPoint(quantity, float(value)))
-            self._log.say(f"set to {quantity} {value:g} by {who}")
+            self._tell_of_wish(now_ns, who, quantity, value)
             if self._beat.sent_ns is None:
                 self._beat.beat(now_ns)
         elif do == "off":
@@ -119,6 +130,13 @@ class Process:
         elif do != "status":
             raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off")
         return self._status(now_ns)
+
+    def _tell_of_wish(self, now_ns: int, who: str, quantity: str, value: float) -> None:
+        """Log who sets what; a bench that trims its set-point all the time is told of once a minute."""
+        asked = (who, quantity)
+        if asked != self._asked or now_ns - self._asked_ns > _REPEAT_NS:
+            self._asked, self._asked_ns = asked, now_ns
+            self._log.say(f"set to {quantity} {value:g} by {who}")
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         return {
@@ -204,6 +222,7 @@ def main(argv: list[str] | None = None) -> int:
     if given.log is not None:
         _away_with(2)
     process.run()
+    process.close()
     log.close()
     return 0
 

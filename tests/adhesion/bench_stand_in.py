@@ -1,0 +1,35 @@
+"""What a bench does for its fan, as a process that can be killed: has it kept, sets it, and is busy."""
+
+import sys
+import time
+
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import UsageError
+
+
+def tell(text):
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
+def main():
+    kept = KeptByProcess(Spec.from_json(sys.argv[1]), MonotonicClock(), say=tell)
+    kept.open()
+    while not kept.status().get("report"):
+        time.sleep(0.02)
+    for value in sys.argv[2:]:
+        try:
+            kept.set(SetPoint("duty", float(value)))
+        except UsageError as error:
+            tell(error)
+    tell("ready")
+    while True:
+        sum(range(20_000))
+        time.sleep(0.005)
+
+
+if __name__ == "__main__":
+    main()

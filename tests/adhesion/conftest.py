@@ -1,0 +1,14 @@
+"""A fan on a CAN bus of loopback, and keepers that do not outlive their test."""
+
+import pytest
+from fan_on_the_wire import fan_on_the_wire
+from kills import end_keeper
+
+
+@pytest.fixture
+def wire(monkeypatch, tmp_path):
+    """A running fan and its spec; whoever keeps it at the end of the test is ended."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    with fan_on_the_wire() as (fan, spec):
+        yield fan, spec
+        end_keeper(spec)

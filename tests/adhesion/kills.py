@@ -1,0 +1,133 @@
+"""Trials: benches and keepers killed at random moments, and how long the fan was without a command.
+
+`python docs/make_kill_table.py` runs many of them and writes the table of docs/adhesion.md.
+"""
+
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from hil.drivers.adhesion.keeper import client
+
+STAND_IN = Path(__file__).with_name("bench_stand_in.py")
+HELD_DUTY = 0.57
+_LONGEST_S = 20.0
+
+
+@dataclass(frozen=True)
+class Kill:
+    """One trial: the longest gap between commands around it, and the lowest set-point seen after it."""
+
+    gap_s: float
+    lowest_duty: float
+
+
+def wait_until(true, what):
+    end_s = time.monotonic() + _LONGEST_S
+    while not (found := true()):
+        if time.monotonic() > end_s:
+            raise AssertionError(f"not within {_LONGEST_S:g} s: {what}")
+        time.sleep(0.01)
+    return found
+
+
+@contextmanager
+def bench(spec, duty=HELD_DUTY):
+    """A bench that keeps a fan, in a process of its own."""
+    command = [sys.executable, str(STAND_IN), spec.to_json(), str(duty)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert "ready" in iter(process.stdout.readline, "").__next__(), "the bench did not start"
+            yield process
+        finally:
+            process.kill()
+
+
+def keeper_pid(spec):
+    """Process id of the fan's keeper; None where there is none."""
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        return client.peer(connection)[0]
+
+
+def killed(fan, pids, rng, *, afterwards_s=0.6):
+    """Kill processes at a random moment, at once, and look at what reached the fan around it."""
+    time.sleep(rng.uniform(0.1, 0.6))
+    since_s = time.time()
+    for pid in pids:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+    time.sleep(afterwards_s)
+    duties = [duty for t_s, duty in fan.duties() if t_s >= since_s]
+    before = max((t_s for t_s, _, _ in fan.commands if t_s < since_s), default=since_s)
+    return Kill(max(fan.gaps_s(before)), min(duties, default=0.0))
+
+
+def bench_killed(fan, spec, count, seed):
+    """Benches killed while the keeper lives; one after the other at the same fan."""
+    rng, kills = random.Random(seed), []
+    for _ in range(count):
+        with bench(spec) as process:
+            reached(fan)
+            kills.append(killed(fan, [process.pid], rng))
+    return kills
+
+
+def keeper_killed(fan, spec, count, seed):
+    """Keepers killed under one bench, each after it has taken over from the bench again."""
+    rng, kills, last = random.Random(seed), [], None
+    with bench(spec):
+        reached(fan)
+        for _ in range(count):
+            last = wait_until(lambda last=last: new_keeper(spec, last), "a new keeper")
+            kills.append(killed(fan, [last], rng))
+    return kills
+
+
+def both_killed(fan, spec, count, seed):
+    """Both killed at once: seconds from there to the moment when the controller lets go, for each trial."""
+    rng, released_s = random.Random(seed), []
+    for _ in range(count):
+        with bench(spec) as process:
+            reached(fan)
+            time.sleep(rng.uniform(0.1, 0.6))
+            pids = [keeper_pid(spec), process.pid]
+            since_s = time.time()
+            for pid in pids:
+                os.kill(pid, signal.SIGKILL)
+            wait_until(lambda: fan.duty == 0.0, "the controller's time-out")
+            released_s.append(time.time() - since_s)
+            fan.commands.clear()
+    return released_s
+
+
+def end_keeper(spec):
+    """End the keeper of a trial's fan the only way there is."""
+    pid = keeper_pid(spec)
+    assert pid != os.getpid()
+    if pid is not None:
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+
+
+def reached(fan):
+    wait_until(lambda: abs(fan.duty - HELD_DUTY) < 1e-6, f"duty {HELD_DUTY}")
+
+
+def new_keeper(spec, last):
+    """Process id of a keeper that keeps the fan and is not the last one."""
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        pid = client.peer(connection)[0]
+        kept = client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
+    return pid if kept and pid != last else None

@@ -1,0 +1,117 @@
+"""The keeper at its bus: a bus that fails is tried for ever and told; it tells who else commands the fan."""
+
+import can
+import pytest
+
+from hil.drivers.adhesion.keeper import beat as beats
+from hil.drivers.adhesion.keeper.beat import Beat
+from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import DeviceError
+
+SPEC = Spec("udp_multicast", "239.74.164.9", 7)
+PERIOD_NS = nanoseconds(SPEC.period_s)
+
+
+class Bus:
+    """A bus that works while `error` is None."""
+
+    def __init__(self):
+        self.error, self.sent, self.arriving = None, [], []
+
+    def send(self, message):
+        if self.error is not None:
+            raise self.error
+        self.sent.append((message.arbitration_id, bytes(message.data), message.is_extended_id))
+
+    def recv(self, timeout):
+        assert timeout == 0
+        return self.arriving.pop(0) if self.arriving else None
+
+    def shutdown(self):
+        self.error = OSError("used after shutdown")
+
+
+@pytest.fixture
+def said():
+    return []
+
+
+@pytest.fixture
+def kept(said):
+    """A keeper at a bus, with its fan at duty 0.57."""
+    keeper, bus = Keeper(SPEC), Bus()
+    keeper.resume(0, SetPoint("duty", 0.57123), SetPoint("duty", 0.57123))
+    return Beat(SPEC, keeper, said.append, bus), bus
+
+
+def run(beat, start_s, duration_s):
+    for t_ns in range(nanoseconds(start_s), nanoseconds(start_s + duration_s), PERIOD_NS):
+        beat.beat(t_ns)
+
+
+def test_a_command_every_period_byte_for_byte(kept):
+    beat, bus = kept
+    run(beat, 0.0, 1.0)
+    assert bus.sent == [(0x0007, bytes.fromhex("0000DF23"), True)] * 20
+    assert beat.worst_gap_ns == PERIOD_NS
+
+
+@pytest.mark.parametrize(
+    "error", [can.CanOperationError("Transmit buffer full"), OSError(19, "No such device")]
+)
+def test_a_bus_that_fails_is_opened_again_for_ever_and_told_once(kept, said, monkeypatch, error):
+    beat, bus = kept
+    attempts = []
+
+    def opened(spec):
+        attempts.append(spec)
+        if len(attempts) < 50:
+            raise DeviceError("adhesion", "the CAN bus cannot be opened (No such device)")
+        return again
+
+    again = Bus()
+    monkeypatch.setattr(beats, "open_bus", opened)
+    run(beat, 0.0, 0.5)
+    bus.error = error
+    run(beat, 0.5, 40.0)
+    assert "commands do not reach the fan" in said[-2]
+    assert len(said) <= 5
+    assert said[-1] == "CAN: works again"
+    assert again.sent
+    assert beat.status(nanoseconds(40.5))["worst_gap_s"] > 10.0
+    assert beat.bus_error == ""
+
+
+def test_somebody_else_who_commands_the_fan_is_told_and_not_followed(kept, said):
+    beat, bus = kept
+    for t_s in range(5):
+        bus.arriving = [can.Message(arbitration_id=0x0007, data=bytes.fromhex("00001388"))]
+        run(beat, float(t_s), 1.0)
+    assert [text for text in said if "somebody else" in text] == [
+        "somebody else commands this fan: duty 0.05"
+    ]
+    assert {data.hex().upper() for _, data, _ in bus.sent} == {"0000DF23"}
+
+
+def test_its_own_echo_is_nobody_else(kept, said):
+    beat, bus = kept
+    run(beat, 0.0, 0.1)
+    bus.arriving = [can.Message(arbitration_id=i, data=d) for i, d, _ in bus.sent]
+    run(beat, 0.1, 0.1)
+    assert not any("somebody else" in text for text in said)
+
+
+def test_what_a_hostile_bus_carries_does_not_stop_it(kept):
+    beat, bus = kept
+    bus.arriving = [
+        can.Message(arbitration_id=0x0907, data=b"\x00"),
+        can.Message(arbitration_id=0x0907, is_remote_frame=True, dlc=8),
+        can.Message(is_error_frame=True, dlc=8, data=bytes(8)),
+        can.Message(arbitration_id=0x107, is_extended_id=False, data=b"\xff" * 8),
+        *[can.Message(arbitration_id=i << 8 | 7, data=b"\xff" * 8) for i in range(60)],
+    ] * 20
+    run(beat, 0.0, 1.0)
+    assert {data.hex().upper() for _, data, _ in bus.sent} == {"0000DF23"}
+    assert len(bus.sent) == 20

@@ -1,0 +1,73 @@
+"""Bench or keeper killed at random moments in real time: the fan is never without a command for 200 ms."""
+
+import os
+import signal
+import time
+
+import pytest
+from kills import HELD_DUTY, bench, bench_killed, both_killed, keeper_killed, keeper_pid, wait_until
+
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+from hil.vocabulary.clock import MonotonicClock
+
+MOST_S = 0.2
+FEW, MANY = 3, 100
+
+
+@pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
+def test_a_killed_bench_leaves_the_fan_as_it_was(wire, count):
+    fan, spec = wire
+    kills = bench_killed(fan, spec, count, seed=1)
+    assert len(kills) == count
+    assert max(kill.gap_s for kill in kills) <= MOST_S
+    assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
+
+
+@pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
+def test_a_killed_keeper_is_stood_in_for_and_replaced(wire, count):
+    fan, spec = wire
+    kills = keeper_killed(fan, spec, count, seed=2)
+    assert len(kills) == count
+    assert max(kill.gap_s for kill in kills) <= MOST_S
+    assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
+
+
+def test_both_killed_and_the_controller_lets_go_after_its_time_out(wire):
+    fan, spec = wire
+    (released_s,) = both_killed(fan, spec, 1, seed=3)
+    assert spec.timeout_s - spec.period_s - 0.05 <= released_s <= spec.timeout_s + 0.5
+
+
+def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
+    fan, spec = wire
+    said = []
+    kept = KeptByProcess(spec, MonotonicClock(), say=said.append)
+    kept.open()
+    wait_until(lambda: kept.status().get("report"), "the fan's report")
+    kept.set(SetPoint("duty", HELD_DUTY))
+    wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+    since_s = time.time()
+    os.kill(keeper_pid(spec), signal.SIGKILL)
+    wait_until(kept.trouble, "the loss to be told")
+    assert "the bench commands the fan itself" in kept.trouble()
+    kept.close()
+    assert "the fan's keeper has taken over again" in said[-1]
+    assert keeper_pid(spec) is not None
+    time.sleep(0.3)
+    assert max(fan.gaps_s(since_s)) <= MOST_S
+    assert fan.duty == HELD_DUTY
+
+
+def test_a_keeper_that_hangs_is_stood_in_for(wire):
+    fan, spec = wire
+    with bench(spec) as process:
+        wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
+        since_s, pid = time.time(), keeper_pid(spec)
+        os.kill(pid, signal.SIGSTOP)
+        assert "does not answer" in process.stdout.readline()
+        time.sleep(1.0)
+        os.kill(pid, signal.SIGCONT)
+        assert "taken over again" in process.stdout.readline()
+        assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
+        assert fan.duty == HELD_DUTY

@@ -1,0 +1,206 @@
+"""The keeper as a process: small, deaf to signals, for its own user, found by whoever needs it."""
+
+import json
+import os
+import signal
+import socket
+import stat
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hil.drivers.adhesion.keeper import client, door
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.door import Door
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.errors import DeviceError, UsageError
+
+POINT = SetPoint("duty", 0.3)
+
+
+def eventually(true, within_s=10.0):
+    end_s = time.monotonic() + within_s
+    while not (found := true()) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    return found
+
+
+@pytest.fixture
+def keeper(wire):
+    """(fan, spec, connection to its keeper, which has been started for it)."""
+    fan, spec = wire
+    with client.find_or_start(spec) as connection:
+        yield fan, spec, connection
+
+
+def is_unkept(spec):
+    connection = client.connect(spec)
+    if connection is not None:
+        connection.close()
+    return connection is None
+
+
+def set_when_heard(connection, spec, point=POINT):
+    """Ask for a set-point as soon as the keeper has heard its fan."""
+    eventually(lambda: client.ask(connection, {"do": "status"}, spec)["report"])
+    return client.ask(connection, client.set_request(point), spec)
+
+
+def test_it_imports_little():
+    code = "import sys, hil.drivers.adhesion.keeper.process; print(*sys.modules)"
+    modules = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    loaded = {name.partition(".")[0] for name in modules.split()}
+    assert loaded.isdisjoint({"numpy", "numba", "pydantic", "cantools", "click", "scipy"})
+
+
+def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(keeper):
+    fan, spec, connection = keeper
+    set_when_heard(connection, spec)
+    assert eventually(lambda: fan.duty == POINT.value)
+    since_s = time.time()
+    pid = client.peer(connection)[0]
+    for name in ("SIGHUP", "SIGINT", "SIGTERM", "SIGQUIT", "SIGPIPE", "SIGUSR1", "SIGALRM", "SIGTSTP"):
+        os.kill(pid, getattr(signal, name))
+    time.sleep(0.4)
+    status = client.ask(connection, {"do": "status"}, spec)
+    assert (status["pid"], status["state"]) == (pid, "keeping")
+    assert max(fan.gaps_s(since_s)) <= 0.2
+    with open(status["log"], encoding="utf-8") as log:
+        assert "SIGTERM is not heeded" in log.read()
+
+
+def test_it_belongs_to_no_session_and_no_parent_of_ours(keeper):
+    pid = client.peer(keeper[2])[0]
+    with open(f"/proc/{pid}/stat", encoding="utf-8") as file:
+        fields = file.read().rpartition(") ")[2].split()
+    parent, group, session, terminal = map(int, fields[1:5])
+    assert parent != os.getpid()
+    assert group != os.getpgrp()
+    assert session != os.getsid(0)
+    assert terminal == 0
+
+
+def test_its_log_is_for_its_owner(keeper):
+    _, spec, connection = keeper
+    set_when_heard(connection, spec)
+    path = client.ask(connection, {"do": "status"}, spec)["log"]
+    assert eventually(lambda: os.path.exists(path))
+    assert stat.S_IMODE(os.stat(path).st_mode) == 0o600
+
+
+def test_the_next_program_finds_it_as_it_was_left(keeper):
+    fan, spec, connection = keeper
+    set_when_heard(connection, spec)
+    connection.close()
+    time.sleep(0.2)
+    with client.find_or_start(spec) as again:
+        status = client.ask(again, {"do": "status"}, spec)
+    assert status["target"] == ["duty", POINT.value]
+    assert fan.commands
+
+
+def test_off_without_a_confirmation_is_refused_and_the_fan_runs_on(keeper):
+    fan, spec, connection = keeper
+    set_when_heard(connection, spec)
+    rest = client.set_request(SetPoint("duty", 0.0))
+    for request in ({"do": "off"}, {"do": "off", "confirmed_by": " "}, rest):
+        with pytest.raises(UsageError, match="hil adhesion off"):
+            client.ask(connection, request, spec)
+    assert client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
+    client.ask(connection, client.off_request("a test's fan"), spec)
+    assert eventually(lambda: client.ask(connection, {"do": "status"}, spec)["state"] == "idle")
+    assert eventually(lambda: fan.duty == 0.0)
+
+
+def test_nonsense_is_refused_and_changes_nothing(keeper):
+    _, spec, connection = keeper
+    set_when_heard(connection, spec)
+    for packet in (
+        b"\xff\x00",
+        b"[" * 5000,
+        b"[1]",
+        b'{"do": "fly"}',
+        b'{"do": ["set"]}',
+        b'{"do": "set", "quantity": "duty", "value": "much"}',
+        b'{"do": "set", "quantity": "duty", "value": NaN}',
+        b'{"do": "set", "quantity": "duty", "value": -0.3}',
+    ):
+        connection.send(packet)
+        assert json.loads(connection.recv(door.MOST_BYTES))["error"]["exit_code"] == 2
+    assert client.ask(connection, {"do": "status"}, spec)["target"] == ["duty", POINT.value]
+
+
+def test_clients_that_crowd_and_never_read_delay_no_command(keeper):
+    fan, spec, connection = keeper
+    set_when_heard(connection, spec)
+    since_s = time.time()
+    crowd = [client.connect(spec) for _ in range(60)]
+    for one in crowd:
+        one.setblocking(False)
+        for _ in range(20):
+            try:
+                one.send(b'{"do": "status"}')
+            except OSError:
+                break
+    time.sleep(0.5)
+    assert max(fan.gaps_s(since_s)) <= 0.2
+    for one in crowd:
+        one.close()
+    assert client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
+
+
+def test_a_fan_has_one_keeper(keeper):
+    _, spec, connection = keeper
+    pid = client.peer(connection)[0]
+    with pytest.raises(DeviceError, match="has a keeper already"):
+        Door(spec)
+    said = client.Starting(spec).said(15.0)
+    assert "has a keeper already" in said["error"]
+    assert client.peer(connection)[0] == pid
+
+
+def test_two_fans_on_one_bus_have_two(keeper):
+    _, spec, _ = keeper
+    Door(Spec(spec.interface, spec.channel, 8, options=spec.options)).close()
+
+
+def test_another_user_is_neither_answered_nor_believed(wire, monkeypatch):
+    _, spec = wire
+    listener = Door(spec)
+    monkeypatch.setattr(client, "trusted", lambda uid: False)
+    with pytest.raises(DeviceError, match="belongs to another user"):
+        client.connect(spec)
+    monkeypatch.setattr(client, "trusted", lambda uid: True)
+    monkeypatch.setattr(door, "trusted", lambda uid: False)
+    with client.connect(spec) as refused:
+        listener.serve(1.0, lambda asked, who: pytest.fail("it was answered"))
+        listener.serve(0.1, lambda asked, who: pytest.fail("it was answered"))
+        assert refused.recv(10) == b""
+    listener.close()
+
+
+def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    with pytest.raises(DeviceError, match=r"did not start: .*CAN bus cannot be opened .*interface up"):
+        client.find_or_start(Spec("socketcan", "can77", 7))
+
+
+def test_it_ends_with_an_emulated_fan(wire):
+    _, spec = wire
+    emulator = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    with client.find_or_start(spec, emulator=emulator.pid) as connection:
+        set_when_heard(connection, spec)
+        emulator.stdin.close()
+        emulator.wait()
+        connection.settimeout(10.0)
+        assert connection.recv(1) == b""
+
+
+def test_nothing_is_left_where_it_listened(keeper):
+    _, spec, connection = keeper
+    os.kill(client.peer(connection)[0], signal.SIGKILL)
+    assert eventually(lambda: is_unkept(spec))
+    with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as free:
+        free.bind(door.address(spec))
