@@ -127,10 +127,14 @@ class FaultPlan:
     """All faults of a run. Devices ask `active(names, t_ns)` with their own names.
 
     A device may go by several names (`servos`, `servo.drive_FL`, `servo.1`).
+
+    Attributes:
+        empty: there is nothing to ask for: lets devices skip the query.
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults = list(faults)
+        self.empty = not self._faults
         self._supported: dict[str, Supported] = {}
 
     def declare(self, device: str, supported: Supported) -> None:
@@ -141,10 +145,12 @@ class FaultPlan:
         """Add a fault while running; refused at once when unsupported."""
         self._check_one(fault)
         self._faults.append(fault)
+        self.empty = False
 
     def clear(self, device: str | None = None) -> None:
         """Remove all faults (of one device)."""
         self._faults = [f for f in self._faults if device is not None and f.device != device]
+        self.empty = not self._faults
 
     def check(self) -> None:
         """Raise `FaultNotSupportedError` for the first fault that no device can produce."""
@@ -178,11 +184,6 @@ class FaultPlan:
     def supported(self) -> Mapping[str, Supported]:
         """What every name that devices announced can produce."""
         return self._supported
-
-    @property
-    def empty(self) -> bool:
-        """Whether there is nothing to ask for: lets devices skip the query."""
-        return not self._faults
 
     def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
         """The first active fault of that kind on that device, or None."""

@@ -44,19 +44,18 @@ class Scheduled(Protocol):
 
 
 class World:
-    """Holds the plant, the faults and the scheduled parts, and moves them in one order."""
+    """Holds the plant, the faults and the scheduled parts, and moves them in one order.
+
+    Attributes:
+        now_ns: world time.
+    """
 
     def __init__(self, plant: Plant, *, seed: int = 0, faults: FaultPlan | None = None) -> None:
         self.plant = plant
         self.seed = seed
         self.faults = faults if faults is not None else FaultPlan()
         self._parts: list[Scheduled] = []
-        self._now_ns = 0
-
-    @property
-    def now_ns(self) -> int:
-        """World time."""
-        return self._now_ns
+        self.now_ns = 0
 
     def add(self, part: Scheduled) -> None:
         """Register a part; ties in time are resolved in order of registration."""
@@ -68,26 +67,26 @@ class World:
 
     def sync_plant(self) -> None:
         """Bring the plant up to world time (lazily: it is only integrated when somebody looks)."""
-        self.plant.advance(self._now_ns)
+        self.plant.advance(self.now_ns)
 
     def advance_to(self, t_ns: int) -> None:
         """Move the world to `t_ns`, letting every part act at its own time on the way."""
-        if t_ns < self._now_ns:
+        if t_ns < self.now_ns:
             return
         parts, plant = self._parts, self.plant
         due_ns = [part.next_due_ns() for part in parts]
         while due_ns and (first_ns := min(due_ns)) <= t_ns:
-            if first_ns > self._now_ns:
-                self._now_ns = first_ns
-            plant.advance(self._now_ns)
+            if first_ns > self.now_ns:
+                self.now_ns = first_ns
+            plant.advance(self.now_ns)
             place = due_ns.index(first_ns)
             first = parts[place]
-            first.on_due(self._now_ns)
+            first.on_due(self.now_ns)
             if first.alone:
                 due_ns[place] = first.next_due_ns()
             else:
                 due_ns = [part.next_due_ns() for part in parts]
-        self._now_ns = t_ns
+        self.now_ns = t_ns
 
     def next_due_ns(self) -> int:
         """World time of the earliest planned action."""

@@ -23,6 +23,8 @@ _PRECISION, _TAIL = 8, 6
 _SIZED = (4, 1)
 _TRACKED, _MODELS_CHANGED = 0x01, 0x02
 _LEAST_NAMED = 5
+_PAIR = struct.Struct("<iI")
+_POSE_VALUES, _END_VALUES = 9, 5
 
 
 class _Section(NamedTuple):
@@ -82,6 +84,82 @@ def parse_frame(payload: bytes, version: tuple[int, int], body_id: int) -> Frame
         cursor.skip(_PRECISION)
     (parameters,) = cursor.take(_PARAMETERS)
     return Frame(number, body, timestamp_s, exposure, received, sent, bool(parameters & _MODELS_CHANGED))
+
+
+class FrameParser:
+    """Frames of one stream: one of the same shape as the one before is taken apart in a single step.
+
+    Args:
+        version: NatNet (major, minor) of the bit stream, at least 3.0.
+        body_id: streaming id of the rigid body to find.
+    """
+
+    def __init__(self, version: tuple[int, int], body_id: int) -> None:
+        self.version, self.body_id = version, body_id
+        self._shape: _Shape | None = None
+
+    def parse(self, payload: bytes) -> Frame:
+        """As `parse_frame`."""
+        frame = self._shape.frame(payload) if self._shape is not None else None
+        if frame is None:
+            frame = parse_frame(payload, self.version, self.body_id)
+            if self.version >= _SIZED and frame.body is not None:
+                self._shape = _Shape.of(payload, self.body_id)
+        return frame
+
+
+class _Shape:
+    """Where everything is in a frame whose sections tell their sizes, and what must be there to say so.
+
+    Args:
+        layout: of the whole payload: the number, heads of sections and identifiers, the body, the suffix.
+        known: values of heads and identifiers.
+        place: of the body among the values that are unpacked.
+    """
+
+    def __init__(self, layout: struct.Struct, known: tuple[bytes, ...], place: int) -> None:
+        self._layout, self._place = layout, place
+        self._before, self._after = known[: place - 1], known[place - 1 :]
+
+    @classmethod
+    def of(cls, payload: bytes, body_id: int) -> _Shape | None:
+        """The shape of a payload that has been parsed; None where its bodies do not fill their section."""
+        at, form, known, place = _NUMBER.size, ["<i"], [], 0
+        for section in range(1 + len(_BEFORE_BODIES) + len(_AFTER_BODIES)):
+            count, size = _PAIR.unpack_from(payload, at)
+            known.append(payload[at : at + _PAIR.size])
+            at += _PAIR.size
+            form.append(f"{_PAIR.size}s")
+            if section != len(_BEFORE_BODIES):
+                form.append(f"{size}x")
+            elif size != count * _BODY.size:
+                return None
+            else:
+                for k in range(count):
+                    raw = payload[at + k * _BODY.size : at + k * _BODY.size + _NUMBER.size]
+                    known.append(raw)
+                    mine = _NUMBER.unpack(raw)[0] == body_id
+                    place = len(known) + 1 if mine else place
+                    form.append("4s3f4ffh" if mine else f"4s{_BODY.size - _NUMBER.size}x")
+            at += size
+        tail = len(payload) - at - _SUFFIX.size
+        precision = _PRECISION if tail >= _PRECISION + _TAIL else 0
+        form.append(f"8xd3Q{precision}xH{tail - precision - _PARAMETERS.size}x")
+        return cls(struct.Struct("".join(form)), tuple(known), place)
+
+    def frame(self, payload: bytes) -> Frame | None:
+        """A frame of this shape; None for any other."""
+        if len(payload) != self._layout.size:
+            return None
+        values, place = self._layout.unpack(payload), self._place
+        if values[1:place] != self._before or values[place + _POSE_VALUES : -_END_VALUES] != self._after:
+            return None
+        x, y, z, qx, qy, qz, qw, error, parameters = values[place : place + _POSE_VALUES]
+        body = BodyPose((x, y, z), (qx, qy, qz, qw), error, bool(parameters & _TRACKED))
+        timestamp_s, exposure, received, sent, changed = values[-_END_VALUES:]
+        return Frame(
+            values[0], body, timestamp_s, exposure, received, sent, bool(changed & _MODELS_CHANGED)
+        )
 
 
 def _pass_over(cursor: Cursor, section: _Section, sized: bool) -> None:

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 from hil.config.mocap import MocapConfig
 from hil.drivers.mocap.datagrams import Address, Datagram, DatagramFactory, DatagramPort
-from hil.drivers.mocap.frames import Frame, frame_number, parse_frame
+from hil.drivers.mocap.frames import Frame, FrameParser, frame_number
 from hil.drivers.mocap.models import parse_models
 from hil.drivers.mocap.packets import (
     MalformedPacket,
@@ -62,6 +62,7 @@ class Session:
         self._asked: tuple[int, int] | None = None
         self._agreed = False
         self._number: int | None = None
+        self._parser: FrameParser | None = None
         self._seen: dict[int, tuple[float, int, int]] = {}
         self._source: Address | None = None
         self._source_ns = 0
@@ -187,7 +188,10 @@ class Session:
         if self._stranger(datagram):
             self.strangers += 1
             return None
-        frame = parse_frame(payload, self.version, self.body_id)
+        parser = self._parser
+        if parser is None or (parser.version, parser.body_id) != (self.version, self.body_id):
+            parser = self._parser = FrameParser(self.version, self.body_id)
+        frame = parser.parse(payload)
         if self._seen_before(frame):
             self.repeated += 1
             return None

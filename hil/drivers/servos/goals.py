@@ -6,6 +6,7 @@ goals, steers position goals, whose zero is the servo's centre.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -53,7 +54,9 @@ class Goals:
             self._low[4:] = [read(b, "min_position_limit") for b in blocks[4:]]
             self._high[4:] = [read(b, "max_position_limit") for b in blocks[4:]]
         steering = [read(b, "present_position") for b in blocks[4:]]
-        self._raw = np.array([0, 0, 0, 0, *steering], dtype=np.int64)
+        self._lowest: list[int] = self._low.tolist()
+        self._highest: list[int] = self._high.tolist()
+        self._raw = [0, 0, 0, 0, *steering]
 
     def packet(self) -> bytes:
         """The one write of a control cycle."""
@@ -70,29 +73,29 @@ class Goals:
             UsageError: a goal is not a number.
         """
         limit_rad, model = self._config.steer_limit_rad, self._model
-        steer = np.clip(setpoint.steer_position_rad, -limit_rad, limit_rad)
-        goals = np.concatenate(
-            (
-                setpoint.drive_velocity_rad_s / model.rad_s_per_count,
-                steer / model.rad_per_count + (model.zero_counts - offset[4:]),
-            )
-        )
-        if not np.isfinite(goals).all():
+        goals = [v / model.rad_s_per_count for v in setpoint.drive_velocity_rad_s.tolist()]
+        for angle, lost in zip(setpoint.steer_position_rad.tolist(), offset[4:].tolist(), strict=True):
+            angle = min(max(angle, -limit_rad), limit_rad)
+            goals.append(angle / model.rad_per_count + (model.zero_counts - lost))
+        if not all(map(math.isfinite, goals)):
             raise UsageError(f"{self._device}: a goal is not finite: {setpoint}")
-        self._raw = np.minimum(np.maximum(np.rint(goals), self._low), self._high).astype(np.int64)
+        self._raw = [
+            min(max(round(goal), low), high)
+            for goal, low, high in zip(goals, self._lowest, self._highest, strict=True)
+        ]
 
     def rest(self) -> None:
         """Wheels at rest, the steering's goals as they are."""
-        self._raw[:4] = 0
+        self._raw[:4] = [0] * 4
 
     def hold(self, registers: np.ndarray) -> None:
         """Take the goals at which nothing moves."""
-        self._raw = self.still(registers)
+        self._raw = self.still(registers).tolist()
 
     def keep(self, joints: Sequence[int], goals: np.ndarray) -> None:
         """Take some joints' goals out of (8,) raw ones."""
         for j in joints:
-            self._raw[j] = goals[j]
+            self._raw[j] = int(goals[j])
 
     def still(self, registers: np.ndarray) -> np.ndarray:
         """(8,) goals at which nothing moves, from the position registers (8,)."""

@@ -17,6 +17,10 @@ _COASTING_S = 0.1
 
 Counts = np.ndarray
 
+EVERYBODY, NOBODY = np.ones(8, dtype=bool), np.zeros(8, dtype=bool)
+for _who in (EVERYBODY, NOBODY):
+    _who.setflags(write=False)
+
 
 class MultiTurnCounter:
     """Adds the turns that the registers of eight servos have lost.
@@ -37,10 +41,12 @@ class MultiTurnCounter:
         self._speed: Array = np.zeros(8)
         self._known = np.zeros(8, dtype=bool)
         self._restarted = np.zeros(8, dtype=bool)
+        self._together_ns: int | None = None
 
     def restarted(self, joint: int) -> None:
         """It is known that a servo has started over: its next reading is bridged to the nearest turn."""
         self._restarted[joint] = True
+        self._part()
 
     def follow(self, raw: Counts, speed: Array, seen: np.ndarray, t_ns: int) -> tuple[Counts, np.ndarray]:
         """Continuous counts, and which servos have started over.
@@ -48,10 +54,30 @@ class MultiTurnCounter:
         Args:
             raw: (8,) registers.
             speed: (8,) counts/s, to bridge a gap.
-            seen: (8,) whether the servo answered.
+            seen: (8,) whether the servo answered; `EVERYBODY` itself where all did.
             t_ns: time of the reading.
         """
         counts = raw + self.offset
+        if seen is EVERYBODY and self._together_ns is not None:
+            moved = (counts - self._last).tolist()
+            most = self._top_counts_s * ((t_ns - self._together_ns) * 1e-9) + _MARGIN_COUNTS
+            if max(moved) <= most and -min(moved) <= most:
+                self._last, self._speed, self._together_ns = counts, speed, t_ns
+                return counts, NOBODY
+        self._part()
+        counts, jumped = self._look_at_each(counts, speed, seen, t_ns)
+        self._together_ns = t_ns if seen is EVERYBODY else None
+        return counts, jumped
+
+    def _part(self) -> None:
+        """From now on each has its own time of the last reading."""
+        if self._together_ns is not None:
+            self._last_ns[:] = self._together_ns
+            self._together_ns = None
+
+    def _look_at_each(
+        self, counts: Counts, speed: Array, seen: np.ndarray, t_ns: int
+    ) -> tuple[Counts, np.ndarray]:
         elapsed_s = (t_ns - self._last_ns) * 1e-9
         change = counts - self._last
         impossible = np.abs(change) > self._top_counts_s * elapsed_s + _MARGIN_COUNTS

@@ -7,6 +7,7 @@ position, for no data (read in dynamixel_sdk).
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -213,18 +214,20 @@ class GoalWrite:
 
     def __init__(self, ids: Sequence[int], addresses: Sequence[int] | int) -> None:
         if isinstance(addresses, int):
-            self._rows = np.zeros(len(ids), dtype=[("id", "u1"), ("goal", "<i4")])
             self._code = _SYNC_WRITE
             self._prefix = addresses.to_bytes(2, "little") + b"\x04\x00"
+            heads = [bytes((servo_id,)) for servo_id in ids]
         else:
-            fields = [("id", "u1"), ("address", "<u2"), ("length", "<u2"), ("goal", "<i4")]
-            self._rows = np.zeros(len(ids), dtype=fields)
-            self._rows["address"], self._rows["length"] = addresses, 4
-            self._code = _BULK_WRITE
-            self._prefix = b""
-        self._rows["id"] = ids
+            self._code, self._prefix = _BULK_WRITE, b""
+            heads = [
+                bytes((servo_id,)) + address.to_bytes(2, "little") + b"\x04\x00"
+                for servo_id, address in zip(ids, addresses, strict=True)
+            ]
+        self._parts: list[bytes | int] = [value for head in heads for value in (head, 0)]
+        self._layout = struct.Struct("<" + "".join(f"{len(head)}si" for head in heads))
 
-    def packet(self, goals: np.ndarray) -> bytes:
+    def packet(self, goals: Sequence[int]) -> bytes:
         """The packet for eight raw goals."""
-        self._rows["goal"] = goals
-        return instruction(BROADCAST, self._code, self._prefix + self._rows.tobytes())
+        parts = self._parts
+        parts[1::2] = goals
+        return instruction(BROADCAST, self._code, self._prefix + self._layout.pack(*parts))

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.config.servo_models.codes import hardware_error_text
 from hil.drivers.servos.cycle import ALL_OK, Reading
-from hil.drivers.servos.multi_turn import MultiTurnCounter
+from hil.drivers.servos.multi_turn import EVERYBODY, NOBODY, MultiTurnCounter
 from hil.drivers.servos.registers import RegisterMap
 from hil.drivers.servos.restoring import Upkeep
 from hil.vocabulary.clock import Clock
@@ -19,7 +19,6 @@ from hil.vocabulary.signals import SERVOS, ServoSample, Stamp, Status
 _LOG = logging.getLogger(__name__)
 
 _NO_ALERT: tuple[int, ...] = (0,) * 8
-_ALL_SEEN = np.ones(8, dtype=bool)
 
 
 class Samples:
@@ -54,7 +53,8 @@ class Samples:
         """(8,) position registers as last known, with those of a reading that is not yet sampled."""
         if reading is None:
             return self._registers
-        return np.where(_seen(reading), reading.registers["position"].astype(np.int64), self._registers)
+        now, seen = reading.registers["position"].astype(np.int64), _seen(reading)
+        return now if seen is EVERYBODY else np.where(seen, now, self._registers)
 
     def sample(self, reading: Reading, restarted: tuple[int, ...]) -> ServoSample:
         """The sample of a reading.
@@ -71,7 +71,7 @@ class Samples:
         position, jumped = self._follow(reading)
         status, alert = reading.status, _NO_ALERT
         self.doubtful = bool(reading.revived)
-        if status is not ALL_OK or restarted or jumped.any() or any(self._alert):
+        if status is not ALL_OK or restarted or jumped is not NOBODY or any(self._alert):
             status, alert = self._judge(reading, restarted, jumped)
             bad = np.array([s is not Status.OK for s in status])
             position[bad] = velocity[bad] = current[bad] = np.nan
@@ -86,9 +86,10 @@ class Samples:
     def _follow(self, reading: Reading) -> tuple[Array, np.ndarray]:
         """Positions (8,) rad that count on, and which servos have started over."""
         self._registers = self.registers(reading)
-        raw = reading.registers["position"].astype(np.int64)
+        seen = _seen(reading)
+        raw = self._registers if seen is EVERYBODY else reading.registers["position"].astype(np.int64)
         speed = reading.registers["velocity"] * self._speed_counts
-        counts, jumped = self.turns.follow(raw, speed, _seen(reading), reading.taken_ns)
+        counts, jumped = self.turns.follow(raw, speed, seen, reading.taken_ns)
         return (counts - self._zero_counts) * self._rad, jumped
 
     def _judge(
@@ -115,5 +116,5 @@ class Samples:
 def _seen(reading: Reading) -> np.ndarray:
     """(8,) who answered."""
     if reading.status is ALL_OK:
-        return _ALL_SEEN
+        return EVERYBODY
     return np.array([s is Status.OK for s in reading.status])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 
 from hil.fakes.mocap.capture import SeenBody
 
@@ -15,9 +16,7 @@ APPLICATION = "Motive"
 _HEAD = struct.Struct("<HH")
 _INT = struct.Struct("<i")
 _PAIR = struct.Struct("<iI")
-_BODY = struct.Struct("<i3f4ffh")
-_MARKER = struct.Struct("<i3ffhf")
-_SUFFIX = struct.Struct("<IId3QHi")
+_BODY_FORM, _MARKER_FORM, _SUFFIX_FORM = "i3f4ffh", "i3ffhf", "IId3QHi"
 _MARKER_SIZE_M = 0.014
 _SOLVED = 0x0A
 _SHOWN_AS_ALL = b"all\0"
@@ -72,35 +71,60 @@ def _body_model(name: str, identifier: int, version: tuple[int, int]) -> bytes:
 
 def frame(number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]) -> bytes:
     """One frame of capture data."""
-    sized = version >= (4, 1)
-    points = [[v for marker in body.markers_m for v in marker] for body in bodies]
-    sets = [
-        body.name.encode() + b"\0" + struct.pack("<i12f", 4, *p)
-        for body, p in zip(bodies, points, strict=True)
-    ]
-    everything = [v for p in points for v in p]
-    sets.append(_SHOWN_AS_ALL + struct.pack(f"<i{len(everything)}f", 4 * len(bodies), *everything))
-    labelled = [
-        _MARKER.pack(body.identifier << 16 | k, *marker, _MARKER_SIZE_M, _SOLVED, body.marker_error_m)
-        for body in bodies
-        for k, marker in enumerate(body.markers_m, 1)
-    ]
-    nothing: list[bytes] = []
-    sections = [sets, nothing, [_body(body) for body in bodies], nothing, labelled, nothing, nothing]
-    if sized:
-        sections.insert(4, nothing)
-    suffix = _SUFFIX.pack(
-        0, 0, times.timestamp_s, times.exposure_ticks, times.received_ticks, times.sent_ticks, 0, 0
-    )
-    return message(FRAME, _INT.pack(number) + b"".join(_section(items, sized) for items in sections) + suffix)
+    form = _frame_form(tuple([(body.name, body.identifier) for body in bodies]), version)
+    return form.pack(number, bodies, times)
 
 
-def _body(body: SeenBody) -> bytes:
-    return _BODY.pack(
-        body.identifier, *body.position_m, *body.rotation_xyzw, body.marker_error_m, body.tracked
-    )
+class _FrameForm:
+    """What frames of the same bodies have in common; a frame is packed in one step.
+
+    Args:
+        names: name and streaming id of the bodies, in order.
+        version: of the bit stream.
+    """
+
+    def __init__(self, names: tuple[tuple[str, int], ...], version: tuple[int, int]) -> None:
+        self._sized, count = version >= (4, 1), len(names)
+        self._sets = [name.encode() + b"\0" + _INT.pack(4) for name, _ in names]
+        self._all = _SHOWN_AS_ALL + _INT.pack(4 * count)
+        self._labels = [identifier << 16 | k for _, identifier in names for k in range(1, 5)]
+        sets = "".join(f"{len(name)}s12f" for name in self._sets) + f"{len(self._all)}s{12 * count}f"
+        bodies, labelled = count * _BODY_FORM, 4 * count * _MARKER_FORM
+        nothing = self._head(0, "")
+        self._heads = (
+            self._head(count + 1, sets),
+            nothing + self._head(count, bodies),
+            nothing * (2 if self._sized else 1) + self._head(4 * count, labelled),
+            nothing * 2,
+        )
+        heads = [f"{len(head)}s" for head in self._heads]
+        parts = ("<HHi", heads[0], sets, heads[1], bodies, heads[2], labelled, heads[3], _SUFFIX_FORM)
+        self._whole = struct.Struct("".join(parts))
+
+    def _head(self, count: int, form: str) -> bytes:
+        """Beginning of a section of that many items."""
+        return _PAIR.pack(count, struct.calcsize("<" + form)) if self._sized else _INT.pack(count)
+
+    def pack(self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes) -> bytes:
+        """One frame."""
+        set_head, body_head, label_head, end = self._heads
+        values: list[float | bytes] = [FRAME, self._whole.size - _HEAD.size, number, set_head]
+        points: list[float] = []
+        for name, body in zip(self._sets, bodies, strict=True):
+            places = [v for marker in body.markers_m for v in marker]
+            values += (name, *places)
+            points += places
+        values += (self._all, *points, body_head)
+        for body in bodies:
+            values += (body.identifier, *body.position_m, *body.rotation_xyzw)
+            values += (body.marker_error_m, body.tracked)
+        values.append(label_head)
+        labels = iter(self._labels)
+        for body in bodies:
+            for x, y, z in body.markers_m:
+                values += (next(labels), x, y, z, _MARKER_SIZE_M, _SOLVED, body.marker_error_m)
+        values += (end, 0, 0, times.timestamp_s, times.exposure_ticks, times.received_ticks)
+        return self._whole.pack(*values, times.sent_ticks, 0, 0)
 
 
-def _section(items: list[bytes], sized: bool) -> bytes:
-    data = b"".join(items)
-    return (_PAIR.pack(len(items), len(data)) if sized else _INT.pack(len(items))) + data
+_frame_form = lru_cache(maxsize=16)(_FrameForm)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
+from hil.fakes.servos.audience import Audience, answers_most, reads_fast
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -23,7 +24,6 @@ from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import nanoseconds
 
-_BAUD_TOLERANCE = 0.03
 _SLOW_TICKS = 25
 _WATCHDOG_STEP_NS = nanoseconds(WATCHDOG_STEP_S)
 _FAST = (protocol.FAST_SYNC_READ, protocol.FAST_BULK_READ)
@@ -52,7 +52,10 @@ class ServoBus(SerialChip, Scheduled):
         self._thermal = ThermalModel(self._sensing, options, models)
         self._live = LiveRegisters(self._sensing, self._thermal, self._faults)
         self._single = SingleInstructions(self._live)
-        self.servos = tuple(Servo(j, world.plant, options, model) for j, model in enumerate(models))
+        self._audience = Audience(options)
+        self.servos = self._audience.servos = tuple(
+            Servo(j, world.plant, options, model, self._audience.forget) for j, model in enumerate(models)
+        )
         encoder = self._sensing.counts()
         for servo in self.servos:
             servo.boot(0, encoder[servo.joint])
@@ -100,26 +103,15 @@ class ServoBus(SerialChip, Scheduled):
         if baud != self._baud:
             self._parser.reset()
             self._baud = baud
+            self._audience.forget()
         first_ns = t_ns - max(0, len(data) - 1) * 10_000_000_000 // baud
         replies: list[Reply] = []
         for instruction in self._parser.feed(data, first_ns, t_ns):
             replies += self._execute(instruction, t_ns)
         return replies
 
-    def _listeners(self, t_ns: int) -> list[Servo]:
-        absent, low, high = self.options.absent, 1.0 - _BAUD_TOLERANCE, 1.0 + _BAUD_TOLERANCE
-        baud = self._baud
-        return [
-            s
-            for s in self.servos
-            if not s.dead
-            and t_ns >= s.busy_until_ns
-            and low * s.baud <= baud <= high * s.baud
-            and s.id not in absent
-        ]
-
     def _execute(self, instruction: Instruction, t_ns: int) -> list[Reply]:
-        listeners = self._listeners(t_ns)
+        listeners = self._audience.listeners(self._baud, t_ns)
         if not instruction.sound:
             return [
                 r
@@ -129,10 +121,16 @@ class ServoBus(SerialChip, Scheduled):
             ]
         if listeners:
             self._traffic_ns = t_ns
+        chain = self._audience.chain(instruction)
+        if chain is not None:
+            return self._read_motion(chain, t_ns)
         if instruction.code in GROUP_READS:
             wanted = GROUP_READS[instruction.code](instruction)
-            read = self._fast_read if instruction.code in _FAST else self._read_in_turn
-            return read(wanted, listeners, t_ns)
+            if instruction.code not in _FAST:
+                return self._read_in_turn(wanted, listeners, t_ns)
+            if self._faults.none:
+                self._audience.keep_chain(instruction, wanted)
+            return self._fast_read(wanted, listeners, t_ns)
         if instruction.code in (protocol.SYNC_WRITE, protocol.BULK_WRITE):
             self._write_group(instruction, listeners, t_ns)
             return []
@@ -188,9 +186,8 @@ class ServoBus(SerialChip, Scheduled):
             if not servo.torque:
                 self._live.sense(servo, t_ns)
         for servo_id, address, data in write_parts(instruction):
-            for servo in listeners:
-                if servo_id in (servo.id, servo.secondary):
-                    servo.write(address, data)
+            for servo in self._audience.addressed(servo_id, listeners):
+                servo.write(address, data)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Sync and bulk read: each servo answers when the one before it has finished."""
@@ -200,7 +197,7 @@ class ServoBus(SerialChip, Scheduled):
         for servo_id, address, length in wanted:
             mine: list[Reply] = []
             for servo in listeners:
-                if servo.id == servo_id and self._level(servo) >= 1:
+                if servo.id == servo_id and answers_most(servo):
                     error, data = self._single.read_range(servo, address, length, t_ns)
                     mine += self._status(servo, error, data, free_ns)
             if not mine:
@@ -213,11 +210,16 @@ class ServoBus(SerialChip, Scheduled):
                 free_ns = reply.ready_ns + len(reply.data) * byte_ns
         return replies
 
+    def _read_motion(self, chain: tuple[Servo, ...], t_ns: int) -> list[Reply]:
+        """The fast sync read of every cycle, from servos that have answered it before: all in one go."""
+        shown = self._live.motions(chain, t_ns)
+        parts = [(s.id, s.alert, data) for s, data in zip(chain, shown, strict=True)]
+        pieces = protocol.fast_status(parts, 1 + sum(len(data) + 4 for data in shown))
+        return [Reply(t_ns + self._processing_ns + max(s.delay_ns for s in chain), b"".join(pieces))]
+
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""
-        able = [
-            s for s in listeners if s.firmware >= s.table.model.fast_read_firmware and self._level(s) >= 1
-        ]
+        able = [s for s in listeners if reads_fast(s)]
         if not self._faults.none:
             able = [s for s in able if not self._faults.silent(s.joint, t_ns)]
         by_id = {s.id: s for s in able}
@@ -263,7 +265,8 @@ class ServoBus(SerialChip, Scheduled):
         return replies
 
     def _follow_faults(self, t_ns: int) -> None:
-        """Power, resets and slips that faults bring about."""
+        """Power, resets and slips that faults bring about; who answers is another matter every time."""
+        self._audience.forget()
         for servo in self.servos:
             j = servo.joint
             if self._faults.unpowered(j, t_ns):

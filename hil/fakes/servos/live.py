@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
@@ -28,13 +30,21 @@ class LiveRegisters:
         self._holding = True
         self._measure()
 
+    def motions(self, servos: Sequence[Servo], t_ns: int) -> list[bytes]:
+        """What servos without a fault show in the registers that every cycle reads, now."""
+        self._renew(t_ns)
+        counts, velocities, currents = self._all
+        shown = []
+        for servo in servos:
+            j = servo.joint
+            servo.sense(counts[j], velocities[j])
+            shown.append(servo.motion(velocities[j], currents[j]))
+        return shown
+
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
         """Let a servo sense; its velocity and current counts in the joint's direction."""
         sensing, faults, j = self._sensing, self._faults, servo.joint
-        stamp = (t_ns, sensing.ticks)
-        if self._stamp != stamp and not self._holding:
-            self._stamp = stamp
-            self._measure()
+        self._renew(t_ns)
         all_counts, all_velocities, all_currents = self._all
         counts, velocity, current = all_counts[j], all_velocities[j], all_currents[j]
         if not faults.none:
@@ -53,11 +63,18 @@ class LiveRegisters:
             return
         velocity, current = self.sense(servo, t_ns)
         if address >= motion.address and end <= motion.end:
-            servo.show_motion(velocity, current)
+            servo.table.put_row(motion, servo.motion(velocity, current))
             return
         thermal, j = self._thermal, servo.joint
         duty = float(self._sensing.duty(thermal.volts)[j])
         servo.show(t_ns, velocity, current, duty, int(thermal.volts * 10), int(thermal.celsius[j]))
+
+    def _renew(self, t_ns: int) -> None:
+        """Measure, if time has passed since all eight did so last."""
+        stamp = (t_ns, self._sensing.ticks)
+        if self._stamp != stamp and not self._holding:
+            self._stamp = stamp
+            self._measure()
 
     def _measure(self) -> None:
         sensing = self._sensing

@@ -19,6 +19,7 @@ _MEASURED = (
     "present_temperature",
 )  # fmt: skip
 _MOTION = ("present_current", "present_velocity", "present_position")
+_HALF_WORD = 1 << 31
 _CODES = {1: "b", 2: "h", 4: "i"}
 _NOT_BACKED_UP = ("id", "baud_rate", "torque_enable", "bus_watchdog", *GOALS)
 
@@ -38,17 +39,19 @@ class Row:
 
     Attributes:
         address, end: from the first byte to behind the last.
+        size: how many bytes these are.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
         registers = [model.table[name] for name in names]
         self.address, self.end = registers[0].address, registers[-1].end
         self._layout = struct.Struct("<" + "".join(map(_code, registers)))
-        assert self._layout.size == self.end - self.address
+        self.size = self._layout.size
+        assert self.size == self.end - self.address
 
-    def pack_into(self, data: bytearray, *values: int) -> None:
-        """Put one value per register into the table's bytes."""
-        self._layout.pack_into(data, self.address, *values)
+    def pack(self, *values: int) -> bytes:
+        """The bytes of one value per register."""
+        return self._layout.pack(*values)
 
 
 def _code(register: Register) -> str:
@@ -115,6 +118,10 @@ class ControlTable:
         raw: int = form.unpack_from(self.data, address)[0]
         return raw
 
+    def put_row(self, row: Row, data: bytes) -> None:
+        """Set registers that lie one behind the other, without any check."""
+        self.data[row.address : row.end] = data
+
     def put(self, name: str, raw: int) -> None:
         """Set a register without any check."""
         register = self._registers[name]
@@ -153,6 +160,14 @@ class ControlTable:
             raise WriteRefused(protocol.DATA_RANGE)
         if register.limit and abs(raw) > self.get(register.limit):
             raise WriteRefused(protocol.DATA_LIMIT)
+
+    def bounds(self, register: Register) -> tuple[int, int] | None:
+        """Least and largest raw count that `check` allows; None where it is no range."""
+        if register.values or not register.writable:
+            return None
+        limit = self.get(register.limit) if register.limit else _HALF_WORD - 1
+        low = -limit if register.low is None else max(register.low, -limit)
+        return low, limit if register.high is None else min(register.high, limit)
 
     def reset_ram(self) -> None:
         """RAM as after power-up."""

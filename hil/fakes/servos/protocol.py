@@ -75,15 +75,13 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
         declared: bytes of instruction and pieces of all servos asked, which the head announces.
     """
     sent = HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
-    crc = checksum(sent)
     pieces = []
-    head = sent
+    crc, uncounted, head = 0, sent, sent
     for servo_id, error, data in parts:
         chunk = bytes((error, servo_id)) + data
-        crc = checksum(chunk, crc)
-        tail = crc.to_bytes(2, "little")
-        crc = checksum(tail, crc)
-        pieces.append(head + chunk + tail)
+        crc = checksum(uncounted + chunk, crc)
+        uncounted = crc.to_bytes(2, "little")
+        pieces.append(head + chunk + uncounted)
         head = b""
     return pieces
 

@@ -36,43 +36,48 @@ class Sensing:
 
     def __init__(self, plant: Plant, rng: np.random.Generator, models: tuple[ServoModel, ...]) -> None:
         self._plant, self._rng = plant, rng
-        rad, rad_s = (
-            np.array(row) for row in zip(*((m.rad_per_count, m.rad_s_per_count) for m in models), strict=True)
-        )
-        self._counts_per_rad, self._velocity_gain = 1.0 / rad, rad / (_SPAN * _GRID_S * rad_s)
-        self._counts_per_a = 1.0 / np.array([m.a_per_count for m in models])
+        self._counts_per_rad = [1.0 / m.rad_per_count for m in models]
+        self._velocity_gain = [m.rad_per_count / (_SPAN * _GRID_S * m.rad_s_per_count) for m in models]
+        self._counts_per_a = [1.0 / m.a_per_count for m in models]
         self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
         self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
-        self._history = np.zeros((_ROWS, 8))
-        self._history[:] = np.rint(plant.joints()[0] * self._counts_per_rad)
-        self._dither = rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
+        self._dither = self._draw()
+        self._history = [self._encoders([0.0] * 8)] * _ROWS
         self._row = self.ticks = 0
+
+    def _draw(self) -> list[list[float]]:
+        """Dither of the next samples of the grid, counts."""
+        return self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8)).tolist()  # type: ignore[no-any-return]
+
+    def _encoders(self, dither: list[float]) -> list[int]:
+        """Encoder counts of the present angles."""
+        angles = self._plant.joints()[0].tolist()
+        return [round(a * k + d) for a, k, d in zip(angles, self._counts_per_rad, dither, strict=True)]
 
     def tick(self) -> None:
         """Take one sample of the grid."""
         self.ticks += 1
         row = self._row = (self._row + 1) % _ROWS
         if row == 0:
-            self._dither = self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
-        self._history[row] = np.rint(self._plant.joints()[0] * self._counts_per_rad + self._dither[row])
+            self._dither = self._draw()
+        self._history[row] = self._encoders(self._dither[row])
 
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if age_ns:
-            row = self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]
-        else:
-            row = np.rint(self._plant.joints()[0] * self._counts_per_rad + self._dither[self._row])
-        return row.astype(np.int64).tolist()  # type: ignore[no-any-return]
+            return self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]
+        return self._encoders(self._dither[self._row])
 
     def velocity(self, age_ns: int = 0) -> list[int]:
         """Present Velocity in its counts, truncated towards zero."""
-        newest = self._row - _OLD - min(age_ns, HISTORY_NS) // GRID_NS
-        moved = self._history[newest % _ROWS] - self._history[(newest - _SPAN) % _ROWS]
-        return np.trunc(moved * self._velocity_gain).astype(np.int64).tolist()  # type: ignore[no-any-return]
+        row = self._row - _OLD - min(age_ns, HISTORY_NS) // GRID_NS
+        newer, older = self._history[row % _ROWS], self._history[(row - _SPAN) % _ROWS]
+        return [int((b - a) * k) for a, b, k in zip(older, newer, self._velocity_gain, strict=True)]
 
     def current(self) -> list[int]:
         """Present Current in its counts."""
-        return np.trunc(self._plant.joints()[2] * self._counts_per_a).astype(np.int64).tolist()  # type: ignore[no-any-return]
+        amps = self._plant.joints()[2].tolist()
+        return [int(a * k) for a, k in zip(amps, self._counts_per_a, strict=True)]
 
     def currents_a(self) -> Array:
         """True motor currents, A."""

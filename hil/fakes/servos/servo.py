@@ -6,6 +6,9 @@ its own counts, direction and turns.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 from hil.config.servo_models import Register, ServoModel
 from hil.config.servo_models.codes import (
     BAUD_CODES,
@@ -28,6 +31,16 @@ _VELOCITY_GAINS = ("velocity_p_gain", "velocity_i_gain")
 _BACKUP_FIRMWARE = 45
 
 
+class _Goal(NamedTuple):
+    """A range of addresses that is nothing but one goal, as things stand, and what was written there last."""
+
+    address: int
+    data: bytes
+    register: Register
+    low: int
+    high: int
+
+
 class Servo:
     """State of one servo without its bus.
 
@@ -36,6 +49,7 @@ class Servo:
         plant: has the motor.
         options: how it was left.
         model: its control table and motor.
+        changed: called when it may listen, answer or be addressed differently from now on.
 
     Attributes:
         joint: index in the plant and in `hil.vocabulary.signals.SERVOS`.
@@ -45,9 +59,17 @@ class Servo:
         busy_until_ns: starting up, deaf until then.
     """
 
-    def __init__(self, joint: int, plant: Plant, options: ServoBusOptions, model: ServoModel) -> None:
-        self.joint, self._options, self._model = joint, options, model
+    def __init__(
+        self,
+        joint: int,
+        plant: Plant,
+        options: ServoBusOptions,
+        model: ServoModel,
+        changed: Callable[[], None],
+    ) -> None:
+        self.joint, self._options, self._model, self._changed = joint, options, model, changed
         self.table = ControlTable(model)
+        self._goal: _Goal | None = None
         drive = joint < 4
         for name, raw in {
             "model_number": options.model_of(joint),
@@ -113,6 +135,7 @@ class Servo:
         """No supply: the motor is free."""
         self.dead = True
         self.axis.lose_power()
+        self._forget()
 
     def slip(self, counts: int) -> None:
         """The encoder's magnet turns on its shaft."""
@@ -134,16 +157,20 @@ class Servo:
             tick, moving, axis.moving_status(present), pwm, sign * current, sign * velocity,
             present, goal_velocity, round(trajectory.position), voltage, celsius,
         )  # fmt: skip
-        self.table.layout.measured.pack_into(self.table.data, *values)
+        measured = self.table.layout.measured
+        self.table.put_row(measured, measured.pack(*values))
 
-    def show_motion(self, velocity: int, current: int) -> None:
-        """Put only current, velocity and position into the table: what every cycle reads."""
-        sign = self.axis.position.sign
-        motion = self.table.layout.motion
-        motion.pack_into(self.table.data, sign * current, sign * velocity, self.present)
+    def motion(self, velocity: int, current: int) -> bytes:
+        """Current, velocity and position registers, which every cycle reads; `sense` has been called."""
+        position = self.axis.position
+        sign = position.sign
+        return self.table.layout.motion.pack(sign * current, sign * velocity, position.present)
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
+        goal = self._goal
+        if goal is not None and not dry and address == goal.address and self._rewrite(goal, data):
+            return protocol.OK
         try:
             plan = self.table.plan(address, len(data))
             values = [(r, r.decode(data[k : k + r.size])) for r, k in plan]
@@ -152,9 +179,35 @@ class Servo:
         except WriteRefused as refused:
             return refused.code
         if not dry:
+            self._goal = None
             for register, raw in values:
                 self._store(register, raw)
+            if len(values) == 1 and values[0][0].name in GOALS and self.axis.torque:
+                self._goal = self._place(address, data, values[0][0])
         return protocol.OK
+
+    def _rewrite(self, goal: _Goal, data: bytes) -> bool:
+        """Write a goal where one was written last; False where it is to be looked at closely."""
+        if data == goal.data and not self.axis.trajectory.ongoing:
+            return True
+        raw = goal.register.decode(data)
+        if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
+            return False
+        self._goal = goal._replace(data=data)
+        self.table.put(goal.register.name, raw)
+        self.axis.pursue(goal.register.name, raw)
+        return True
+
+    def _place(self, address: int, data: bytes, register: Register) -> _Goal | None:
+        """What is to be known about the range of a goal that has just been written."""
+        bounds = self.table.bounds(register)
+        if bounds is None:
+            return None
+        low, high = bounds
+        if register.name == "goal_position" and self.axis.mode == POSITION:
+            get = self.table.get
+            low, high = max(low, get("min_position_limit")), min(high, get("max_position_limit"))
+        return _Goal(address, data, register, low, high)
 
     def register_write(self, address: int, data: bytes) -> int:
         """Keep a write for the action that will follow; the error number."""
@@ -180,6 +233,7 @@ class Servo:
         """The bus has been silent for too long: stop, hold, and say so."""
         self.table.put("bus_watchdog", -1)
         self.axis.trip()
+        self._forget()
 
     def raise_error(self, bits: int) -> None:
         """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
@@ -195,6 +249,7 @@ class Servo:
             return protocol.RESULT_FAIL
         self.axis.forget_turns()
         self.axis.drive()
+        self._forget()
         return protocol.OK
 
     def back_up(self, parameters: bytes) -> int:
@@ -255,7 +310,9 @@ class Servo:
             ):
                 self._set_torque(True)
             self.axis.pursue(name, raw)
-        elif name == "torque_enable":
+            return
+        self._forget()
+        if name == "torque_enable":
             self._set_torque(bool(raw))
         elif name == "bus_watchdog":
             self.axis.tripped = False
@@ -292,9 +349,16 @@ class Servo:
         self._moving_threshold = table.get("moving_threshold")
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
+        self._forget()
 
     def _set_torque(self, on: bool) -> None:
         if on and self._shut_down:
             on = False
         self.table.put("torque_enable", int(on))
         self.axis.set_torque(on)
+        self._forget()
+
+    def _forget(self) -> None:
+        """What was known about listening, answering and goals holds no more."""
+        self._goal = None
+        self._changed()
