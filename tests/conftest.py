@@ -4,6 +4,8 @@ import errno
 import os
 from pathlib import Path
 
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy comes; as the command line does
+
 import pytest
 from hypothesis import settings
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -69,10 +70,12 @@ class NonlinearLaw(Law):
         """No integral."""
 
 
+@lru_cache(maxsize=4096)
 def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Array]:
     """Discrete A (9, 9) and B (9, 3) of z = (e, integral of e, lagged correction), input: correction.
 
-    e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential.
+    e' = -w S e - v, q' = e, v' = (u - v) / lag; exact discretisation by the matrix exponential. Drives of one
+    process share what they ask for, so the arrays are read-only.
 
     Args:
         omega_rad_s: turn rate of the reference, rad/s.
@@ -88,7 +91,10 @@ def lag_model(omega_rad_s: float, dt_s: float, lag_s: float) -> tuple[Array, Arr
     a[6:9, 6:9] = -np.eye(3) / lag_s
     a[6:9, 9:12] = np.eye(3) / lag_s
     step = expm(a * dt_s)
-    return np.ascontiguousarray(step[:9, :9]), np.ascontiguousarray(step[:9, 9:])
+    model = np.ascontiguousarray(step[:9, :9]), np.ascontiguousarray(step[:9, 9:])
+    for matrix in model:
+        matrix.flags.writeable = False
+    return model
 
 
 def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_cost: Array) -> list[Array]:
@@ -136,13 +142,10 @@ class OptimalLaw(Law):
     ) -> None:
         q, q_i, r = weights
         steps = max(2, round(duration_s / dt_s) + 2)
-        cache: dict[float, tuple[Array, Array]] = {}
         models = []
         for k in range(steps + round(5.0 / dt_s)):
-            omega = round(float(omega_at(min(k * dt_s, duration_s))), 4)
-            if omega not in cache:
-                cache[omega] = lag_model(omega, dt_s, lag_s)
-            models.append(cache[omega])
+            omega = round(float(omega_at(min(k * dt_s, duration_s))), 4) + 0.0  # -0.0 is no other rate
+            models.append(lag_model(omega, dt_s, lag_s))
         state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
         if q_i == 0.0:
             models = [_without_integral(m) for m in models]
