@@ -36,7 +36,7 @@ import numpy as np
 
 from hil.bench import open_bench
 from hil.live import LivePlan, LiveSession
-from hil.monitor import RerunMonitor
+from hil.monitor import RerunMonitor, Scene
 from hil.recording.mcap_writer import McapRecorder
 from hil.ring.realtime import RealTime, idle_loop
 from hil.robot.trajectories import Trajectory, through
@@ -194,7 +194,8 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         bench = open_bench("emulated", realtime=True, seed=options.seed, overrides=overrides)
         stack.callback(bench.close)
         recorder = McapRecorder(folder / "run.mcap", bench.header(), lossless=False)
-        monitor = RerunMonitor(",".join(targets), lossless=False, geometry=bench.geometry)
+        scene = Scene.of(bench.config, bench.geometry)
+        monitor = RerunMonitor(",".join(targets), lossless=False, scene=scene)
         memory, timed = Memory(), Timed(recorder)
         for sink in (timed, monitor, memory):
             bench.add_sink(sink)

@@ -32,6 +32,8 @@ from hil.vocabulary.signals import CycleRecord, RobotState
 
 _SETTLE_S = 0.5
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
+_RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
+"""Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
 
 OnCycle = Callable[[CycleRecord], None]
 
@@ -163,6 +165,11 @@ class Bench(Blueprint):
             return None
         self.world.sync_plant()
         return self.world.plant.truth()
+
+    def _recorded_truth(self) -> Mapping[str, object] | None:
+        """What of `truth` goes into the records."""
+        truth = self.truth()
+        return None if truth is None else {name: getattr(truth, name) for name in _RECORDED}
 
     def settle(self, duration_s: float = _SETTLE_S) -> Array:
         """Rest, and return the pose (3,) as `measured_pose` does.
@@ -312,6 +319,7 @@ class Bench(Blueprint):
             rate_hz=config.rate_hz,
             late_after_s=config.late_after_s,
             sinks=(*self._sinks, self._hold),
+            truth=self._recorded_truth,
         )
         self.statistics = loop.statistics
         return loop

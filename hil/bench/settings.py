@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from dataclasses import fields
 
 import numpy as np
@@ -11,7 +12,6 @@ from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
-from hil.config.robot import GRAVITY_M_S2
 from hil.config.servos import ServosConfig
 from hil.ring.alignment import AlignmentParameters
 from hil.ring.crosscheck import SteeringWatch
@@ -118,16 +118,8 @@ def nominal_of(config: BenchConfig) -> Nominal:
 
 def load_shares(config: BenchConfig) -> Array:
     """(4,) share of the normal load on each wheel at heading 0, from the robot's data by statics."""
-    robot = config.robot
-    x, y, height = robot.centre_of_mass_m
-    weight = robot.mass_kg * GRAVITY_M_S2
-    total, moment_x, moment_y = weight, weight * x, weight * y
-    if config.environment.on_wall:
-        thrust = robot.thrust_compensation * weight
-        total, moment_y = robot.edf_force_n, 0.0
-        moment_x = robot.propeller_height_m * thrust - height * weight
-    statics = np.stack([np.ones(4), np.array(robot.wheel_x_m), np.array(robot.wheel_y_m)])
-    loads = np.maximum(np.linalg.pinv(statics) @ np.array([total, moment_x, moment_y]), 0.0)
+    on_wall = config.environment.on_wall
+    loads = config.robot.wheel_loads_n(math.pi / 2.0 if on_wall else 0.0, adheres=on_wall)
     return np.asarray(loads / loads.sum(), dtype=np.float64)
 
 

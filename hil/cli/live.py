@@ -191,9 +191,9 @@ def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
 def _monitor(bench: Bench, view: str | None) -> RerunMonitor | None:
     if view is None:
         return None
-    from hil.monitor import RerunMonitor
+    from hil.monitor import RerunMonitor, Scene
 
-    monitor = RerunMonitor(view, lossless=False, geometry=bench.geometry)
+    monitor = RerunMonitor(view, lossless=False, scene=Scene.of(bench.config, bench.geometry))
     bench.add_sink(monitor)
     return monitor
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+import numpy as np
 
 from hil.cli.options import rerun_option
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from hil.replay.recordings import OpenedRecording
     from hil.ring.motion import Motion
 
+_PATH_POINTS = 400
 _KINDS = ("odometry", "ekf", "ukf", "smoother")
 _COLUMNS = (
     ("rmse_position_m", "rmse mm", 1e3),
@@ -78,7 +80,7 @@ def command(
         result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
         motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
-        _show(opened.bench, motions, view)
+        _show(opened.bench, run, motions, view)
         if page is not None:
             from hil.replay.page import write_replay_page
 
@@ -117,14 +119,18 @@ def _compared(
         return motions, table(motions)
 
 
-def _show(bench: Blueprint, motions: dict[str, Motion], view: str | None) -> None:
+def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: str | None) -> None:
     """Play the run to the monitor, the estimators as further paths."""
     if view is None:
         return
-    from hil.monitor import RerunMonitor
+    from hil.monitor import RerunMonitor, Scene
     from hil.replay.comparison import beside
 
-    monitor = RerunMonitor(view, lossless=True, geometry=bench.geometry)
+    scene = Scene.of(bench.config, bench.geometry, recorded=True)
+    monitor = RerunMonitor(view, lossless=True, scene=scene)
+    planned = [r.reference.pose_in_wall[:2] for r in run.records if r.reference is not None]
+    if planned:
+        monitor.show_path(np.array(planned[:: max(1, len(planned) // _PATH_POINTS)]))
     for record in beside(motions):
         monitor.write(record)
     monitor.close()

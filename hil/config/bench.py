@@ -14,6 +14,7 @@ from hil.config.device import DeviceConfig
 from hil.config.environment import EnvironmentConfig
 from hil.config.estimator import EstimatorConfig
 from hil.config.mocap import MocapConfig
+from hil.config.monitor import MonitorConfig
 from hil.config.robot import RobotConfig
 from hil.config.sections import (
     AlignmentConfig,
@@ -54,6 +55,7 @@ class BenchConfig(Strict):
     robot: RobotConfig = RobotConfig()
     control: ControlConfig = ControlConfig()
     estimator: EstimatorConfig = EstimatorConfig()
+    monitor: MonitorConfig = MonitorConfig()
 
     def devices(self) -> dict[str, DeviceConfig]:
         """Configured devices by kind, in the fixed order."""

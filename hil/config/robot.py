@@ -9,7 +9,10 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from hil.vocabulary.geometry import Array
 
 GRAVITY_M_S2 = 9.81
 _LEAST_FRICTION = 0.45
@@ -54,18 +57,43 @@ class RobotConfig(BaseModel):
     creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
     supply_v: Annotated[float, Field(ge=9.5, le=30)] = 11.1
 
+    @property
+    def weight_n(self) -> float:
+        """What the robot weighs."""
+        return self.mass_kg * GRAVITY_M_S2
+
     def hold_limit_rad(self) -> float | None:
         """Largest heading at which the robot holds on a wall of friction 0.45 (melamine, assumed).
 
         There |m g - T e^(i heading)| = friction * adhesion, T the thrust of the propellers. None for a robot
         that holds at no heading.
         """
-        weight = self.mass_kg * GRAVITY_M_S2
+        weight = self.weight_n
         thrust, friction = self.thrust_compensation * weight, _LEAST_FRICTION * self.edf_force_n
         if thrust <= 0.0:
             return math.pi / 2.0 if friction >= weight else None
         cosine = (weight**2 + thrust**2 - friction**2) / (2.0 * weight * thrust)
         return None if cosine > 1.0 else min(math.acos(max(cosine, -1.0)), math.pi / 2.0)
+
+    def wheel_loads_n(self, tilt_rad: float, heading_rad: float = 0.0, *, adheres: bool = True) -> Array:
+        """(4,) normal loads at rest by statics, N; zero for a wheel that would have to pull.
+
+        Args:
+            tilt_rad: of the surface: 0 floor, pi/2 wall.
+            heading_rad: of the robot, from up the surface.
+            adheres: whether fan and propellers work, as they do on a wall.
+        """
+        x, y, height = self.centre_of_mass_m
+        weight = self.weight_n
+        press, along = weight * math.cos(tilt_rad), weight * math.sin(tilt_rad)
+        moment_x = press * x - height * along * math.cos(heading_rad)
+        moment_y = press * y + height * along * math.sin(heading_rad)
+        if adheres:
+            press += self.edf_force_n
+            moment_x += self.propeller_height_m * self.thrust_compensation * weight
+        statics = np.stack([np.ones(4), np.array(self.wheel_x_m), np.array(self.wheel_y_m)])
+        loads = np.maximum(np.linalg.pinv(statics) @ np.array([press, moment_x, moment_y]), 0.0)
+        return np.asarray(loads * press / loads.sum() if loads.any() else loads, dtype=np.float64)
 
     @field_validator("wheel_radius_m")
     @classmethod

@@ -35,12 +35,12 @@ def main(targets: Sequence[str], pipe: BinaryIO) -> int:
 
     from hil.monitor.stream import RerunStream
 
-    _, _, geometry = _frame(pipe)
-    if not geometry:
+    _, _, scene = _frame(pipe)
+    if not scene:
         return 0
     os.write(sys.stdout.fileno(), READY)
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
-    stream = RerunStream(tuple(targets), pickle.loads(geometry))
+    stream = RerunStream(tuple(targets), pickle.loads(scene))
     while True:
         kind, dropped, payload = _frame(pipe)
         if kind == PATH:

@@ -1,10 +1,11 @@
-"""Layout and colours of the Rerun window: the wall on the left, the operator's figures on the right."""
+"""Layout and colours of the Rerun window: the robot on the left, the operator's figures on the right."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
+from hil.monitor.solid import Eye
 from hil.vocabulary.kinds import kinds
 
 Colour = tuple[int, int, int]
@@ -17,7 +18,13 @@ PATH_COLOURS: dict[str, Colour] = {
     "ekf": (145, 30, 180),
     "ukf": (0, 160, 160),
 }
-_WALL = "Wall (m): estimate blue, truth green, reference grey, odometry orange, EKF violet, UKF teal"
+_COLOURS = "estimate blue, truth green, reference grey, odometry orange, EKF violet, UKF teal"
+_ROBOT, _NEAR, _WALL = f"Robot: {_COLOURS}", "Near", "Flat (m)"
+_BACKGROUND: Colour = (246, 248, 250)
+SCENE, ROBOT = "scene", "scene/wall/estimate"
+"""Root of what the three-dimensional views show, and the frame of the robot in it."""
+LABELLED = ("slip", "loads")
+"""Below `ROBOT`: arrows whose labels the view beside the robot shows; others tell theirs to the mouse."""
 TABS = ("Motion", "Servos", "Estimator", "Loop", "Health")
 """The tabs that every bench has; kinds of devices may add their own."""
 
@@ -29,7 +36,20 @@ _BY_MEASUREMENT = {"wheels": 0, "gyro": 1, "tracker": 2, "gravity": 4, "mocap": 
 _BY_DEVICE = (0, 6, 1, 2, 5)
 """Colours of measurements by name and of the first kinds of devices: what belongs together looks alike."""
 
-Bounds = tuple[tuple[float, float], tuple[float, float]]
+
+class Sight(NamedTuple):
+    """What of the surface is in view.
+
+    Attributes:
+        x_range, y_range: of the flat view, (right, down) in m.
+        eye: of the view in three dimensions, in the scene.
+        near: of the one beside the robot, in its body.
+    """
+
+    x_range: tuple[float, float]
+    y_range: tuple[float, float]
+    eye: Eye
+    near: Eye
 
 
 def line_colours(names: Sequence[str], before: int = 0) -> list[Colour]:
@@ -52,13 +72,14 @@ def _paler(colour: Colour) -> Colour:
     return (red, green, blue)
 
 
-def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
+def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
     """The layout; needs the `rerun` extra.
 
     Args:
-        bounds: ranges of the wall view, (right, down) in m; whatever is drawn when None.
+        sight: what is in view; whatever is drawn when None.
         tab: which of `TABS` is in front.
     """
+    import rerun as rr
     import rerun.blueprint as rrb
 
     def plot(name: str, *entities: str) -> Any:
@@ -72,7 +93,22 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
     def of_devices(tab: str) -> list[Any]:
         return [plot(p.title, p.entity) for p in drawn if p.tab == tab]
 
-    area = None if bounds is None else rrb.VisualBounds2D(x_range=bounds[0], y_range=bounds[1])
+    def in_space(name: str, origin: str, eye: Eye | None, *labelled: str) -> Any:
+        controls = None
+        if eye is not None:
+            controls = rrb.EyeControls3D(position=eye.place, look_target=eye.target, eye_up=eye.up)
+        return rrb.Spatial3DView(
+            origin=origin, contents=f"/{SCENE}/**", name=name, eye_controls=controls,
+            background=_BACKGROUND, line_grid=rrb.LineGrid3D(visible=False),
+            overrides={entity: [rr.Arrows3D.from_fields(show_labels=True)] for entity in labelled},
+        )  # fmt: skip
+
+    area, eye, near = None, None, None
+    if sight is not None:
+        area = rrb.VisualBounds2D(x_range=sight.x_range, y_range=sight.y_range)
+        eye, near = sight.eye, sight.near
+    robot = in_space(_ROBOT, f"/{SCENE}", eye)
+    nearby = in_space(_NEAR, f"/{ROBOT}", near, *(f"/{ROBOT}/{arrows}" for arrows in LABELLED))
     wall = rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
     log = rrb.TextLogView(origin="/events", name="Faults and events")
     tabs = (
@@ -105,9 +141,13 @@ def blueprint(bounds: Bounds | None = None, tab: str = TABS[0]) -> Any:
     )
     return rrb.Blueprint(
         rrb.Horizontal(
-            rrb.Vertical(wall, log, row_shares=[4, 1]),
+            rrb.Vertical(
+                rrb.Tabs(robot, nearby, wall, active_tab=0),
+                log,
+                row_shares=[5, 1],
+            ),
             rrb.Tabs(*tabs, active_tab=TABS.index(tab)),
-            column_shares=[1, 1],
+            column_shares=[5, 4],
         ),
         rrb.BlueprintPanel(state="hidden"),
         rrb.SelectionPanel(state="hidden"),

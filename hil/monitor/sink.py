@@ -16,7 +16,8 @@ import threading
 from collections import deque
 from pathlib import Path
 
-from hil.robot.kinematics import WheelGeometry
+from hil.monitor.scene import Scene
+from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
 from hil.vocabulary.geometry import Array
@@ -26,7 +27,7 @@ from hil.vocabulary.signals import CycleRecord
 LOG = logging.getLogger(__name__)
 
 FRAME = struct.Struct("<cIQ")
-RECORD, END, GEOMETRY, PATH = b"R", b"E", b"G", b"P"
+RECORD, END, SCENE, PATH = b"R", b"E", b"S", b"P"
 LIVE = ("spawn", "connect", "serve")
 READY = b"hil monitor ready\n"
 
@@ -63,7 +64,7 @@ class RerunMonitor(Sink):
         target: `spawn`, `connect`, `serve`, a `rerun+http://` URL or a `.rrd` file, or several of
             them separated by commas.
         lossless: send in the caller's thread and drop nothing (virtual time).
-        geometry: wheel geometry of the outline; nominal when None.
+        scene: robot and surface that are drawn; those of the paper when None.
         capacity: cycles that may wait before the oldest is dropped.
         patience_s: how long the viewer may take for the rest when all is over.
 
@@ -80,7 +81,7 @@ class RerunMonitor(Sink):
         target: str,
         *,
         lossless: bool,
-        geometry: WheelGeometry | None = None,
+        scene: Scene | None = None,
         capacity: int = _CAPACITY,
         patience_s: float = _CLOSE_S,
     ) -> None:
@@ -93,14 +94,14 @@ class RerunMonitor(Sink):
         self.failure = ""
         self._closed = False
         self._capacity, self._patience_s = capacity, patience_s
-        self._geometry = geometry if geometry is not None else WheelGeometry.nominal()
+        self._scene = Scene() if scene is None else scene
         self._waiting: deque[CycleRecord | Array | None] = deque()
         self._something = threading.Event()
         self._stream = self._process = self._thread = None
         if lossless:
             from hil.monitor.stream import RerunStream
 
-            self._stream = RerunStream(targets, self._geometry)
+            self._stream = RerunStream(targets, self._scene, moved_ns=NS_PER_S)
             return
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hil.monitor", *targets],
@@ -117,7 +118,7 @@ class RerunMonitor(Sink):
         assert self._process is not None
         assert self._process.stdout is not None
         try:
-            self._send(GEOMETRY, pickle.dumps(self._geometry))
+            self._send(SCENE, pickle.dumps(self._scene))
             ready = any(line == READY for line in iter(self._process.stdout.readline, b""))
         except OSError:
             ready = False

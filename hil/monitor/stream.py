@@ -1,4 +1,4 @@
-"""Sends cycle records to Rerun in batches: columns for the plots, shapes for the wall view.
+"""Sends cycle records to Rerun in batches: columns for the plots, shapes for the wall, the robot in space.
 
 Single-threaded. In a run in real time it lives in a process of its own (`hil.monitor.__main__`), so
 that neither the interpreter lock nor a stalled viewer can reach the loop.
@@ -13,15 +13,17 @@ from urllib.parse import quote
 
 import numpy as np
 
-from hil.monitor import shapes, viewer
-from hil.monitor.blueprint import PATH_COLOURS, Colour, blueprint, line_colours
+from hil.monitor import shapes, solid, viewer
+from hil.monitor.blueprint import PATH_COLOURS, Colour, Sight, blueprint, line_colours
+from hil.monitor.moments import Moments
+from hil.monitor.robot_view import RobotView
+from hil.monitor.scene import Scene
 from hil.monitor.series import (
     Series,
     SeriesCollector,
     conditions,
     finite,
 )
-from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import WHEELS, CycleRecord
@@ -42,29 +44,34 @@ class RerunStream:
     Args:
         targets: any of `spawn`, `connect`, `serve`, a `rerun+http://` URL, or the name of a `.rrd`
             file; several at once are fed the same.
-        geometry: wheel geometry of the outline.
+        scene: robot and surface.
         tab: which of the blueprint's tabs is in front.
+        moved_ns: how often the robot's moments are sent: often to a viewer that follows a loop, rarely where
+            nobody waits, because each piece has a head.
     """
 
-    def __init__(self, targets: tuple[str, ...], geometry: WheelGeometry, *, tab: str = "Motion") -> None:
+    def __init__(
+        self, targets: tuple[str, ...], scene: Scene, *, tab: str = "Motion", moved_ns: int = _BATCH_NS
+    ) -> None:
         import rerun
 
         self._rr = rerun
-        self._geometry, self._tab = geometry, tab
+        self._scene, self._tab, self._every_ns = scene, tab, moved_ns
         self._server: subprocess.Popen[bytes] | None = None
         self._stream = rerun.RecordingStream("hil", send_properties=False)
         layout = blueprint(tab=tab)
         self._stream.set_sinks(*(self._sink(t) for t in targets), default_blueprint=layout)
         self._stream.send_blueprint(layout)
         self._extent: tuple[Array, Array] | None = None
-        self._collector = SeriesCollector()
+        self._collector, self._moments = SeriesCollector(), Moments(scene)
+        self._robot = RobotView(self._stream, scene)
         self._trails: dict[str, shapes.Trail] = {}
         self._named: set[str] = set()
         self._conditions: dict[str, str] = {}
         self._latest: CycleRecord | None = None
         self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
         self._truth: Array | None = None
-        self._sent_ns = self._plotted_ns = self._trails_ns = -(1 << 62)
+        self._sent_ns = self._plotted_ns = self._trails_ns = self._moved_ns = -(1 << 62)
         self._dropped = 0
 
     def _sink(self, target: str) -> Any:
@@ -105,12 +112,14 @@ class RerunStream:
             if wrong != self._conditions.get(name, ""):
                 self._tell(record, f"{name}: {wrong or 'good again'}", "WARN" if wrong else "INFO")
             self._conditions[name] = wrong
+        self._moments.add(record, self._collector.seconds(record))
         if not 0 <= record.inputs.t_ns - self._sent_ns < _BATCH_NS:
             self.flush()
 
     def path(self, points: Array) -> None:
         """Draw the path (n, 2) that the robot is going to follow, wall frame, m."""
         self._strip("path/planned", [points], PATH_COLOURS["reference"], 0.75, static=True)
+        self._robot.path("planned", points, static=True)
         self._show_all(points)
 
     def dropped(self, total: int) -> None:
@@ -130,6 +139,9 @@ class RerunStream:
         if not 0 <= record.inputs.t_ns - self._plotted_ns < _PLOTS_NS:
             self._send_plots()
             self._plotted_ns = record.inputs.t_ns
+        if not 0 <= record.inputs.t_ns - self._moved_ns < self._every_ns:
+            self._send_moments()
+            self._moved_ns = record.inputs.t_ns
         self._at(record)
         if finite(record.state.pose_body_in_wall):
             self._show_all(record.state.pose_body_in_wall[None, :2])
@@ -142,6 +154,7 @@ class RerunStream:
         """Send the rest and let go of the outputs."""
         self.flush()
         self._send_plots()
+        self._send_moments()
         if self._latest is not None:
             self._send_trails()
         try:
@@ -157,17 +170,21 @@ class RerunStream:
         self._stream.log("events", self._rr.TextLog(text, level=level))
 
     def _show_all(self, points: Array) -> None:
-        """Widen the wall view so that the robot fits in everywhere on these points (n, 2)."""
-        seen = shapes.to_view(points)
-        low, high = seen.min(axis=0), seen.max(axis=0)
+        """Widen the views so that the robot fits in everywhere on these points (n, 2), wall frame, m."""
+        low, high = points.min(axis=0), points.max(axis=0)
         if self._extent is not None:
             known_low, known_high = self._extent
             if (low >= known_low - _VIEW_SLACK_M).all() and (high <= known_high + _VIEW_SLACK_M).all():
                 return
             low, high = np.minimum(low, known_low), np.maximum(high, known_high)
         self._extent = (low, high)
-        (left, top), (right, bottom) = (low - _VIEW_MARGIN_M).tolist(), (high + _VIEW_MARGIN_M).tolist()
-        self._stream.send_blueprint(blueprint(((left, right), (top, bottom)), self._tab))
+        low, high = low - _VIEW_MARGIN_M, high + _VIEW_MARGIN_M
+        (left, top), (right, bottom) = np.sort(shapes.to_view(np.stack([low, high])), axis=0).tolist()
+        self._robot.surface(low, high)
+        tilt_rad = self._scene.tilt_rad
+        eye, near = solid.overview(low, high, tilt_rad), solid.beside(tilt_rad)
+        sight = Sight((left, right), (top, bottom), eye, near)
+        self._stream.send_blueprint(blueprint(sight, self._tab))
 
     def _at(self, record: CycleRecord) -> None:
         self._stream.set_time("time", duration=self._collector.seconds(record))
@@ -175,6 +192,12 @@ class RerunStream:
 
     def _trail(self, name: str, pose: Array) -> None:
         self._trails.setdefault(name, shapes.Trail()).add(float(pose[0]), float(pose[1]))
+
+    def _send_moments(self) -> None:
+        moments = self._moments.take()
+        if moments:
+            self._robot.move(moments)
+            self._robot.explain(moments)
 
     def _send_plots(self) -> None:
         for entity, series in self._collector.take():
@@ -203,7 +226,7 @@ class RerunStream:
         )
 
     def _send_robot(self, record: CycleRecord) -> None:
-        rr, geometry = self._rr, self._geometry
+        rr, geometry = self._rr, self._scene.geometry
         pose, colour = record.state.pose_body_in_wall, PATH_COLOURS["estimate"]
         steering_rad, rate_rad_s = self._wheels
         self._strip("robot/body", [shapes.body_outline(pose, geometry)], colour, 1.5)
@@ -242,3 +265,4 @@ class RerunStream:
             points = trail.points()
             if len(points) > 1:
                 self._strip(f"path/{name}", [points], PATH_COLOURS.get(name, _OTHER_COLOUR), 1.0)
+                self._robot.path(name, points)

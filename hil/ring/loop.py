@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -149,6 +150,7 @@ class ControlLoop:
         late_after_s: a start later than this after its deadline counts as late.
         sinks: receive every cycle.
         idle: called with the next deadline when a cycle is done; may use the time until then.
+        truth: what an emulated robot really does, for the records only: nothing that decides sees it.
     """
 
     def __init__(
@@ -161,8 +163,9 @@ class ControlLoop:
         late_after_s: float = 0.001,
         sinks: tuple[Sink, ...] = (),
         idle: Callable[[int], None] | None = None,
+        truth: Callable[[], Mapping[str, Any] | None] = lambda: None,
     ) -> None:
-        self.rig, self.clock, self.brain = rig, clock, brain
+        self.rig, self.clock, self.brain, self._truth = rig, clock, brain, truth
         self.period_ns = round(NS_PER_S / rate_hz)
         self.late_ns = round(late_after_s * NS_PER_S)
         self.sinks, self.idle = sinks, idle
@@ -204,7 +207,7 @@ class ControlLoop:
         record = CycleRecord(
             self._cycle, deadline_ns, start_ns, inputs, decision.measurements, decision.state,
             decision.reference, decision.setpoint, decision.command, decision.events, decision.observers,
-            timing,
+            timing, self._truth(),
         )  # fmt: skip
         for sink in self.sinks:  # 9
             sink.write(record)

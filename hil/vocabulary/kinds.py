@@ -144,6 +144,20 @@ class Plot(NamedTuple):
     entity: str
 
 
+class Force(NamedTuple):
+    """A force on the robot that the monitor draws as an arrow.
+
+    Attributes:
+        name: of what makes it: `fan`.
+        place_m: (3,) where it acts, in the body.
+        force_n: (3,) in the body.
+    """
+
+    name: str
+    place_m: Array
+    force_n: Array
+
+
 @dataclass(frozen=True)
 class Witness:
     """How a kind's samples tell whether the robot moves.
@@ -184,6 +198,8 @@ class DeviceKind:
         topics: where its samples are recorded.
         figures: what the monitor draws of a cycle: (entity, figures by name) for each plot.
         plots: where the monitor draws them.
+        forces: what a cycle's samples tell of forces on the robot, of (inputs, `[robot]` of the bench file);
+            the monitor draws them instead of those that `[robot]` promises.
         witness: how it tells whether the robot moves; None if it cannot.
         look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
         package: name and version of the package that it comes from; filled in when it is loaded.
@@ -206,6 +222,7 @@ class DeviceKind:
     topics: tuple[Topic, ...] = ()
     figures: Callable[[Inputs], Iterator[tuple[str, Figures]]] = lambda inputs: iter(())
     plots: tuple[Plot, ...] = ()
+    forces: Callable[[Inputs, Any], Iterator[Force]] = lambda inputs, robot: iter(())
     witness: Witness | None = None
     look: Callable[[Any], Iterable[Finding]] | None = None
     package: str = "hil"

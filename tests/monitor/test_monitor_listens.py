@@ -54,14 +54,14 @@ def test_a_stream_that_serves_takes_records_and_ends_its_server(monkeypatch, cap
     from test_monitor_sink import shown
 
     from hil.monitor.stream import RerunStream
-    from hil.robot.kinematics import WheelGeometry
+    from hil.monitor import Scene
 
     grpc_port, web_port = free_port(), free_port()
     monkeypatch.setattr(viewer, "url", lambda: f"rerun+http://127.0.0.1:{grpc_port}/proxy")
     serve = viewer.serve
     monkeypatch.setattr(viewer, "serve", lambda: serve(grpc_port, web_port))
     monkeypatch.setattr(viewer, "WEB_PORT", web_port)
-    stream = RerunStream(("serve",), WheelGeometry.nominal())
+    stream = RerunStream(("serve",), Scene())
     assert addresses(grpc_port) == addresses(web_port) == {LOOPBACK}
     for k in range(50):
         stream.add(shown(k))

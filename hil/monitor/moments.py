@@ -1,0 +1,166 @@
+"""What the three-dimensional view shows of each moment: the newest that is known of the robot; no Rerun.
+
+Truth is that of the emulated robot where the record carries it, else what motion capture sees. Slip is the
+emulated robot's own, else what is left of the seen motion beyond what the wheels roll. Loads are the emulated
+robot's own, else those of statics.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.monitor import solid
+from hil.monitor.scene import Scene
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array, between, se2_log
+from hil.vocabulary.kinds import Force, kinds
+from hil.vocabulary.signals import CycleRecord, Inputs
+
+_ROW_NS = NS_PER_S // 20
+_SLIP_WINDOW_NS = NS_PER_S // 2
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The robot at one time; None where nothing is known yet.
+
+    Attributes:
+        t_s, cycle: when.
+        pose: (3,) estimated, wall frame.
+        covariance: (6, 6) of it.
+        steering_rad, wheel_angle_rad: (4,) measured.
+        truth, reference: (3,) poses in the wall frame.
+        slip_m_s: (4, 2) along and across each wheel.
+        load_n: (4,) normal loads.
+        forces: on the robot, beside its weight and its wheels.
+    """
+
+    t_s: float
+    cycle: int
+    pose: Array
+    covariance: Array
+    steering_rad: Array
+    wheel_angle_rad: Array
+    truth: Array | None
+    reference: Array | None
+    slip_m_s: Array | None
+    load_n: Array
+    forces: tuple[Force, ...]
+
+
+class Moments:
+    """Collects moments from cycles, twenty a second at most.
+
+    Args:
+        scene: robot and surface.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._steering, self._wheel_angle = np.zeros(4), np.zeros(4)
+        self._truth: Array | None = None
+        self._reference: Array | None = None
+        self._plant: Mapping[str, Any] = {}
+        self._seen: deque[tuple[int, Array, Array]] = deque()
+        self._forces: dict[str, tuple[Force, ...]] = {}
+        self._taken_ns = -(1 << 62)
+        self._rows: list[Moment] = []
+
+    def add(self, record: CycleRecord, t_s: float) -> None:
+        """Take one cycle.
+
+        Args:
+            record: of the cycle.
+            t_s: its time in the view.
+        """
+        self._note_wheels(record)
+        self._note_truth(record)
+        self._note_forces(record.inputs)
+        pose = record.state.pose_body_in_wall
+        due = not 0 <= record.inputs.t_ns - self._taken_ns < _ROW_NS
+        if due and np.isfinite(pose).all():
+            self._taken_ns = record.inputs.t_ns
+            self._rows.append(self._moment(record, t_s))
+
+    def take(self) -> list[Moment]:
+        """Everything since the last call."""
+        taken, self._rows = self._rows, []
+        return taken
+
+    def _note_wheels(self, record: CycleRecord) -> None:
+        """The newest figures of every wheel; what a servo did not say stays as it was."""
+        for wheels in record.measurements.wheels[-1:]:
+            self._steering = _known(wheels.steering_rad, self._steering)
+            self._wheel_angle = _known(wheels.wheel_angle_rad, self._wheel_angle)
+
+    def _note_truth(self, record: CycleRecord) -> None:
+        if record.truth is not None:
+            self._plant = record.truth
+            self._truth = np.asarray(self._plant["pose_body_in_wall"], dtype=np.float64)
+        for mocap in record.measurements.mocap:
+            if mocap.valid:
+                self._seen.append((mocap.stamp.t_ns, mocap.pose, self._wheel_angle))
+                self._truth = self._truth if self._plant else mocap.pose
+        while self._seen and record.inputs.t_ns - self._seen[0][0] > _SLIP_WINDOW_NS:
+            self._seen.popleft()
+        if record.reference is not None:
+            self._reference = record.reference.pose_in_wall
+
+    def _note_forces(self, inputs: Inputs) -> None:
+        for name, kind in kinds().items():
+            told = tuple(kind.forces(inputs, self._scene.robot))
+            if told:
+                self._forces[name] = told
+
+    def _moment(self, record: CycleRecord, t_s: float) -> Moment:
+        pose = record.state.pose_body_in_wall
+        return Moment(
+            t_s, record.cycle, pose, record.state.covariance, self._steering, self._wheel_angle,
+            self._truth, self._reference, self._slip(), self._loads(float(pose[2])), self._all_forces(),
+        )  # fmt: skip
+
+    def _slip(self) -> Array | None:
+        if self._plant:
+            return np.asarray(self._plant["slip_m_s"], dtype=np.float64)
+        if len(self._seen) < 2:
+            return None
+        (begin_ns, begin, angle), (end_ns, end, end_angle) = self._seen[0], self._seen[-1]
+        if 2 * (end_ns - begin_ns) < _SLIP_WINDOW_NS:
+            return None
+        per_s = NS_PER_S / (end_ns - begin_ns)
+        twist, rate = se2_log(between(begin, end)) * per_s, (end_angle - angle) * per_s
+        return solid.slip_of_motion(twist, rate, self._steering, self._scene.geometry)
+
+    def _loads(self, heading_rad: float) -> Array:
+        if self._plant:
+            return np.asarray(self._plant["normal_load_n"], dtype=np.float64)
+        environment = self._scene.environment
+        return self._scene.robot.wheel_loads_n(environment.tilt_rad, heading_rad, adheres=environment.on_wall)
+
+    def _all_forces(self) -> tuple[Force, ...]:
+        told = tuple(force for forces in self._forces.values() for force in forces)
+        return told or assumed_forces(self._scene)
+
+
+def assumed_forces(scene: Scene) -> tuple[Force, ...]:
+    """What fan and propellers do on a wall, as `[robot]` promises; nothing on a floor, where they rest."""
+    robot = scene.robot
+    if not scene.environment.on_wall:
+        return ()
+    thrust_n = robot.weight_n * robot.thrust_compensation
+    found = [Force("fan (assumed)", np.zeros(3), np.array([0.0, 0.0, -robot.edf_force_n]))]
+    for side, name in ((1.0, "left"), (-1.0, "right")):
+        place = np.array([0.0, side * robot.propeller_y_m, robot.propeller_height_m])
+        share = 0.5 * (1.0 - side * robot.thrust_imbalance)
+        found.append(Force(f"{name} propeller (assumed)", place, np.array([share * thrust_n, 0.0, 0.0])))
+    return tuple(force for force in found if math.hypot(*force.force_n) > 0.0)
+
+
+def _known(new: Array, old: Array) -> Array:
+    return np.where(np.isfinite(new), new, old)

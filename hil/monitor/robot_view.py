@@ -1,0 +1,259 @@
+"""Draws the scene in Rerun: wall, robot with steering and turning wheels, truth, reference, arrows.
+
+Below `scene`, `wall` is tilted as the surface is and holds everything; `wall/estimate`, `wall/truth` and
+`wall/reference` are frames that move; the wheels turn in `wall/estimate`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hil.monitor import robot_parts, solid
+from hil.monitor.blueprint import PATH_COLOURS, ROBOT, SCENE, Colour
+from hil.monitor.moments import Moment
+from hil.monitor.scene import Scene
+from hil.monitor.series import finite
+from hil.vocabulary.geometry import Array, quat_from_yaw
+
+WALL = f"{SCENE}/wall"
+
+_SURFACE: Colour = (236, 231, 220)
+_GRID: Colour = (205, 199, 187)
+_EDGE: Colour = (120, 130, 145)
+_SLIP: Colour = (220, 40, 50)
+_LOAD: Colour = (235, 140, 30)
+_FORCE: Colour = (120, 90, 200)
+_WEIGHT: Colour = (60, 60, 70)
+_AXES = ((200, 60, 45), (30, 135, 70))
+_GRID_M = 0.25
+_EXPLAINED_S = 0.5 - 1e-6
+_GRID_ABOVE_M, _ABOVE_M = 0.001, 0.003  # what lies on the surface, above what it lies on
+_INSET_M = 0.15
+_FAN_M = (0.042, 0.05)
+
+
+class RobotView:
+    """The three-dimensional view of one Rerun recording.
+
+    Args:
+        stream: recording that it is drawn into.
+        scene: robot and surface.
+    """
+
+    def __init__(self, stream: Any, scene: Scene) -> None:
+        import rerun
+
+        self._rr, self._stream, self._scene = rerun, stream, scene
+        self._outlined: set[str] = set()
+        self._explained_s = -math.inf
+        self._draw_frames()
+        self._draw_robot()
+
+    def surface(self, low_m: Array, high_m: Array) -> None:
+        """Draw the surface: its usable part, or what of it is seen where it has no bounds.
+
+        Args:
+            low_m: (2,) lower corner of what is seen, wall frame.
+            high_m: (2,) upper corner.
+        """
+        rr, scene = self._rr, self._scene
+        seen = zip(low_m.tolist(), high_m.tolist(), strict=True)
+        (x0, x1), (y0, y1) = (
+            known or of for known, of in zip((scene.x_range_m, scene.y_range_m), seen, strict=True)
+        )
+        corners = [(x0, y0, 0.0), (x1, y0, 0.0), (x1, y1, 0.0), (x0, y1, 0.0)]
+        sheet = rr.Mesh3D(
+            vertex_positions=corners, triangle_indices=[(0, 1, 2), (0, 2, 3)], albedo_factor=_SURFACE
+        )
+        lines = [[(x, y0, _GRID_ABOVE_M), (x, y1, _GRID_ABOVE_M)] for x in _marks(x0, x1)]
+        lines += [[(x0, y, _GRID_ABOVE_M), (x1, y, _GRID_ABOVE_M)] for y in _marks(y0, y1)]
+        self._log(f"{WALL}/surface", sheet, static=True)
+        self._log(f"{WALL}/grid", self._lines(lines, _GRID, 0.5), static=True)
+        if scene.x_range_m or scene.y_range_m:
+            edge = self._lines([[*corners, corners[0]]], _EDGE, 3.0)
+            self._log(f"{WALL}/usable", edge, static=True)
+        self._draw_directions(low_m, high_m)
+
+    def _draw_directions(self, low_m: Array, high_m: Array) -> None:
+        """Axes of the wall and gravity, at corners of what is seen."""
+        rr = self._rr
+        corner = (low_m[0] + _INSET_M, high_m[1] - _INSET_M, _ABOVE_M)
+        axes = rr.Arrows3D(
+            origins=[corner] * 2, vectors=[(0.2, 0, 0), (0, 0.2, 0)], colors=_AXES, radii=0.005,
+            labels=["X", "Y"],
+        )  # fmt: skip
+        self._log(f"{WALL}/axes", axes, static=True)
+        place = np.array([high_m[0] - _INSET_M, low_m[1] + _INSET_M, 0.1])
+        gravity = rr.Arrows3D(
+            origins=[solid.wall_rotation(self._scene.tilt_rad) @ place], vectors=[(0, 0, -0.25)],
+            colors=[_WEIGHT], labels=["gravity"], radii=0.006,
+        )  # fmt: skip
+        self._log(f"{SCENE}/gravity", gravity, static=True)
+
+    def path(self, name: str, points: Array, *, static: bool = False) -> None:
+        """Draw a path (n, 2), wall frame, m."""
+        strip = np.column_stack([points, np.full(len(points), _ABOVE_M)])
+        colour = PATH_COLOURS.get(name, PATH_COLOURS["reference"])
+        lines = self._lines([strip], colour, 1.0 if static else 2.0)
+        self._stream.log(f"{WALL}/path/{name}", lines, static=static)
+
+    def move(self, moments: Sequence[Moment]) -> None:
+        """Place the robot, its wheels, truth and reference at each of some moments."""
+        rr, geometry = self._rr, self._scene.geometry
+        poses = {
+            "estimate": [(m, m.pose) for m in moments],
+            "truth": [(m, m.truth) for m in moments if m.truth is not None],
+            "reference": [(m, m.reference) for m in moments if m.reference is not None],
+        }
+        for name, placed in poses.items():
+            if placed:
+                self._place(name, [m for m, _ in placed], [pose for _, pose in placed])
+        turns = [solid.wheel_turns(m.steering_rad, m.wheel_angle_rad, geometry) for m in moments]
+        columns = rr.InstancePoses3D.columns(
+            translations=np.tile(solid.hub_places(geometry), (len(moments), 1)),
+            quaternions=_xyzw(np.concatenate(turns)),
+        )
+        self._columns(f"{ROBOT}/wheels", moments, columns.partition([4] * len(moments)))
+
+    def explain(self, moments: Sequence[Moment]) -> None:
+        """Draw how sure the estimate is, and what acts on the robot, twice a second of some moments."""
+        for m in moments:
+            if 0.0 <= m.t_s - self._explained_s < _EXPLAINED_S:
+                continue
+            self._explained_s = m.t_s
+            self._at(m)
+            if finite(m.covariance[:2, :2]):
+                ellipse = solid.ellipse_in_body(m.covariance, float(m.pose[2]))
+                lines = self._lines([ellipse], PATH_COLOURS["estimate"], 2.0)
+                self._log(f"{ROBOT}/covariance_95", lines)
+            self._explain_wheels(m)
+            self._explain_forces(m)
+
+    def _explain_wheels(self, m: Moment) -> None:
+        rr, geometry = self._rr, self._scene.geometry
+        loads = [f"{n:.1f} N" for n in m.load_n]
+        origins, vectors = solid.load_arrows(m.load_n, geometry)
+        arrows = rr.Arrows3D(
+            origins=origins, vectors=vectors, colors=[_LOAD], labels=loads, show_labels=False, radii=0.003
+        )
+        self._log(f"{ROBOT}/loads", arrows)
+        if m.slip_m_s is None or not finite(m.slip_m_s):
+            return
+        slips = [f"{1e3 * math.hypot(*slip):.1f} mm/s" for slip in m.slip_m_s]
+        origins, vectors = solid.slip_arrows(m.slip_m_s, m.steering_rad, geometry)
+        arrows = rr.Arrows3D(
+            origins=origins, vectors=vectors, colors=[_SLIP], labels=slips, show_labels=False, radii=0.003
+        )
+        self._log(f"{ROBOT}/slip", arrows)
+
+    def _explain_forces(self, m: Moment) -> None:
+        """Weight, fan and propellers; an arrow that pushes on the surface ends where it acts."""
+        scene, rr = self._scene, self._rr
+        weight = scene.robot.weight_n * solid.gravity_in_body(scene.tilt_rad, float(m.pose[2]))
+        named = [("weight", np.array(scene.robot.centre_of_mass_m), weight, _WEIGHT)]
+        named += [(f.name, f.place_m, f.force_n, _FORCE) for f in m.forces]
+        vectors = [solid.ARROW_M_PER_N * force for _, _, force, _ in named]
+        origins = [
+            place - vector if vector[2] < -abs(vector[0]) else place
+            for (_, place, _, _), vector in zip(named, vectors, strict=True)
+        ]
+        labels = [f"{name} {float(np.linalg.norm(force)):.0f} N" for name, _, force, _ in named]
+        arrows = rr.Arrows3D(
+            origins=origins, vectors=vectors, colors=[colour for *_, colour in named], labels=labels,
+            show_labels=False, radii=0.004,
+        )  # fmt: skip
+        self._log(f"{ROBOT}/forces", arrows)
+
+    def _draw_frames(self) -> None:
+        rr = self._rr
+        self._log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        tilted = rr.Transform3D(mat3x3=solid.wall_rotation(self._scene.tilt_rad))
+        self._log(WALL, tilted, static=True)
+
+    def _draw_robot(self) -> None:
+        """What belongs to the robot's frames and never moves in them."""
+        rr, scene = self._rr, self._scene
+        vertices, triangles, colours = robot_parts.wheel_mesh(float(np.mean(scene.geometry.radius_m)))
+        wheel = rr.Mesh3D(vertex_positions=vertices, triangle_indices=triangles, vertex_colors=colours)
+        self._log(f"{ROBOT}/wheels", wheel, static=True)
+        for part in scene.mounted:
+            w, *xyz = part.rotation_wxyz
+            device = rr.Boxes3D(
+                half_sizes=[(0.012, 0.018, 0.010)], centers=[part.position_m], quaternions=[(*xyz, w)],
+                colors=[(31, 95, 168)], labels=[part.name], show_labels=False, fill_mode="solid",
+            )  # fmt: skip
+            self._log(f"{ROBOT}/devices/{part.name}", device, static=True)
+        if scene.looks.mesh is None:
+            self._draw_body()
+        else:
+            self._draw_mesh(scene.looks.mesh)
+
+    def _draw_mesh(self, path: str) -> None:
+        rr, looks = self._rr, self._scene.looks
+        w, *xyz = looks.mesh_rotation_wxyz
+        placed = rr.Transform3D(
+            translation=looks.mesh_position_m, quaternion=(*xyz, w), scale=looks.mesh_unit_m
+        )
+        self._log(f"{ROBOT}/mesh", placed, static=True)
+        self._log(f"{ROBOT}/mesh", rr.Asset3D(path=path), static=True)
+
+    def _draw_body(self) -> None:
+        rr, scene = self._rr, self._scene
+        plate = rr.Boxes3D(
+            sizes=[(*robot_parts.plate_size(scene.geometry), robot_parts.PLATE_THICKNESS_M)],
+            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M)], colors=[robot_parts.LIGHT], fill_mode="solid",
+        )  # fmt: skip
+        fan = rr.Cylinders3D(
+            lengths=[_FAN_M[1]], radii=[_FAN_M[0]], colors=[robot_parts.DARK], fill_mode="solid",
+            centers=[(0.0, 0.0, robot_parts.PLATE_HEIGHT_M + 0.5 * _FAN_M[1])],
+        )  # fmt: skip
+        tubes = robot_parts.tubes(scene.robot, scene.geometry)
+        frame = rr.LineStrips3D(
+            [t.points for t in tubes], colors=[t.colour for t in tubes], radii=[t.radius_m for t in tubes]
+        )
+        for name, part in {"plate": plate, "fan": fan, "frame": frame}.items():
+            self._log(f"{ROBOT}/body/{name}", part, static=True)
+
+    def _place(self, name: str, moments: Sequence[Moment], poses: Sequence[Array]) -> None:
+        rr = self._rr
+        if name not in self._outlined:
+            self._outlined.add(name)
+            self._at(moments[0])
+            drawn = robot_parts.outline(self._scene.robot)
+            self._log(f"{WALL}/{name}/outline", self._lines([drawn], PATH_COLOURS[name], 1.5))
+        columns = rr.Transform3D.columns(
+            translation=np.stack([solid.translation(pose) for pose in poses]),
+            quaternion=_xyzw(np.stack([quat_from_yaw(float(pose[2])) for pose in poses])),
+        )
+        self._columns(f"{WALL}/{name}", moments, columns)
+
+    def _columns(self, entity: str, moments: Sequence[Moment], columns: Any) -> None:
+        rr = self._rr
+        times = rr.TimeColumn("time", duration=[m.t_s for m in moments])
+        cycles = rr.TimeColumn("cycle", sequence=[m.cycle for m in moments])
+        self._stream.send_columns(entity, indexes=[times, cycles], columns=columns)
+
+    def _at(self, m: Moment) -> None:
+        self._stream.set_time("time", duration=m.t_s)
+        self._stream.set_time("cycle", sequence=m.cycle)
+
+    def _log(self, entity: str, drawn: Any, *, static: bool = False) -> None:
+        self._stream.log(entity, drawn, static=static)
+
+    def _lines(self, strips: Sequence[Any], colour: Colour, width_px: float) -> Any:
+        rr = self._rr
+        return rr.LineStrips3D(strips, colors=[colour], radii=rr.Radius.ui_points(width_px))
+
+
+def _xyzw(quaternions_wxyz: Array) -> Array:
+    return np.asarray(quaternions_wxyz[:, [1, 2, 3, 0]], dtype=np.float64)
+
+
+def _marks(low: float, high: float) -> Array:
+    """Multiples of the grid's width between two bounds."""
+    first, last = math.ceil(low / _GRID_M), math.floor(high / _GRID_M)
+    return _GRID_M * np.arange(first, last + 1)
