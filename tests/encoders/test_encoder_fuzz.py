@@ -13,7 +13,7 @@ from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.encoders import EncoderNode
 from hil.fakes.plant_api import Plant, PlantState
-from hil.fakes.world import Scheduled, VirtualClock, World
+from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.signals import Status
 

@@ -157,9 +157,7 @@ class _Shape:
         x, y, z, qx, qy, qz, qw, error, parameters = values[place : place + _POSE_VALUES]
         body = BodyPose((x, y, z), (qx, qy, qz, qw), error, bool(parameters & _TRACKED))
         timestamp_s, exposure, received, sent, changed = values[-_END_VALUES:]
-        return Frame(
-            values[0], body, timestamp_s, exposure, received, sent, bool(changed & _MODELS_CHANGED)
-        )
+        return Frame(values[0], body, timestamp_s, exposure, received, sent, bool(changed & _MODELS_CHANGED))
 
 
 def _pass_over(cursor: Cursor, section: _Section, sized: bool) -> None:
