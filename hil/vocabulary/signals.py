@@ -320,8 +320,8 @@ class Event:
 class CycleRecord:
     """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.
 
-    `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what an
-    emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
+    `observers` holds the states of estimators that run beside the one in the loop, by name. `truth` is what
+    an emulated robot really did, where its world lives in this process: `t_ns`, `pose_body_in_wall` (3,),
     `steering_true_rad` (4,), `normal_load_n` (4,), `slip_m_s` (4, 2) along and across each wheel, `fallen`.
     """
 

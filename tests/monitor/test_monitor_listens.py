@@ -53,8 +53,8 @@ def test_the_server_for_browsers_listens_to_this_computer_only():
 def test_a_stream_that_serves_takes_records_and_ends_its_server(monkeypatch, capfd):
     from test_monitor_sink import shown
 
-    from hil.monitor.stream import RerunStream
     from hil.monitor import Scene
+    from hil.monitor.stream import RerunStream
 
     grpc_port, web_port = free_port(), free_port()
     monkeypatch.setattr(viewer, "url", lambda: f"rerun+http://127.0.0.1:{grpc_port}/proxy")
