@@ -67,7 +67,8 @@ class Moments:
         self._truth: Array | None = None
         self._reference: Array | None = None
         self._plant: Mapping[str, Any] = {}
-        self._seen: deque[tuple[int, Array, Array]] = deque()
+        self._seen: deque[tuple[int, Array]] = deque()
+        self._angles: deque[tuple[int, Array]] = deque()
         self._forces: dict[str, tuple[Force, ...]] = {}
         self._taken_ns = -(1 << 62)
         self._rows: list[Moment] = []
@@ -98,6 +99,7 @@ class Moments:
         for wheels in record.measurements.wheels[-1:]:
             self._steering = _known(wheels.steering_rad, self._steering)
             self._wheel_angle = _known(wheels.wheel_angle_rad, self._wheel_angle)
+            self._angles.append((wheels.stamp.t_ns, self._wheel_angle))
 
     def _note_truth(self, record: CycleRecord) -> None:
         if record.truth is not None:
@@ -105,10 +107,11 @@ class Moments:
             self._truth = np.asarray(self._plant["pose_body_in_wall"], dtype=np.float64)
         for mocap in record.measurements.mocap:
             if mocap.valid:
-                self._seen.append((mocap.stamp.t_ns, mocap.pose, self._wheel_angle))
+                self._seen.append((mocap.stamp.t_ns, mocap.pose))
                 self._truth = self._truth if self._plant else mocap.pose
-        while self._seen and record.inputs.t_ns - self._seen[0][0] > _SLIP_WINDOW_NS:
-            self._seen.popleft()
+        for known in (self._seen, self._angles):
+            while known and record.inputs.t_ns - known[0][0] > _SLIP_WINDOW_NS:
+                known.popleft()
         if record.reference is not None:
             self._reference = record.reference.pose_in_wall
 
@@ -126,16 +129,22 @@ class Moments:
         )  # fmt: skip
 
     def _slip(self) -> Array | None:
+        """The emulated robot's own; else the mean over a window in which poses and wheel angles are known."""
         if self._plant:
             return np.asarray(self._plant["slip_m_s"], dtype=np.float64)
-        if len(self._seen) < 2:
+        if len(self._seen) < 2 or len(self._angles) < 2:
             return None
-        (begin_ns, begin, angle), (end_ns, end, end_angle) = self._seen[0], self._seen[-1]
-        if 2 * (end_ns - begin_ns) < _SLIP_WINDOW_NS:
+        angles_ns, angles = [t for t, _ in self._angles], np.stack([angle for _, angle in self._angles])
+        inside = [(t, pose) for t, pose in self._seen if angles_ns[0] <= t <= angles_ns[-1]]
+        if not inside or 2 * (inside[-1][0] - inside[0][0]) < _SLIP_WINDOW_NS:
             return None
+        (begin_ns, begin), (end_ns, end) = inside[0], inside[-1]
         per_s = NS_PER_S / (end_ns - begin_ns)
-        twist, rate = se2_log(between(begin, end)) * per_s, (end_angle - angle) * per_s
-        return solid.slip_of_motion(twist, rate, self._steering, self._scene.geometry)
+        rolled = [np.diff(np.interp((begin_ns, end_ns), angles_ns, wheel))[0] for wheel in angles.T]
+        return solid.slip_of_motion(
+            se2_log(between(begin, end)) * per_s, np.array(rolled) * per_s, self._steering,
+            self._scene.geometry,
+        )  # fmt: skip
 
     def _loads(self, heading_rad: float) -> Array:
         if self._plant:
