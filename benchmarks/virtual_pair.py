@@ -65,11 +65,11 @@ def rig(seconds: float, cycle: Callable[[], None]) -> None:
 def wall(seconds: float, cycle: Callable[[], None]) -> None:
     """Drive a line up the wall by the EKF, recorded."""
     import hil
-    from hil.recording.mcap_file import McapFile
+    from hil.recording.mcap_writer import McapRecorder
     from hil.robot.trajectories import line
 
     with tempfile.TemporaryDirectory() as folder, hil.open_bench("emulated", seed=1) as bench:
-        bench.add_sink(McapFile(Path(folder) / "wall.mcap", bench.header()))
+        bench.add_sink(McapRecorder(Path(folder) / "wall.mcap", bench.header(), lossless=True))
         goal_m = min(0.05 * seconds, 1.0)
         bench.drive(line((0, 0, 0), (goal_m, 0, 0), duration_s=seconds), on_cycle=lambda record: cycle())
 

@@ -100,7 +100,8 @@ class CanChannel:
         message.timestamp = self._free_ns / NS_PER_S
         for queue in self._listeners:
             if queue is not sender:
-                queue.extend([(self._free_ns, message)] * copies)
+                for _ in range(copies):
+                    queue.append((self._free_ns, message))
 
     def check_plugged(self) -> None:
         """Raise as a CAN adapter does that has been pulled out."""
@@ -151,15 +152,15 @@ class WorldBus(can.BusABC):
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Next frame that has arrived; waits on world time. Raises `can.CanOperationError` if unplugged."""
         world, queue = self._channel.world, self._queue
-        deadline_ns = NEVER_NS if timeout is None else world.now_ns + nanoseconds(timeout)
+        deadline_ns = None if timeout == 0 else _deadline_ns(world.now_ns, timeout)
         while True:
             if not world.faults.empty:
                 self._channel.check_plugged()
             while queue and queue[0][0] <= world.now_ns:
                 message = queue.popleft()[1]
-                if self._matches_filters(message):
+                if self._filters is None or self._matches_filters(message):
                     return message
-            if world.now_ns >= deadline_ns:
+            if deadline_ns is None or world.now_ns >= deadline_ns:
                 return None
             step_ns = min(deadline_ns, world.next_due_ns(), queue[0][0] if queue else NEVER_NS)
             if step_ns >= NEVER_NS:
@@ -183,6 +184,10 @@ class WorldBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         return [{"interface": "hil", "channel": name} for name in _CHANNELS]
+
+
+def _deadline_ns(now_ns: int, timeout_s: float | None) -> int:
+    return NEVER_NS if timeout_s is None else now_ns + nanoseconds(timeout_s)
 
 
 class CanFace(Face):

@@ -51,10 +51,11 @@ class Serial(SerialBase):
     def _opened(self) -> SerialLine:
         if self._line is None:
             raise SerialException(errno.EBADF, "the port is not open")
-        try:
-            self._line.check_plugged()
-        except Unplugged as gone:
-            raise SerialException(errno.EIO, str(gone)) from None
+        if not self._line.world.faults.empty:
+            try:
+                self._line.check_plugged()
+            except Unplugged as gone:
+                raise SerialException(errno.EIO, str(gone)) from None
         return self._line
 
     @property
@@ -71,9 +72,9 @@ class Serial(SerialBase):
         """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
         line = self._opened()
         world = line.world
-        out = bytearray(line.take(size))
+        out = line.take(size)
         if len(out) >= size:
-            return bytes(out)
+            return out
         if self.timeout is None:
             deadline_ns = NEVER_NS
         else:
@@ -87,7 +88,7 @@ class Serial(SerialBase):
             world.advance_to(step_ns)
             out += line.take(size - len(out))
         self._opened()
-        return bytes(out)
+        return out
 
     def write(self, data: Any, /) -> int:
         """Hand bytes to the adapter; returns at once."""

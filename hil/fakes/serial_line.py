@@ -101,14 +101,15 @@ class SerialLine(Scheduled):
 
     def take(self, limit: int) -> bytes:
         """Up to `limit` bytes that have reached the host."""
-        out = bytearray()
-        while self._in and self._in[0][0] <= self.world.now_ns and len(out) < limit:
-            host_ns, data = self._in.popleft()
-            rest = data[limit - len(out) :]
-            out += data[: limit - len(out)]
-            if rest:
-                self._in.appendleft((host_ns, rest))
-        return bytes(out)
+        arrived, now_ns, out = self._in, self.world.now_ns, b""
+        while arrived and arrived[0][0] <= now_ns and len(out) < limit:
+            host_ns, data = arrived.popleft()
+            room = limit - len(out)
+            if len(data) > room:
+                arrived.appendleft((host_ns, data[room:]))
+                data = data[:room]
+            out += data
+        return out
 
     def waiting(self) -> int:
         """How many bytes have reached the host."""
@@ -129,14 +130,16 @@ class SerialLine(Scheduled):
 
     def next_event_ns(self) -> int:
         """The next moment at which anything changes on this line."""
-        now_ns = self.world.now_ns
-        arrival_ns = next((host_ns for host_ns, _ in self._in if host_ns > now_ns), NEVER_NS)
-        return min(self.next_due_ns(), arrival_ns)
+        now_ns, event_ns = self.world.now_ns, self.next_due_ns()
+        for host_ns, _ in self._in:
+            if host_ns > now_ns:
+                return min(event_ns, host_ns)
+        return event_ns
 
     def next_due_ns(self) -> int:
         """When bytes next reach the chip or the chip next speaks unasked."""
-        poll_ns = self.chip.next_poll_ns()
-        return min(self._out[0][0], poll_ns) if self._out else poll_ns
+        poll_ns, out = self.chip.next_poll_ns(), self._out
+        return out[0][0] if out and out[0][0] < poll_ns else poll_ns
 
     def on_due(self, t_ns: int) -> None:
         """Let the chip hear what has arrived, and take its answers."""

@@ -55,11 +55,13 @@ class World:
         self.seed = seed
         self.faults = faults if faults is not None else FaultPlan()
         self._parts: list[Scheduled] = []
+        self._alone: list[bool] = []
         self.now_ns = 0
 
     def add(self, part: Scheduled) -> None:
         """Register a part; ties in time are resolved in order of registration."""
         self._parts.append(part)
+        self._alone.append(getattr(part, "alone", False))
 
     def rng(self, name: str) -> np.random.Generator:
         """An independent random stream for a named device, fixed by the world's seed."""
@@ -79,11 +81,10 @@ class World:
             if first_ns > self.now_ns:
                 self.now_ns = first_ns
             plant.advance(self.now_ns)
-            place = due_ns.index(first_ns)
-            first = parts[place]
-            first.on_due(self.now_ns)
-            if first.alone:
-                due_ns[place] = first.next_due_ns()
+            first = due_ns.index(first_ns)
+            parts[first].on_due(self.now_ns)
+            if self._alone[first]:
+                due_ns[first] = parts[first].next_due_ns()
             else:
                 due_ns = [part.next_due_ns() for part in parts]
         self.now_ns = t_ns

@@ -8,6 +8,10 @@ CDR, little endian, primitives aligned to their size counted from after the four
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,9 +19,9 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 
 _HEADER = b"\x00\x01\x00\x00"
-_U32, _F32, _TIME = struct.Struct("<I"), struct.Struct("<f"), struct.Struct("<iI")
+_U32, _F32, _TIME, _THREE = (struct.Struct(form) for form in ("<I", "<f", "<iI", "<3I"))
 _MAX_SECONDS = 2**31 - 1
-NO_COVARIANCE = bytes(9 * 8)
+NO_COVARIANCE = (0.0,) * 9
 """Of three unknown variances."""
 
 
@@ -53,8 +57,7 @@ class CdrWriter:
     def time(self, t_ns: int) -> None:
         """`builtin_interfaces/Time` of a time on the bench clock; clipped to what 32-bit seconds can say."""
         self.align(4)
-        seconds, nanoseconds = divmod(max(0, t_ns + self._wall_ns), NS_PER_S)
-        self._out += _TIME.pack(min(seconds, _MAX_SECONDS), nanoseconds)
+        self._out += _TIME.pack(*_seconds(t_ns + self._wall_ns))
 
     def text(self, value: str) -> None:
         """String with its terminating zero."""
@@ -78,7 +81,7 @@ class CdrWriter:
         """`float64[]`."""
         self.u32(len(values))
         if len(values):
-            self.doubles(raw(values))
+            self.doubles(np.ascontiguousarray(values, dtype="<f8").tobytes())
 
     def octets(self, raw: bytes) -> None:
         """`uint8[]`."""
@@ -90,23 +93,93 @@ class CdrWriter:
         return bytes(self._out)
 
 
-def raw(values: Array) -> bytes:
-    """Doubles as bytes."""
-    return np.ascontiguousarray(values, dtype="<f8").tobytes()
+class Doubles(NamedTuple):
+    """That many numbers of eight bytes, in a `CdrForm`."""
+
+    count: int
 
 
-def xyzw(q_wxyz: Array) -> bytes:
+TIME = None
+"""Where a `CdrForm` has the time of its message."""
+
+
+class CdrForm:
+    """A message of texts and lengths that never change; only time and numbers are filled in, in one step.
+
+    Args:
+        parts: in order: `TIME`, a text, an unsigned number of four bytes, or `Doubles`.
+    """
+
+    def __init__(self, *parts: str | int | Doubles | None) -> None:
+        cdr, form = CdrWriter(), ["<"]
+        self._values: list[bytes | float] = []
+        self._times: list[int] = []
+        self._numbers: list[slice] = []
+        begun = 0
+
+        def keep() -> None:
+            """What has been written since the last time or number stays as it is."""
+            nonlocal begun
+            fixed = cdr.bytes()[begun:]
+            self._values.append(fixed)
+            form.append(f"{len(fixed)}s")
+            begun = len(cdr.bytes())
+
+        for part in parts:
+            if isinstance(part, str):
+                cdr.text(part)
+            elif isinstance(part, int):
+                cdr.u32(part)
+            elif part is TIME:
+                cdr.align(4)
+                keep()
+                self._times.append(len(self._values))
+                self._values += (0, 0)
+                form.append("iI")
+                cdr.time(0)
+                begun = len(cdr.bytes())
+            elif part.count:
+                cdr.align(8)
+                keep()
+                self._numbers.append(slice(len(self._values), len(self._values) + part.count))
+                self._values += (0.0,) * part.count
+                form.append(f"{part.count}d")
+                cdr.doubles(bytes(8 * part.count))
+                begun = len(cdr.bytes())
+        keep()
+        self._layout = struct.Struct("".join(form))
+
+    def pack(self, t_ns: int, wall_ns: int, *numbers: Sequence[float]) -> bytes:
+        """The message.
+
+        Args:
+            t_ns: time on the bench clock.
+            wall_ns: wall-clock time at its zero.
+            numbers: one sequence for each `Doubles` that is not empty.
+        """
+        values, when = self._values.copy(), _seconds(t_ns + wall_ns)
+        for at in self._times:
+            values[at : at + 2] = when
+        for place, given in zip(self._numbers, numbers, strict=True):
+            values[place] = given
+        return self._layout.pack(*values)
+
+
+def _seconds(t_ns: int) -> tuple[int, int]:
+    """Seconds and nanoseconds of a time; clipped to what 32-bit seconds can say."""
+    seconds, nanoseconds = divmod(max(0, t_ns), NS_PER_S)
+    return min(seconds, _MAX_SECONDS), nanoseconds
+
+
+def xyzw(q_wxyz: Array) -> tuple[float, float, float, float]:
     """A quaternion in the order of ROS."""
-    return raw(np.roll(q_wxyz, -1))
+    w, x, y, z = q_wxyz.tolist()
+    return x, y, z, w
 
 
 def octet_array(payload: bytes) -> bytes:
     """`std_msgs/UInt8MultiArray` with one unnamed dimension left out."""
-    cdr = CdrWriter()
-    cdr.u32(0)
-    cdr.u32(0)
-    cdr.octets(payload)
-    return cdr.bytes()
+    return _HEADER + _THREE.pack(0, 0, len(payload)) + payload
 
 
 def octets_of(message: bytes) -> bytes:
@@ -146,19 +219,21 @@ def text_of(message: bytes) -> str:
 
 def joints(t_ns: int, names: tuple[str, ...], values: tuple[Array, ...], wall_ns: int) -> bytes:
     """`sensor_msgs/JointState`; `values` are positions, velocities and efforts."""
-    cdr = CdrWriter(wall_ns)
-    cdr.header(t_ns, "")
-    cdr.u32(len(names))
-    for name in names:
-        cdr.text(name)
-    for column in values:
-        cdr.sequence(column)
-    return cdr.bytes()
+    form = _joint_form(names, tuple([len(column) for column in values]))
+    return form.pack(t_ns, wall_ns, *[column.tolist() for column in values if len(column)])
+
+
+@lru_cache(maxsize=64)
+def _joint_form(names: tuple[str, ...], lengths: tuple[int, ...]) -> CdrForm:
+    columns = chain.from_iterable((length, Doubles(length)) for length in lengths)
+    return CdrForm(TIME, "", len(names), *names, *columns)
 
 
 def pose_stamped(t_ns: int, frame: str, position_m: Array, quaternion_wxyz: Array, wall_ns: int = 0) -> bytes:
     """`geometry_msgs/PoseStamped`."""
-    cdr = CdrWriter(wall_ns)
-    cdr.header(t_ns, frame)
-    cdr.doubles(raw(position_m), xyzw(quaternion_wxyz))
-    return cdr.bytes()
+    return _pose_form(frame).pack(t_ns, wall_ns, (*position_m.tolist(), *xyzw(quaternion_wxyz)))
+
+
+@lru_cache(maxsize=64)
+def _pose_form(frame: str) -> CdrForm:
+    return CdrForm(TIME, frame, Doubles(7))

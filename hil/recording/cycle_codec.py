@@ -8,9 +8,10 @@ is that of `hil.recording.cycle_layout`, the way back is `hil.recording.cycle_de
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import lru_cache
-from itertools import chain
+from itertools import chain, groupby
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -37,6 +38,7 @@ Encode = Callable[[Put, Any], None]
 DECIDED = ("measurements", "state", "reference", "setpoint", "command", "events", "observers")
 """Fields of a cycle record that the brain makes of its inputs; they follow `inputs` without a gap."""
 
+_DOUBLE = np.dtype("<f8")
 _FLAGS = (b"\x00", b"\x01")
 _CHARS = {dtype: char for char, dtype in DTYPES.items()}
 
@@ -53,6 +55,11 @@ def _known_text(value: str) -> bytes:
 
 
 @lru_cache(maxsize=256)
+def _double_head(shape: tuple[int, ...]) -> bytes:
+    return _array_head(_DOUBLE, shape)
+
+
+@lru_cache(maxsize=256)
 def _array_head(dtype: np.dtype[Any], shape: tuple[int, ...]) -> bytes:
     return ARRAY_HEADS[len(shape)].pack(_CHARS[dtype], len(shape), *shape)
 
@@ -65,7 +72,26 @@ def _pairs(names: tuple[str, ...], code: str) -> tuple[struct.Struct, list[Any]]
     return whole, [len(raw), *chain.from_iterable((r, 0) for r in raw)]
 
 
+def _code_of(layout: Layout) -> str:
+    """Code of a number in `struct`; empty for anything else."""
+    return CODES.get(layout, "") if isinstance(layout, str) else ""
+
+
+def _all_at_once(layout: struct.Struct) -> Encode:
+    return lambda put, values: put(layout.pack(*values))
+
+
+@lru_cache(maxsize=256)
+def _row(code: str, count: int) -> struct.Struct:
+    """Structure of a tuple of numbers, their count first."""
+    return struct.Struct(f"<I{count}{code}")
+
+
 def _encode_array(put: Put, value: Any) -> None:
+    if type(value) is np.ndarray and value.dtype is _DOUBLE:
+        put(_double_head(value.shape))
+        put(value.tobytes())
+        return
     array = np.asarray(value)
     if array.dtype not in _CHARS:
         array = array.astype(np.int64 if array.dtype.kind in "iu" else np.float64)
@@ -119,10 +145,13 @@ class CycleEncoder:
     def __init__(self, added: tuple[DeviceKind, ...] = ()) -> None:
         self._types = record_types(added)
         self._layout = describe(added)
-        self._classes: dict[str, list[tuple[str, Encode]]] = {name: [] for name in self._layout["classes"]}
-        for name, fields in self._layout["classes"].items():
-            self._classes[name] += [(field, self._encoder(layout)) for field, layout in fields]
+        self._known: dict[str, Encode] = {}
         self._root = self._class_encoder(self._layout["root"])
+        self._decided = [
+            (attrgetter(field), self._encoder(layout))
+            for field, layout in self._layout["classes"][self._layout["root"]]
+            if field in DECIDED
+        ]
 
     def encode(self, record: CycleRecord) -> bytes:
         """Bytes of one record.
@@ -141,9 +170,8 @@ class CycleEncoder:
             struct.error, AttributeError, TypeError: they do not follow their type hints.
         """
         parts: list[bytes] = []
-        for field, encode_field in self._classes[self._layout["root"]]:
-            if field in DECIDED:
-                encode_field(parts.append, getattr(decision, field))
+        for get, encode_field in self._decided:
+            encode_field(parts.append, get(decision))
         return b"".join(parts)
 
     def _encoder(self, layout: Layout) -> Encode:
@@ -153,9 +181,8 @@ class CycleEncoder:
         if kind == "class":
             return self._class_encoder(inner)
         if kind == "enum":
-            members: list[Any] = list(self._types[inner])
-            codes = {member: BYTE.pack(i) for i, member in enumerate(members)}
-            return lambda put, value: put(codes[value])
+            codes = self._codes(inner)
+            return lambda put, value: put(codes[value._value_])
         if kind == "samples":
             return self._samples(inner)
         return {"tuple": self._tuple, "optional": self._optional, "mapping": self._mapping}[kind](inner)
@@ -172,15 +199,46 @@ class CycleEncoder:
         return encode
 
     def _class_encoder(self, name: str) -> Encode:
-        fields = self._classes[name]
+        """Neighbouring numbers, those of inner classes too, go in one step."""
+        if name in self._known:
+            return self._known[name]
+        steps: list[tuple[Callable[[Any], Any], Encode]] = []
+        for numbers, run in groupby(self._flat(name), lambda field: bool(_code_of(field[1]))):
+            fields = list(run)
+            if not numbers or len(fields) == 1:
+                steps += [(attrgetter(path), self._encoder(layout)) for path, layout in fields]
+            else:
+                layout = struct.Struct("<" + "".join(_code_of(layout) for _, layout in fields))
+                steps.append((attrgetter(*(path for path, _ in fields)), _all_at_once(layout)))
 
         def encode(put: Put, value: Any) -> None:
-            for field, encode_field in fields:
-                encode_field(put, getattr(value, field))
+            for get, encode_part in steps:
+                encode_part(put, get(value))
 
+        self._known[name] = encode
         return encode
 
+    def _flat(self, name: str, before: str = "") -> Iterator[tuple[str, Layout]]:
+        """Fields of a class with their layouts; those of classes inside it by dotted names."""
+        for field, layout in self._layout["classes"][name]:
+            if not isinstance(layout, str) and layout[0] == "class":
+                yield from self._flat(layout[1], f"{before}{field}.")
+            else:
+                yield before + field, layout
+
+    def _codes(self, name: str) -> dict[Any, bytes]:
+        """Bytes of an enumeration's members by their values."""
+        return {member._value_: BYTE.pack(i) for i, member in enumerate(self._types[name])}
+
     def _tuple(self, layout: Layout) -> Encode:
+        code = _code_of(layout)
+        if code:
+            return lambda put, value: put(_row(code, len(value)).pack(len(value), *value))
+        if layout[0] == "enum":
+            codes = self._codes(layout[1])
+            return lambda put, value: put(
+                COUNT.pack(len(value)) + b"".join([codes[item._value_] for item in value])
+            )
         encode_item = self._encoder(layout)
 
         def encode(put: Put, value: Any) -> None:

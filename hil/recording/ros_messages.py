@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from itertools import chain
 
-import numpy as np
-
-from hil.recording.cdr import CdrWriter, raw, xyzw
+from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles, xyzw
 from hil.recording.frames import BODY, WALL, Frame
 from hil.vocabulary.geometry import Array, quat_from_yaw
 from hil.vocabulary.kinds import DeviceKind
@@ -25,8 +24,9 @@ TOPICS = {
 """Topics that belong to no device, with their types."""
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_PLANAR = (0, 1, 5)
-_SEVEN = struct.Struct("<7d")
+_PLANAR = tuple(6 * row + column for row in (0, 1, 5) for column in (0, 1, 5))
+_ODOMETRY = CdrForm(TIME, WALL, BODY, Doubles(7 + 36 + 6 + 36))
+_REFERENCE = CdrForm(TIME, WALL, Doubles(7))
 
 
 def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
@@ -36,46 +36,46 @@ def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
 
 def transforms(t_ns: int, frames: tuple[Frame, ...], wall_ns: int = 0) -> bytes:
     """`tf2_msgs/TFMessage`."""
-    cdr = CdrWriter(wall_ns)
-    cdr.u32(len(frames))
+    form = _transform_form(tuple([(frame.parent, frame.child) for frame in frames]))
+    places = []
     for frame in frames:
-        cdr.header(t_ns, frame.parent)
-        cdr.text(frame.child)
-        w, *xyz = frame.quaternion_wxyz
-        cdr.doubles(_SEVEN.pack(*frame.position_m, *xyz, w))
-    return cdr.bytes()
+        w, x, y, z = frame.quaternion_wxyz
+        places.append((*frame.position_m, x, y, z, w))
+    return form.pack(t_ns, wall_ns, *places)
 
 
-def _planar_pose(pose: Array) -> tuple[bytes, bytes]:
-    return raw(np.array([pose[0], pose[1], 0.0])), xyzw(quat_from_yaw(float(pose[2])))
+@lru_cache(maxsize=64)
+def _transform_form(names: tuple[tuple[str, str], ...]) -> CdrForm:
+    parts = chain.from_iterable((TIME, parent, child, Doubles(7)) for parent, child in names)
+    return CdrForm(len(names), *parts)
 
 
-def _spatial_covariance(planar: Array) -> bytes:
-    spatial = np.zeros((6, 6))
-    spatial[np.ix_(_PLANAR, _PLANAR)] = planar
-    return raw(spatial)
+def _planar_pose(pose: Array) -> tuple[float, ...]:
+    """Position, and quaternion in the order of ROS."""
+    x_m, y_m, theta_rad = pose.tolist()
+    return x_m, y_m, 0.0, *xyzw(quat_from_yaw(theta_rad))
+
+
+def _spatial_covariance(planar: Array) -> list[float]:
+    """Covariance of six (36 numbers) from that of x, y and the turn about z."""
+    spatial = [0.0] * 36
+    for place, value in zip(_PLANAR, planar.ravel().tolist(), strict=True):
+        spatial[place] = value
+    return spatial
 
 
 def odometry(state: RobotState, wall_ns: int = 0) -> bytes:
     """`nav_msgs/Odometry` of an estimate: pose in the wall frame, twist in the body frame."""
-    cdr = CdrWriter(wall_ns)
-    cdr.header(state.t_ns, WALL)
-    cdr.text(BODY)
-    v_x, v_y, omega = state.twist_body
-    cdr.doubles(
-        *_planar_pose(state.pose_body_in_wall),
-        _spatial_covariance(state.covariance[:3, :3]),
-        raw(np.array([v_x, v_y, 0.0, 0.0, 0.0, omega])),
-        _spatial_covariance(state.covariance[3:6, 3:6]),
-    )
-    return cdr.bytes()
+    v_x, v_y, omega = state.twist_body.tolist()
+    numbers = (
+        *_planar_pose(state.pose_body_in_wall), *_spatial_covariance(state.covariance[:3, :3]),
+        v_x, v_y, 0.0, 0.0, 0.0, omega, *_spatial_covariance(state.covariance[3:6, 3:6]),
+    )  # fmt: skip
+    return _ODOMETRY.pack(state.t_ns, wall_ns, numbers)
 
 
 def _reference(t_ns: int, reference: Reference, wall_ns: int) -> bytes:
-    cdr = CdrWriter(wall_ns)
-    cdr.header(t_ns, WALL)
-    cdr.doubles(*_planar_pose(reference.pose_in_wall))
-    return cdr.bytes()
+    return _REFERENCE.pack(t_ns, wall_ns, _planar_pose(reference.pose_in_wall))
 
 
 def log(event: Event, wall_ns: int = 0) -> bytes:

@@ -7,25 +7,25 @@ import numpy as np
 from hil.devices.imu.bno055 import BNO055
 from hil.devices.imu.look import look
 from hil.devices.imu.microstrain import MICROSTRAIN
-from hil.recording.cdr import NO_COVARIANCE, CdrWriter, raw, xyzw
+from hil.recording.cdr import NO_COVARIANCE, TIME, CdrForm, Doubles, xyzw
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, Topic, Witness
 from hil.vocabulary.signals import ImuSample, Status
 
 __all__ = ["KIND", "imu_message"]
 
+_MESSAGE = CdrForm(TIME, "imu", Doubles(37))
+
 
 def imu_message(sample: ImuSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
-    cdr = CdrWriter(wall_ns)
-    cdr.header(sample.stamp.t_ns, "imu")
     force = np.asarray(sample.linear_acceleration_m_s2) + np.asarray(sample.gravity_m_s2)
-    cdr.doubles(
-        xyzw(sample.quaternion_wxyz), NO_COVARIANCE,
-        raw(sample.gyro_rad_s), NO_COVARIANCE,
-        raw(force), NO_COVARIANCE,
+    numbers = (
+        *xyzw(sample.quaternion_wxyz), *NO_COVARIANCE,
+        *sample.gyro_rad_s.tolist(), *NO_COVARIANCE,
+        *force.tolist(), *NO_COVARIANCE,
     )  # fmt: skip
-    return cdr.bytes()
+    return _MESSAGE.pack(sample.stamp.t_ns, wall_ns, numbers)
 
 
 def _gravity(sample: ImuSample) -> Array | None:

@@ -67,4 +67,5 @@ class As5045Chip:
         seen = theta + a1 * math.sin(theta + p1) + a2 * math.sin(2.0 * theta + p2) + self._noise_rad * noise
         if not self.flags & COF:
             self._held = math.floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
-        return with_parity(self._held << 6 | (OCF if started else 0) | self.flags)
+        word = self._held << 6 | (OCF if started else 0) | self.flags
+        return word | (word.bit_count() & 1)

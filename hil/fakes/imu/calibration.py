@@ -45,11 +45,10 @@ class SelfCalibration:
         """One fusion step; `up` is the unit vertical in sensor axes, (3,)."""
         if still:
             self._still_s += dt_s
-            if self.levels()[1] <= _MAX_LEVEL:
-                gain = min(1.0, dt_s / _GYRO_LEVEL_S)
-                self.gyroscope = [
-                    g + gain * (b - g) for g, b in zip(self.gyroscope, truth.gyroscope, strict=True)
-                ]
+            gain = min(1.0, dt_s / _GYRO_LEVEL_S)
+            self.gyroscope = [
+                g + gain * (b - g) for g, b in zip(self.gyroscope, truth.gyroscope, strict=True)
+            ]
         attitude = (round(1.4 * up[0]), round(1.4 * up[1]), round(1.4 * up[2]))
         if attitude not in self._attitudes:
             self._attitudes.add(attitude)

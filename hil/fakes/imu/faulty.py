@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterable
 
 import numpy as np
@@ -85,7 +84,7 @@ class ImuFaults(InertialFaults):
         if not extra:
             return sensed
         x, y, z = sensed.rate
-        return dataclasses.replace(sensed, rate=(x + extra, y + extra, z + extra))
+        return sensed._replace(rate=(x + extra, y + extra, z + extra))
 
     def shown(self, block: bytes, history: Iterable[tuple[int, bytes]], t_ns: int) -> bytes:
         """The data registers that a client gets to see."""

@@ -21,6 +21,7 @@ _BLOCK = struct.Struct("<22hbB")
 LENGTH = _BLOCK.size
 EMPTY = bytes(LENGTH)
 _ZERO = (0, 0, 0)
+_MOST = 32767
 
 ACC_LSB_PER_M_S2 = 100.0
 GYRO_LSB_PER_RAD_S = 16.0 * 180.0 / math.pi
@@ -37,11 +38,12 @@ def euler_rad(q: Quaternion, *, android: bool) -> Vector:
 
 
 def _counts(vector: Vector, scale: float) -> tuple[int, int, int]:
-    return (
-        max(-32768, min(32767, round(vector[0] * scale))),
-        max(-32768, min(32767, round(vector[1] * scale))),
-        max(-32768, min(32767, round(vector[2] * scale))),
-    )
+    x, y, z = vector
+    counts = round(x * scale), round(y * scale), round(z * scale)
+    if max(counts) > _MOST or min(counts) < -_MOST - 1:
+        x, y, z = (max(-_MOST - 1, min(_MOST, count)) for count in counts)
+        return x, y, z
+    return counts
 
 
 def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hil.vocabulary.geometry import multiplied
 GRAVITY_M_S2 = 9.80665
 _FIELD_UT = (22.0, 0.0, -42.0)
 _BLOCK = 1024
+_NOTHING = (0.0, 0.0, 0.0)
 _STILL_RATE_RAD_S = 0.003
 _STILL_SPEED_M_S = 0.001
 
@@ -59,9 +61,8 @@ class ImuTruthOptions:
     mount_rotation_wxyz: Quaternion | None = None
 
 
-@dataclass(frozen=True)
-class Sensed:
-    """One set of outputs in sensor (remapped) axes, SI units, magnetic field in uT."""
+class Sensed(NamedTuple):
+    """One set of outputs in sensor (remapped) axes, SI units, magnetic field in uT (0 where it is off)."""
 
     acceleration: Vector
     rate: Vector
@@ -146,6 +147,8 @@ class InertialSensors:
         self._yaw_drift_rad_s = float(rng.normal(0.0, options.yaw_drift_rad_s))
         self.yaw_error_rad = 0.0
         self._chip_in_body = chip_in_body
+        self._residual_of: tuple[object, ...] = (None,) * 4
+        self._residual: tuple[Vector, Vector, Vector] = (_NOTHING,) * 3
         self.set_remap(0x24, 0x00)
         self.restart_fusion()
 
@@ -182,8 +185,10 @@ class InertialSensors:
         acceleration = _blend(kinematic, up, g, acc_rest, noise[0:3], o.accelerometer_noise_m_s2)
         rate = _blend(spin, up, 0.0, gyro_rest, noise[3:6], o.gyro_noise_rad_s)
         quaternion = self._attitude(theta, tilt)
-        turn = transpose(matrix(quaternion))
-        field = _blend(apply(turn, _FIELD_UT), up, 0.0, mag_rest, noise[6:9], o.magnetometer_noise_ut)
+        field = _NOTHING
+        if mode.magnetometer:
+            turn = transpose(matrix(quaternion))
+            field = _blend(apply(turn, _FIELD_UT), up, 0.0, mag_rest, noise[6:9], o.magnetometer_noise_ut)
         gravity, attitude = self._fuse(quaternion, up, kinematic, acc_rest, dt_s)
         linear = (acceleration[0] - gravity[0], acceleration[1] - gravity[1], acceleration[2] - gravity[2])
         return Sensed(acceleration, rate, field, attitude, linear, gravity)
@@ -204,14 +209,14 @@ class InertialSensors:
         return (ax - alpha * ry - w * w * rx, ay + alpha * rx - w * w * ry, 0.0)
 
     def _residual_offsets(self) -> tuple[Vector, Vector, Vector]:
+        """What calibration has left of the offsets, output axes; worked out when it has learnt something."""
         known, true = self.calibration, self.true_offsets
-        pairs = (
-            (true.accelerometer, known.accelerometer),
-            (true.gyroscope, known.gyroscope),
-            (true.magnetometer, known.magnetometer),
-        )
-        rest = [apply(self._remap, (t[0] - k[0], t[1] - k[1], t[2] - k[2])) for t, k in pairs]
-        return rest[0], rest[1], rest[2]
+        now = (known.accelerometer, known.gyroscope, known.magnetometer, self._remap)
+        if any(a is not b for a, b in zip(now, self._residual_of, strict=True)):
+            pairs = zip((true.accelerometer, true.gyroscope, true.magnetometer), now, strict=False)
+            a, b, c = (apply(self._remap, (t[0] - k[0], t[1] - k[1], t[2] - k[2])) for t, k in pairs)
+            self._residual_of, self._residual = now, (a, b, c)
+        return self._residual
 
     def _attitude(self, theta: float, tilt: float) -> Quaternion:
         yaw, half = 0.5 * self.yaw_error_rad, -0.5 * tilt

@@ -131,8 +131,10 @@ class WallRobot(Plant):
     def advance(self, t_ns: int) -> None:
         """Integrate up to `t_ns`: whole internal steps; the remainder waits."""
         end = t_ns // self._step_ns
+        if end <= self._steps:
+            return
         if self._by_hand:
-            self._steps = max(self._steps, end)
+            self._steps = end
         while self._steps < end:
             n, factor = self._stretch(end)
             self._advance(n, factor, self._constants, self._state, self._commands)

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
 from hil.fakes.tracker.frames import PoseFrame
-from hil.fakes.tracker.odometry import CameraPose
+from hil.fakes.tracker.odometry import CameraPose, Quaternion, Vector
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),
@@ -28,7 +28,8 @@ SUPPORTED_FAULTS: Supported = {
 
 _WRONG_SCALE, _JUMP_M = 1.2, 0.1
 _NAN = math.nan
-_NOT_A_POSE = CameraPose((_NAN,) * 3, (_NAN,) * 3, (_NAN,) * 4, (_NAN,) * 3)
+_NO_VECTOR = Vector(_NAN, _NAN, _NAN)
+_NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _NAN), _NO_VECTOR)
 
 
 class TrackerFaults(DeviceFaults):
@@ -100,9 +101,6 @@ class TrackerFaults(DeviceFaults):
         bits = self._rng.integers(0, 256, 52, dtype=np.uint8)
         values = [float(v) for v in bits.view(np.float32)]
         pose = CameraPose(
-            (values[0], values[1], values[2]),
-            (values[3], values[4], values[5]),
-            (values[6], values[7], values[8], values[9]),
-            (values[10], values[11], values[12]),
+            Vector(*values[:3]), Vector(*values[3:6]), Quaternion(*values[6:10]), Vector(*values[10:])
         )
         return dataclasses.replace(frame, pose=pose, confidence=int(self._rng.integers(0, 4)))

@@ -12,32 +12,11 @@ MODEL = "Intel RealSense T265"
 FIRMWARE = "0.2.0.951"
 
 
-class Vector3:
-    """Three components, as `rs.vector`."""
-
-    __slots__ = ("x", "y", "z")
-
-    def __init__(self, x: float, y: float, z: float) -> None:
-        self.x, self.y, self.z = x, y, z
-
-
-class Quaternion:
-    """Four components, as `rs.quaternion`."""
-
-    __slots__ = ("w", "x", "y", "z")
-
-    def __init__(self, x: float, y: float, z: float, w: float) -> None:
-        self.x, self.y, self.z, self.w = x, y, z, w
-
-
 class PoseData:
     """As `rs.pose`: camera axes, world given by gravity and the first view."""
 
     def __init__(self, pose: CameraPose, confidence: int) -> None:
-        self.translation = Vector3(*pose.translation)
-        self.velocity = Vector3(*pose.velocity)
-        self.rotation = Quaternion(*pose.rotation_xyzw)
-        self.angular_velocity = Vector3(*pose.angular_velocity)
+        self.translation, self.velocity, self.rotation, self.angular_velocity = pose
         self.tracker_confidence = self.mapper_confidence = confidence
 
 

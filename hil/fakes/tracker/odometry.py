@@ -8,7 +8,7 @@ motion plane, so the drift about gravity tilts the path out of the wall.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,22 +20,35 @@ _BLOCK = 512
 _DRAWS = 16
 _NEAR_VERTICAL = 0.2
 
-Vector = tuple[float, float, float]
+class Vector(NamedTuple):
+    """Three components, as `rs.vector`."""
+
+    x: float
+    y: float
+    z: float
 
 
-@dataclass(frozen=True)
-class CameraPose:
-    """One pose in the T265's axes: m, m/s, quaternion x y z w, rad/s."""
+class Quaternion(NamedTuple):
+    """Four components, as `rs.quaternion`."""
+
+    x: float
+    y: float
+    z: float
+    w: float
+
+
+class CameraPose(NamedTuple):
+    """One pose in the T265's axes: m, m/s, quaternion, rad/s."""
 
     translation: Vector
     velocity: Vector
-    rotation_xyzw: tuple[float, float, float, float]
+    rotation_xyzw: Quaternion
     angular_velocity: Vector
 
 
 def camera_axes(x: float, y: float, z: float) -> Vector:
     """A vector in robot axes (forward, left, up) in the camera's axes (right, up, back)."""
-    return -y, z, -x
+    return Vector(-y, z, -x)
 
 
 class VisualOdometry:
@@ -52,7 +65,7 @@ class VisualOdometry:
         options: TrackerTruthOptions,
         rng: np.random.Generator,
         *,
-        mount_position_m: Vector,
+        mount_position_m: tuple[float, float, float],
         mount_rotation_wxyz: tuple[float, float, float, float],
     ) -> None:
         self._options, self._rng = options, rng
@@ -122,7 +135,7 @@ class VisualOdometry:
         du, dv = scale * (in_wall[0] - self._last[0]), scale * (in_wall[1] - self._last[1])
         self._last = in_wall
         ax, ay = self._along_x, self._along_y
-        dx, dy, dz = (ax[k] * du + ay[k] * dv for k in range(3))
+        dx, dy, dz = ax[0] * du + ay[0] * dv, ax[1] * du + ay[1] * dv, ax[2] * du + ay[2] * dv
         c, s = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
         walk = options.position_walk_m_sqrt_m * math.sqrt(speed_m_s) * root
         x, y, z = self._position
@@ -139,20 +152,28 @@ class VisualOdometry:
         sp, sv, sw = options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s
         ax, ay, az = self._along_x, self._along_y, self._along_z
         x, y, z = self._position
-        vx, vy, vz = (ax[k] * speed[0] + ay[k] * speed[1] + sv * noise[7 + k] for k in range(3))
-        wx, wy, wz = (az[k] * omega_rad_s + sw * noise[10 + k] for k in range(3))
+        along, left = speed
         qx, qy, qz, qw = self._rotation(theta_rad, noise)
         return CameraPose(
-            translation=camera_axes(x + sp * noise[4], y + sp * noise[5], z + sp * noise[6]),
-            velocity=camera_axes(vx, vy, vz),
-            rotation_xyzw=(*camera_axes(qx, qy, qz), qw),
-            angular_velocity=camera_axes(wx, wy, wz),
+            camera_axes(x + sp * noise[4], y + sp * noise[5], z + sp * noise[6]),
+            camera_axes(
+                ax[0] * along + ay[0] * left + sv * noise[7],
+                ax[1] * along + ay[1] * left + sv * noise[8],
+                ax[2] * along + ay[2] * left + sv * noise[9],
+            ),
+            Quaternion(*camera_axes(qx, qy, qz), qw),
+            camera_axes(
+                az[0] * omega_rad_s + sw * noise[10],
+                az[1] * omega_rad_s + sw * noise[11],
+                az[2] * omega_rad_s + sw * noise[12],
+            ),
         )
 
     def _rotation(self, theta_rad: float, noise: list[float]) -> tuple[float, float, float, float]:
         """Camera in the levelled world (x, y, z, w): heading error and noise on the left."""
         c, s = math.cos(0.5 * theta_rad), math.sin(0.5 * theta_rad)
-        bw, bx, by, bz = (c * a + s * b for a, b in zip(self._cosine_part, self._sine_part, strict=True))
+        (cw, cx, cy, cz), (sw, sx, sy, sz) = self._cosine_part, self._sine_part
+        bw, bx, by, bz = c * cw + s * sw, c * cx + s * sx, c * cy + s * sy, c * cz + s * sz
         half = 0.5 * self._options.angle_noise_rad
         ex, ey = half * noise[13], half * noise[14]
         yaw = 0.5 * self._yaw_rad + half * noise[15]
