@@ -15,6 +15,7 @@ settings.register_profile("hil", deadline=None)
 settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
+    "adhesion/test_keeper_killed.py", "adhesion/test_keeper_process.py",
     "emulate/", "live/", "bench/test_bench_assembly.py", "bench/test_doctor_slow_adapter.py",
     "core/test_loop_and_server.py", "devices/test_guide.py", "encoders/test_can_face.py",
     "imu/test_imu_on_a_pty.py",

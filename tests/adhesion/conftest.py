@@ -5,6 +5,16 @@ from fan_on_the_wire import fan_on_the_wire
 from kills import end_keeper
 
 
+@pytest.fixture(scope="module")
+def shared(tmp_path_factory):
+    """A running fan and its spec, for all tests of a module that leave it a keeper."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
+        with fan_on_the_wire() as (fan, spec):
+            yield fan, spec
+            end_keeper(spec)
+
+
 @pytest.fixture
 def wire(monkeypatch, tmp_path):
     """A running fan and its spec; whoever keeps it at the end of the test is ended."""

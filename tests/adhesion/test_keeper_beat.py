@@ -2,6 +2,7 @@
 
 import can
 import pytest
+from can_bus import Bus
 
 from hil.drivers.adhesion.keeper import beat as beats
 from hil.drivers.adhesion.keeper.beat import Beat
@@ -12,25 +13,6 @@ from hil.vocabulary.errors import DeviceError
 
 SPEC = Spec("udp_multicast", "239.74.164.9", 7)
 PERIOD_NS = nanoseconds(SPEC.period_s)
-
-
-class Bus:
-    """A bus that works while `error` is None."""
-
-    def __init__(self):
-        self.error, self.sent, self.arriving = None, [], []
-
-    def send(self, message):
-        if self.error is not None:
-            raise self.error
-        self.sent.append((message.arbitration_id, bytes(message.data), message.is_extended_id))
-
-    def recv(self, timeout):
-        assert timeout == 0
-        return self.arriving.pop(0) if self.arriving else None
-
-    def shutdown(self):
-        self.error = OSError("used after shutdown")
 
 
 @pytest.fixture

@@ -18,11 +18,17 @@ HOUR_NS = nanoseconds(3600.0)
 AT_REST = {"duty": 0.0, "current_a": 0.0, "erpm": 0.0}
 
 
-def keeper_at(t_ns, **report):
+def report(keeper, t_ns, controller_id=7, **figures):
+    """A status as a VESC's is understood."""
+    running = SetPoint("duty", figures["duty"]) if figures.get("duty") else None
+    keeper.reported(t_ns, controller_id, {**AT_REST, **figures}, running)
+
+
+def keeper_at(t_ns, **figures):
     """A keeper that has just heard its fan."""
     keeper = Keeper(SPEC)
     keeper.order(0)
-    keeper.reported(t_ns, 7, {**AT_REST, **report})
+    report(keeper, t_ns, **figures)
     return keeper
 
 
@@ -57,7 +63,7 @@ def test_a_fan_that_runs_is_taken_over_without_a_step():
 def test_what_somebody_else_sends_is_taken_over_exactly(first):
     keeper = Keeper(SPEC)
     heard = [
-        lambda: keeper.reported(PERIOD_NS, 7, {"duty": 0.571}),
+        lambda: report(keeper, PERIOD_NS, duty=0.571),
         lambda: keeper.overheard(PERIOD_NS, SetPoint("erpm", 57123.0)),
     ]
     for hear in heard if first == "report" else heard[::-1]:
@@ -68,14 +74,14 @@ def test_what_somebody_else_sends_is_taken_over_exactly(first):
 def test_only_a_new_keeper_takes_a_fan_over():
     keeper = Keeper(SPEC)
     keeper.order(0)
-    keeper.reported(nanoseconds(1.6), 7, {"duty": 0.5})
+    report(keeper, nanoseconds(1.6), duty=0.5)
     keeper.overheard(nanoseconds(1.6), SetPoint("duty", 0.5))
     assert keeper.order(nanoseconds(1.6)) is None
 
 
 def test_a_fan_at_rest_and_another_fan_are_left_alone():
     keeper = keeper_at(0)
-    keeper.reported(0, 23, {"duty": 0.5})
+    report(keeper, 0, 23, duty=0.5)
     assert keeper.order(PERIOD_NS) is None
     assert keeper.state() == "idle"
 
@@ -110,7 +116,7 @@ def test_after_off_a_fan_that_still_turns_is_not_taken_over_again():
     keeper = keeper_at(0, duty=0.03)
     keeper.end(0)
     orders(keeper, 0, 0.3)
-    keeper.reported(nanoseconds(0.3), 7, {"duty": 0.03})
+    report(keeper, nanoseconds(0.3), duty=0.03)
     assert keeper.order(nanoseconds(0.3)) == RELEASE
 
 
@@ -137,7 +143,7 @@ def test_whatever_is_asked_no_command_steps(wishes, data):
     keeper = keeper_at(0)
     t_ns, given = 0, []
     for wish in wishes:
-        keeper.reported(t_ns, 7, {"duty": keeper.sent.value if keeper.sent else 0.0})
+        report(keeper, t_ns, duty=keeper.sent.value if keeper.sent else 0.0)
         keeper.end(t_ns) if wish == "end" else keeper.wish(t_ns, SetPoint("duty", wish))
         duration_s = data.draw(st.floats(0.0, 3.0))
         given += orders(keeper, t_ns, duration_s)
@@ -168,7 +174,7 @@ def test_a_fan_that_says_nothing_is_not_started():
 
 def test_the_wrong_controller_id_is_named_beside_the_right_one():
     keeper = Keeper(SPEC)
-    keeper.reported(0, 23, AT_REST)
+    report(keeper, 0, 23)
     with pytest.raises(DeviceError, match=r"controller 23 does.*set adhesion.controller_id"):
         keeper.wish(0, SetPoint("duty", 0.5))
 

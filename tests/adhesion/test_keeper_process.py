@@ -28,9 +28,9 @@ def eventually(true, within_s=10.0):
 
 
 @pytest.fixture
-def keeper(wire):
-    """(fan, spec, connection to its keeper, which has been started for it)."""
-    fan, spec = wire
+def keeper(shared):
+    """(fan, spec, connection to its keeper, which is started where there is none)."""
+    fan, spec = shared
     with client.find_or_start(spec) as connection:
         yield fan, spec, connection
 

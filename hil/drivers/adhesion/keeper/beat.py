@@ -9,9 +9,8 @@ from typing import Any
 import can
 
 from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint
-from hil.drivers.adhesion.keeper.dialects import dialect
+from hil.drivers.adhesion.keeper.dialects import Wire, dialect
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.adhesion.vesc import EVERYBODY, Frame
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 
@@ -57,8 +56,8 @@ class Beat:
         self, spec: Spec, keeper: Keeper, say: Callable[[str], None], bus: can.BusABC | None = None
     ) -> None:
         self._spec, self.keeper, self._say, self._bus = spec, keeper, say, bus
-        self._dialect = dialect(spec.dialect)
-        self._mine: deque[Frame] = deque(maxlen=_ECHOES)
+        self._dialect = dialect(spec)
+        self._mine: deque[Wire] = deque(maxlen=_ECHOES)
         self._state = ""
         self._quiet_until_ns = 0
         self._failing_ns: int | None = None
@@ -131,25 +130,25 @@ class Beat:
             if message is None:
                 return
             if message.is_extended_id and not message.is_error_frame and not message.is_remote_frame:
-                self._take(Frame(message.arbitration_id, bytes(message.data)), t_ns)
+                self._take((message.arbitration_id, bytes(message.data)), t_ns)
 
-    def _take(self, frame: Frame, t_ns: int) -> None:
+    def _take(self, frame: Wire, t_ns: int) -> None:
         heard = self._dialect.hear(*frame)
         if heard is None:
             return
         if heard.order is None:
-            self.keeper.reported(t_ns, heard.controller_id, heard.report)
-        elif heard.controller_id in (self._spec.controller_id, EVERYBODY) and frame not in self._mine:
+            self.keeper.reported(t_ns, heard.controller_id, heard.report, heard.running)
+        elif frame not in self._mine:
             if self.keeper.sent is not None and t_ns >= self._quiet_until_ns:
                 self._quiet_until_ns = t_ns + _REPEAT_NS
                 self._say(f"somebody else commands this fan: {heard.order.quantity} {heard.order.value:.4g}")
             self.keeper.overheard(t_ns, heard.order)
 
     def _send(self, bus: can.BusABC, order: SetPoint, t_ns: int) -> None:
-        frame = self._dialect.order(self._spec.controller_id, order)
-        self._mine.append(frame)
         try:
-            bus.send(can.Message(arbitration_id=frame.id, data=frame.data, is_extended_id=True))
+            for frame_id, data in self._dialect.say(order, t_ns):
+                self._mine.append((frame_id, data))
+                bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=True))
         except BUS_ERRORS as error:
             self._failed(error, t_ns)
             return

@@ -20,6 +20,7 @@ from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
 
+KEEPER = (sys.executable, "-m", "hil.drivers.adhesion.keeper")
 _START_S = 15.0
 _ANSWER_S = 2.0
 _REMEDY = "`hil adhesion on` starts one"
@@ -114,7 +115,7 @@ class Starting:
 
     def __init__(self, spec: Spec, *, emulator: int | None = None) -> None:
         self._spec = spec
-        command = [sys.executable, "-m", "hil.drivers.adhesion.keeper", spec.to_json()]
+        command = [*KEEPER, spec.to_json()]
         command += ["--log", str(log_path(spec).absolute())]
         command += ["--emulator", str(emulator)] * (emulator is not None)
         paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)

@@ -18,7 +18,6 @@ from hil.vocabulary.errors import DeviceError, UsageError
 _LISTEN_NS = nanoseconds(1.5)
 """For so long after its start a keeper looks for a fan that runs already."""
 _FRESH_NS = nanoseconds(1.0)
-_RUNNING_DUTY = 0.02
 _LONGEST_STEP_NS = nanoseconds(0.2)
 _RELEASED_NS = nanoseconds(0.5)
 _MOST_LISTED = 8
@@ -26,7 +25,7 @@ DEVICE = "adhesion"
 
 
 class SetPoint(NamedTuple):
-    """What is asked of the fan: `duty` (share), `current_a` (A) or `erpm` (electrical 1/min)."""
+    """What is asked of the fan: `duty` (share), `current_a` (A), `erpm` (1/min as its controller counts)."""
 
     quantity: str
     value: float
@@ -60,7 +59,7 @@ class Keeper:
         sent: the latest set-point that was given out; None while the fan is nobody's.
         target: where it is going.
         ending: whether it has been told to let the fan come to rest.
-        report: what the fan has said, by quantity; `report_ns` when it last gave its duty.
+        report: what the fan has said, by quantity; `report_ns` when it last gave its speed.
         others: ids of other controllers on the bus.
     """
 
@@ -77,16 +76,25 @@ class Keeper:
         self._last_ns = 0
         self._released_ns = 0
 
-    def reported(self, t_ns: int, controller_id: int, values: Mapping[str, float]) -> None:
-        """A status of a controller was heard."""
+    def reported(
+        self, t_ns: int, controller_id: int, values: Mapping[str, float], running: SetPoint | None = None
+    ) -> None:
+        """A status of a controller was heard.
+
+        Args:
+            t_ns: when.
+            controller_id: of whom.
+            values: figures by name; the one with `erpm` says that it is there.
+            running: what would keep it as it runs; None at rest.
+        """
         if controller_id != self._spec.controller_id:
             self.others.add(controller_id)
             return
         self.report.update(values)
-        if "duty" in values:
+        if "erpm" in values:
             self.report_ns = t_ns
-            if values["duty"] >= _RUNNING_DUTY and self.sent is None:
-                self._guessed = self._take_over(t_ns, SetPoint("duty", values["duty"]))
+        if running is not None and self.sent is None:
+            self._guessed = self._take_over(t_ns, running)
 
     def overheard(self, t_ns: int, order: SetPoint) -> None:
         """Somebody else has commanded this fan: that is exact, where its report is rounded."""

@@ -41,6 +41,8 @@ _AGAIN_NS = nanoseconds(2.0)
 _LIKE = 0.02
 """Share of the highest set-point by which a new keeper may differ from the bench that steps back."""
 _HAND_OVER_S = 10.0
+_HEARD_BY_NS = nanoseconds(1.5)
+"""A keeper that has just begun may not have heard its fan yet: it is asked again for so long."""
 Request = dict[str, object]
 _STATUS: Request = {"do": "status"}
 
@@ -87,7 +89,7 @@ class KeptByProcess(Kept):
         self._wish: Request | None = None
         self._refused: HilError | None = None
         self._in_for = ""
-        self._next_beat_ns = self._next_try_ns = 0
+        self._wish_until_ns = self._next_beat_ns = self._next_try_ns = 0
         self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info)
 
     def open(self) -> None:
@@ -122,9 +124,11 @@ class KeptByProcess(Kept):
 
     def _ask_for(self, wish: Request) -> None:
         with self._lock:
+            now_ns = self._clock.now_ns()
             self._wish, self._refused = wish, None
+            self._wish_until_ns = now_ns + _HEARD_BY_NS
             if self._in_for:
-                self._obey(wish, self._clock.now_ns())
+                self._obey(wish, now_ns)
 
     def status(self) -> Status:
         """The keeper's latest status, or the bench's own while it stands in."""
@@ -210,14 +214,21 @@ class KeptByProcess(Kept):
                 link.socket.close()
                 self._link = None
                 return
-            if link.asked is self._wish:
-                self._wish = None
-            link.asked, link.answered_ns = None, t_ns
+            asked, link.asked, link.answered_ns = link.asked, None, t_ns
             try:
                 self._status = understood(packet, self._spec)
+            except DeviceError as error:
+                if t_ns < self._wish_until_ns:
+                    return
+                self._refuse(error)
             except HilError as error:
-                self._refused = error
-                self._say(str(error))
+                self._refuse(error)
+            if asked is self._wish:
+                self._wish = None
+
+    def _refuse(self, error: HilError) -> None:
+        self._refused = error
+        self._say(str(error))
 
     def _ask(self, link: _Link) -> None:
         if link.asked is not None:

@@ -25,6 +25,7 @@ class Spec:
         interface, channel, bitrate, options: of python-can; two programs must be able to share the channel.
         controller_id: of the motor controller.
         dialect: what it speaks: `vesc` or `dronecan`.
+        details: what that dialect needs besides.
         period_s: time between two commands.
         timeout_s: after which the controller releases the motor when it hears no command, as it is set there.
         ramp_up_s, ramp_down_s: from rest to the highest set-point, and back.
@@ -37,6 +38,7 @@ class Spec:
     bitrate: int = 500_000
     options: Mapping[str, Any] = field(default_factory=dict)
     dialect: str = "vesc"
+    details: Mapping[str, float] = field(default_factory=dict)
     period_s: float = 0.05
     timeout_s: float = 1.0
     ramp_up_s: float = 2.0
