@@ -27,7 +27,7 @@ REAL_TIME = (
     "tracker_mavlink/test_mavlink_on_the_bench.py::test_the_same_drive_at_the_wire_in_real_time",
 )  # fmt: skip
 """Tests that talk in real time and mostly wait, by how their names begin; so do all with `wire` among their
-parameters. They are patient: other tests of their kind may run beside them."""
+parameters, and those that talk to an `emulator`. They are patient: their like may run beside them."""
 ALONE = (
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
@@ -43,9 +43,7 @@ ALONE = (
 
 
 def pytest_configure(config):
-    config.addinivalue_line(
-        "markers", "real_time: waits for a clock; not beside tests that keep a core busy"
-    )
+    config.addinivalue_line("markers", "real_time: waits for a clock; not beside tests that keep a core busy")
     config.addinivalue_line(
         "markers", "alone: judges the clock, or needs a port of the host; nothing beside it"
     )
@@ -57,7 +55,9 @@ def pytest_collection_modifyitems(items):
         name, _, parameters = item.name.partition("[")
         if f"{path}::{name}".startswith(ALONE):
             item.add_marker(pytest.mark.alone)
-        elif f"{path}::{name}".startswith(REAL_TIME) or "wire" in parameters:
+        elif (
+            f"{path}::{name}".startswith(REAL_TIME) or "wire" in parameters or "emulator" in item.fixturenames
+        ):
             item.add_marker(pytest.mark.real_time)
 
 
