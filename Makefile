@@ -9,12 +9,13 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign test lint
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs test test-long lint lock bench clean
+.PHONY: help demo demo-calibration docs test test-slowest test-long lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
 	@echo "make demo-calibration  calibrate on a generated data set and name the pages"
 	@echo "make test       run the default test suite"
+	@echo "make test-slowest  run it and list the twenty slowest tests"
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
@@ -51,12 +52,21 @@ demo-calibration: $(BIN)/.installed
 	@echo "calibration file: out/demo-calibration/calibration.toml"
 	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
-# Tests in virtual time share the cores; those that talk in real time follow, one after the other.
+# Tests in virtual time share the cores; then those that mostly wait for a clock, three at a time; then those
+# that judge the clock, one after the other. Hundreds of them start a process: compiled code is kept for it,
+# also where the environment asks for none.
+pytest = $(BIN)/python -m pytest $(if $(DURATIONS),--junit-xml $(DURATIONS)/$(1).xml)
+test test-slowest: export PYTHONDONTWRITEBYTECODE :=
 test: $(BIN)/.installed
 	@failed=0; \
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long and not real_time" || failed=1; \
-	$(BIN)/python -m pytest -m "real_time and not long" || failed=1; \
+	$(call pytest,virtual) -n 2 --dist worksteal -m "not long and not real_time and not alone" || failed=1; \
+	$(call pytest,real_time) -n 3 --dist worksteal -m "not long and real_time" || failed=1; \
+	$(call pytest,alone) -m "not long and alone" || failed=1; \
 	exit $$failed
+
+test-slowest: $(BIN)/.installed
+	@failed=0; $(MAKE) --no-print-directory test DURATIONS=out/durations || failed=1; \
+	$(BIN)/python tests/slowest.py out/durations; exit $$failed
 
 test-long: $(BIN)/.installed
 	$(BIN)/python -m pytest -m "long or not long" --timeout 3600

@@ -55,6 +55,12 @@ def reader(tmp_path_factory):
     return follow
 
 
+@pytest.fixture(scope="module")
+def installed(reader):
+    """What the block says that installs the example and looks at it."""
+    return reader("pip install ./examples/rangefinder")
+
+
 def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert [name for name, _ in FILES] == [
         "my-imu/pyproject.toml", "my-imu/my_imu.py", "my-imu/bench.toml", "my-imu/test_contract.py",
@@ -66,11 +72,10 @@ def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert "failed" not in told
 
 
-def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader):
+def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     """In the guide's order: one test, because each step uses what the one before it has left."""
-    told = reader("pip install ./examples/rangefinder")
-    assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", told)
-    assert "rangefinder distance: 1.8" in told
+    assert re.search(r"rangefinder +tf_luna +.*\(hil-rangefinder 0\.1\.0\)", installed)
+    assert "rangefinder distance: 1.8" in installed
     told = reader("--rerun approach.rrd")
     assert "PASS: approach" in told
     assert told.count("identical in") == 2
@@ -80,8 +85,8 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader):
     assert '[rangefinder]\nport = "/dev/' in reader("hil discover")
 
 
+@pytest.mark.usefixtures("installed")
 def test_the_example_passes_its_tests(reader):
-    reader("pip install ./examples/rangefinder")
     told = reader("cd examples/rangefinder && python -m pytest")
     assert re.search(r"\d\d passed", told)
     assert "failed" not in told

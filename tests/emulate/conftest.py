@@ -14,14 +14,14 @@ def emulate():
         yield lambda *options: stack.enter_context(emulator(*options)).endpoints()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def served():
-    """Endpoints of all devices of the shipped profile."""
+    """Endpoints of all devices of the shipped profile; not for longer: an emulator works without pause."""
     with emulator("--seed", "5") as running:
         yield running.endpoints()
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def endpoints_file(served, tmp_path_factory):
     path = tmp_path_factory.mktemp("emulate") / "endpoints.json"
     path.write_text(json.dumps(served))

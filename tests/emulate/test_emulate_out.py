@@ -1,5 +1,6 @@
 """The file of `hil emulate --out`: whole, there when everything answers, gone before and after."""
 
+import contextlib
 import json
 import os
 import re
@@ -28,7 +29,8 @@ def appears(file, process, seconds=START_S):
     while not file.exists():
         assert process.poll() is None, process.stderr.read()
         assert time.monotonic() < end, "the file has not appeared"
-        time.sleep(0.005)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(0.005)
     return json.loads(file.read_text())
 
 

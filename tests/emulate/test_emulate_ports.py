@@ -3,7 +3,7 @@
 import contextlib
 import os
 import socket
-import time
+import threading
 
 import pytest
 from natnet import NatNetClient
@@ -43,13 +43,17 @@ def motive_ports():
 
 def frames_of(client, wanted=20, seconds=10.0):
     """Frames that the public client gets; stops at `wanted`."""
-    frames = []
-    client.on_data_frame_received_event.handlers.append(frames.append)
+    frames, enough = [], threading.Event()
+
+    def take(frame):
+        frames.append(frame)
+        if len(frames) >= wanted:
+            enough.set()
+
+    client.on_data_frame_received_event.handlers.append(take)
     with client:
         client.run_async()
-        end = time.monotonic() + seconds
-        while len(frames) < wanted and time.monotonic() < end:
-            time.sleep(0.02)
+        enough.wait(seconds)
         client.stop_async()
     return frames
 

@@ -78,6 +78,7 @@ def test_it_runs_away_from_the_checkout(unpacked, tmp_path):
     where = "import hil, hil.procedures; print(hil.__file__); print(hil.procedures.__file__)"
     assert all(line.startswith(str(unpacked)) for line in call(unpacked, tmp_path, "-c", where).splitlines())
     assert json.loads(call(unpacked, tmp_path, "-m", "hil", "info", "--json"))["extras"]
-    ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", "--out", "o", "--json"))
+    brief = ("--set", "watch_s=2", "--out", "o", "--json")
+    ran = json.loads(call(unpacked, tmp_path, "-m", "hil", "run", "bring_up", *brief))
     assert ran["verdict"] in ("PASS", "MARGINAL")
     assert (tmp_path / "o" / "report.html").stat().st_size > 10_000

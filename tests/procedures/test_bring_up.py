@@ -17,6 +17,8 @@ from hil.config.loading import load_bench
 from hil.procedures.bring_up import Parameters, measurements
 
 SHORT = {"watch_s": 4.0}
+BRIEF = {"watch_s": 2.0}
+"""For what does not depend on how the devices' clocks drift."""
 
 
 def believed(seed, wrong):
@@ -75,7 +77,7 @@ def test_the_age_allowed_follows_from_rate_and_asking_ahead(rate_hz, ahead):
 @pytest.mark.parametrize(("rate_hz", "ahead"), [(100.0, True), (200.0, True)])
 def test_what_was_asked_for_ahead_is_a_cycle_old(tmp_path, rate_hz, ahead):
     overrides = {"loop.rate_hz": rate_hz, "servos.prefetch": ahead}
-    parameters = {"watch_s": 2.0, "devices": "servos,encoders,imu,mocap"}
+    parameters = BRIEF | {"devices": "servos,encoders,imu,mocap"}
     done = run("bring_up", tmp_path / "run", parameters, overrides=overrides)
     assert not [name for name in done.failed if name.endswith(".age")]
     assert (done.values["servos.age"] > 5.0) is (rate_hz < 200.0)
@@ -83,7 +85,7 @@ def test_what_was_asked_for_ahead_is_a_cycle_old(tmp_path, rate_hz, ahead):
 
 def test_servos_that_answer_late_are_too_old(tmp_path):
     overrides = {"servos.reply_slack_s": 0.02, "emulation.servos": {"processing_s": 0.012}}
-    parameters = {"watch_s": 2.0, "devices": "servos,mocap"}
+    parameters = BRIEF | {"devices": "servos,mocap"}
     done = run("bring_up", tmp_path / "run", parameters, overrides=overrides | {"loop.rate_hz": 50.0})
     assert "servos.age" in done.failed
 
@@ -97,7 +99,7 @@ def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
 
 def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
     swapped = {"emulation.servos": {"ids": [2, 1, 3, 4, 5, 6, 7, 8]}}
-    done = run("bring_up", tmp_path / "run", SHORT | {"devices": "servos,mocap"}, overrides=swapped)
+    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,mocap"}, overrides=swapped)
     assert done.result.exit_code == 1
     assert {"drive_FL.across", "drive_BL.across"} <= set(done.failed)
     assert not {"drive_BR.across", "drive_FR.across"} & set(done.failed)
@@ -106,7 +108,7 @@ def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
 
 def test_devices_that_work_badly_fail_their_own_measurements(tmp_path):
     faults = ("encoder.FL:stuck", "tracker:slow,factor=2")
-    parameters = SHORT | {"devices": "servos,encoders,tracker", "watch_s": 2.0}
+    parameters = BRIEF | {"devices": "servos,encoders,tracker"}
     done = run("bring_up", tmp_path / "run", parameters, faults=faults)
     assert done.result.exit_code == 1
     assert {"steer_FL.encoder_response", "tracker.delivered"} <= set(done.failed)
@@ -135,6 +137,6 @@ def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
     assert refused.result.exit_code == 2
     assert "encoders, imu, mocap" in refused.result.error.message
     assert not refused.source.benches
-    done = run("bring_up", tmp_path / "run", SHORT | {"devices": "servos,tracker"}, overrides=small)
+    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=small)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()

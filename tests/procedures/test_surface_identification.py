@@ -106,7 +106,7 @@ SHORT = {"length_m": "0.25", "repetitions": "2", "hold": "false"}
 
 
 def test_interrupted_after_any_step_it_finds_what_it_finds_undisturbed(tmp_path):
-    parameters = SHORT | {"hold": "true", "hold_step_deg": "10"}
+    parameters = SHORT | {"length_m": "0.11", "hold": "true", "hold_step_deg": "10"}
     whole, found = identify(tmp_path / "whole", seed=3, parameters=parameters)
     lines = (tmp_path / "whole" / "journal.jsonl").read_text().splitlines(keepends=True)
     ends = [k for k, line in enumerate(lines, start=1) if json.loads(line)["kind"] == "value"]

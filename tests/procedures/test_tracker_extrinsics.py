@@ -95,7 +95,9 @@ def test_a_camera_is_found_on_the_wall_too(tmp_path):
 
 def test_a_camera_that_measures_wrongly_and_late_fails(tmp_path):
     faults = ("tracker:wrong,scale=1.2", "tracker:delayed,delay_s=0.08")
-    done = run("tracker_extrinsics", tmp_path / "run", SHORT | {"turn_deg": 40.0}, faults=faults)
+    done = run(
+        "tracker_extrinsics", tmp_path / "run", SHORT | {"turn_deg": 30.0, "way_m": 0.1}, faults=faults
+    )
     assert done.result.exit_code == 1
     assert {"scale", "late"} <= set(done.failed)
     assert not (tmp_path / "run" / "bench_fragment.toml").exists()

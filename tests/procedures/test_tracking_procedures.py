@@ -16,7 +16,7 @@ from hil.robot.trajectories import line
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.geometry import wrap_array
 
-SHORT_LINES = {"length_m": 0.3, "duration_s": 8.0, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
+SHORT_LINES = {"length_m": 0.3, "duration_s": 5.5, "hold_s": 0.5, "feedbacks": ["odometry", "ekf"]}
 SHORT_SCAN = {"lanes": 2, "lane_length_m": 0.25, "hold_s": 0.5}
 
 
