@@ -15,7 +15,7 @@ import socket
 import subprocess
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -34,8 +34,8 @@ TABS = ("Motion", "Estimator", "Loop")
 _CORNERS = ((0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.45, 0.4, 0.0))
 _FAULT = "imu:off@9+0.3"
 _CHROMIUM = Path("/usr/lib/chromium")
-_START_S, _DRAW_S = 60.0, 1.5
-_CLIP_PX, _CLIP_MS, _CLIP_QUALITY = 560, 110, 70
+_START_S, _DRAW_S, _TRIES = 60.0, 1.0, 5
+_CLIP_WINDOW, _CLIP_PX, _CLIP_MS, _CLIP_QUALITY = "1100x760", 560, 120, 70
 
 
 def climb() -> tuple[Scene, Sequence[CycleRecord]]:
@@ -99,7 +99,11 @@ def photograph(client: Any, png: Path, t_s: float, view: str | None = None) -> N
     """Save the window, or one of its views, at a time of the drive."""
     client.set_time("time", duration=t_s, play_state="paused")
     wait(_DRAW_S)
-    client.save_screenshot(str(png.resolve()), view)
+    for _ in range(_TRIES):
+        with suppress(TimeoutError):
+            client.save_screenshot(str(png.resolve()), view)
+            return
+    raise SystemExit(f"the viewer did not draw {png.name} in {_TRIES} tries: give the machine more time")
 
 
 def clip(frames: Sequence[Path], path: Path) -> None:
@@ -121,7 +125,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path(__file__).parent)
     parser.add_argument("--vulkan", type=Path, default=_CHROMIUM, help="folder of a software Vulkan")
     parser.add_argument("--size", default="1600x900")
-    parser.add_argument("--frames", type=int, default=60)
+    parser.add_argument("--frames", type=int, default=50)
     options = parser.parse_args()
     scene, records = climb()
     end_s = (records[-1].inputs.t_ns - records[0].inputs.t_ns) / 1e9
@@ -134,7 +138,7 @@ def main() -> None:
             ) as client:  # a viewer keeps the layout of its first file
                 client.open(str(folder / f"{tab}.rrd"))
                 photograph(client, options.out / f"rerun_{tab.lower()}.png", 0.6 * end_s)
-        with viewer(options.vulkan, options.size) as client:
+        with viewer(options.vulkan, _CLIP_WINDOW) as client:
             client.open(str(folder / f"{TABS[0]}.rrd"))
             view = next(v.view_id for v in client.get_state().views if v.name.startswith("Robot"))
             frames = [folder / f"{k:03d}.png" for k in range(options.frames)]
