@@ -9,7 +9,7 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign test lint
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs test test-slowest test-long lint lock bench clean
+.PHONY: help demo demo-calibration docs pictures test test-slowest test-long lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -19,6 +19,7 @@ help:
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
+	@echo "make pictures   the Rerun view as pictures and a clip, without a screen (needs a Vulkan driver)"
 	@echo "make bench      print the measured ratios"
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
@@ -86,6 +87,9 @@ docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
 	$(BIN)/python docs/make_fault_reference.py
 	$(BIN)/python docs/images/render_robot_on_wall.py
+
+pictures: $(BIN)/.installed
+	$(BIN)/python docs/images/render_rerun_view.py
 
 lock: $(BIN)/.installed
 	$(PIP) uv

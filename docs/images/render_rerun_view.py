@@ -1,180 +1,150 @@
-"""Screenshots of the Rerun view without a screen: web viewer in headless Chromium, drawn in software.
+"""Pictures and a clip of the Rerun view without a screen: a climb on the emulated wall, drawn in software.
 
-    python docs/images/render_rerun_view.py recording.mcap --chromium /usr/bin/chromium
+    python docs/images/render_rerun_view.py
 
-For each tab the recording is played into a file, served by `rerun --serve-web`, and photographed.
+The robot drives up and to the left while its IMU is silent once. Rerun's viewer shows that without a
+window, which needs Vulkan: of a graphics card, of Mesa (package mesa-vulkan-drivers), or the one that
+Chromium brings (--vulkan names its folder).
 """
 
 from __future__ import annotations
 
 import argparse
-import base64
-import json
 import os
-import signal
 import socket
 import subprocess
-import sys
 import tempfile
-import urllib.error
-import urllib.parse
-import urllib.request
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
-from hil.monitor.blueprint import TABS
+import hil
+from hil.monitor import Scene
 from hil.monitor.stream import RerunStream
-from hil.recording.mcap_reader import read_header
-from hil.recording.runs import RecordedRun, read_runs
-from hil.robot.kinematics import WheelGeometry
-from hil.robot.trajectories import Trajectory
+from hil.robot.trajectories import through
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
+from hil.vocabulary.signals import CycleRecord
 
-_START_S = 30.0
-_DRAWN_BYTES = 50_000
-_BETWEEN_S = 15.0
-_PICTURES = 18
-_ALIKE = 0.02
-
-
-def free_port() -> int:
-    """A TCP port on this host that nobody uses."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        port: int = server.getsockname()[1]
-        return port
+TABS = ("Motion", "Estimator", "Loop")
+_CORNERS = ((0.0, 0.0, 0.0), (0.45, 0.0, 0.0), (0.45, 0.4, 0.0))
+_FAULT = "imu:off@9+0.3"
+_CHROMIUM = Path("/usr/lib/chromium")
+_START_S, _DRAW_S, _TRIES = 60.0, 1.0, 5
+_CLIP_WINDOW, _CLIP_PX, _CLIP_MS, _CLIP_QUALITY = "1100x760", 560, 120, 70
 
 
-def play(run: RecordedRun, geometry: WheelGeometry, path: Path, tab: str) -> None:
-    """One run as the monitor shows it, with a tab in front."""
-    stream = RerunStream((str(path),), geometry, tab=tab)
-    if run.start is not None and run.start.trajectory is not None:
-        trajectory = Trajectory.from_mapping(run.start.trajectory)
-        times_s = np.linspace(0.0, trajectory.duration_s, 400)
-        stream.path(np.array([trajectory.sample(float(t)).pose_in_wall[:2] for t in times_s]))
-    for record in run.records:
+def climb() -> tuple[Scene, Sequence[CycleRecord]]:
+    """The drive that is shown: scene and cycles."""
+    trajectory = through([np.array(corner) for corner in _CORNERS])
+    with hil.open_bench("emulated", seed=1, faults=[_FAULT]) as bench:
+        motion = bench.drive(trajectory, feedback="ekf", observers=("odometry",))
+        return Scene.of(bench.config, bench.geometry), motion.records
+
+
+def play(scene: Scene, records: Sequence[CycleRecord], path: Path, tab: str) -> None:
+    """The drive as the monitor shows it, with a tab in front."""
+    stream = RerunStream((str(path),), scene, tab=tab)
+    stream.path(np.array([r.reference.pose_in_wall[:2] for r in records[::10] if r.reference is not None]))
+    for record in records:
         stream.add(record)
     stream.close()
 
 
-class Browser:
-    """Headless Chromium, spoken to over its debugging pipe."""
+@contextmanager
+def viewer(vulkan: Path, size: str) -> Iterator[Any]:
+    """A viewer without a window, and what asks it for pictures."""
+    from rerun.experimental import ViewerClient
 
-    def __init__(self, chromium: str, size: str, folder: Path) -> None:
-        child_in, self._out = os.pipe()
-        self._in, child_out = os.pipe()
-        width, _, height = size.partition(",")
-        arguments = [
-            chromium, "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--hide-scrollbars",
-            "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
-            f"--user-data-dir={folder / 'profile'}", f"--window-size={width},{height}",
-            "--remote-debugging-pipe", "about:blank",
-        ]  # fmt: skip
-        self._child = subprocess.Popen(
-            ["bash", "-c", f'exec "$@" 3<&{child_in} 4>&{child_out}', "bash", *arguments],
-            pass_fds=(child_in, child_out), stderr=subprocess.DEVNULL, start_new_session=True,
-        )  # fmt: skip
-        os.close(child_in)
-        os.close(child_out)
-        self._number, self._rest = 0, b""
-
-    def ask(self, method: str, session: str | None = None, **parameters: Any) -> Any:
-        """Result of one command."""
-        self._number += 1
-        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
-        if session is not None:
-            message["sessionId"] = session
-        os.write(self._out, json.dumps(message).encode() + b"\0")
-        while True:
-            answer = json.loads(self._next())
-            if answer.get("id") == self._number:
-                return answer["result"]
-
-    def _next(self) -> bytes:
-        while b"\0" not in self._rest:
-            piece = os.read(self._in, 1 << 20)
-            if not piece:
-                raise SystemExit("the browser has ended")
-            self._rest += piece
-        message, self._rest = self._rest.split(b"\0", 1)
-        return message
-
-    def close(self) -> None:
-        """End it."""
-        os.killpg(self._child.pid, signal.SIGKILL)
-        self._child.wait()
-        os.close(self._in)
-        os.close(self._out)
-
-
-def photograph(rrd: Path, png: Path, chromium: str, size: str) -> None:
-    """Serve a file, show it, and take pictures until the last two are as large as each other."""
-    web, grpc = free_port(), free_port()
-    viewer = Path(sys.executable).parent / "rerun"
-    command = [str(viewer), "--serve-web", "--bind", "127.0.0.1", "--port", str(grpc)]
-    server = subprocess.Popen(
-        [*command, "--web-viewer-port", str(web), str(rrd)],
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
-    )  # fmt: skip
+    spec = find_spec("rerun_cli")
+    if spec is None or spec.origin is None:
+        raise SystemExit("the program `rerun` is not installed: pip install rerun-sdk")
+    with socket.create_server(("127.0.0.1", 0)) as probe:
+        port = probe.getsockname()[1]
+    drivers = {"LD_LIBRARY_PATH": str(vulkan), "VK_ICD_FILENAMES": str(vulkan / "vk_swiftshader_icd.json")}
+    command = [
+        str(Path(spec.origin).with_name("rerun")), "--headless", "--bind", "127.0.0.1", "--port", str(port),
+        "--renderer", "vulkan", "--window-size", size, "--hide-welcome-screen",
+    ]  # fmt: skip
+    process = subprocess.Popen(
+        command, env=os.environ | (drivers if vulkan.is_dir() else {}), stderr=subprocess.DEVNULL
+    )
     try:
-        await_page(f"http://127.0.0.1:{web}/")
-        source = urllib.parse.quote(f"rerun+http://127.0.0.1:{grpc}/proxy", safe="")
-        browser = Browser(chromium, size, rrd.parent)
-        try:
-            url = f"http://127.0.0.1:{web}/?url={source}&renderer=webgl&theme=light"
-            png.write_bytes(picture(browser, url))
-        finally:
-            browser.close()
-    finally:
-        os.killpg(server.pid, signal.SIGKILL)
-        server.wait()
-
-
-def picture(browser: Browser, url: str) -> bytes:
-    """PNG of a page that has been drawn."""
-    clock = MonotonicClock()
-    target = browser.ask("Target.createTarget", url=url)["targetId"]
-    session = browser.ask("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-    before = 0
-    for _ in range(_PICTURES):
-        clock.sleep_until_ns(clock.now_ns() + nanoseconds(_BETWEEN_S))
-        found = base64.b64decode(browser.ask("Page.captureScreenshot", session, format="png")["data"])
-        if len(found) > _DRAWN_BYTES and abs(len(found) - before) < _ALIKE * len(found):
-            return found
-        before = len(found)
-    raise SystemExit(f"{url}: the page was not drawn within {_PICTURES * _BETWEEN_S:g} s")
-
-
-def await_page(url: str) -> None:
-    """Wait until a page is served."""
-    clock = MonotonicClock()
-    deadline_ns = clock.now_ns() + nanoseconds(_START_S)
-    while clock.now_ns() < deadline_ns:
-        try:
-            with urllib.request.urlopen(url, timeout=1.0):
+        clock = MonotonicClock()
+        deadline_ns = clock.now_ns() + nanoseconds(_START_S)
+        while True:
+            wait(0.5)
+            try:
+                yield ViewerClient.connect(f"rerun+http://127.0.0.1:{port}/proxy")
                 return
-        except (urllib.error.URLError, OSError):
-            clock.sleep_until_ns(clock.now_ns() + nanoseconds(0.2))
-    raise SystemExit(f"{url} is not served")
+            except ConnectionError:
+                if process.poll() is not None or clock.now_ns() > deadline_ns:
+                    raise SystemExit("the viewer does not start: is there a Vulkan driver?") from None
+    finally:
+        process.kill()
+        process.wait()
+
+
+def wait(seconds: float) -> None:
+    """Let the viewer go on."""
+    clock = MonotonicClock()
+    clock.sleep_until_ns(clock.now_ns() + nanoseconds(seconds))
+
+
+def photograph(client: Any, png: Path, t_s: float, view: str | None = None) -> None:
+    """Save the window, or one of its views, at a time of the drive."""
+    client.set_time("time", duration=t_s, play_state="paused")
+    wait(_DRAW_S)
+    for _ in range(_TRIES):
+        with suppress(TimeoutError):
+            client.save_screenshot(str(png.resolve()), view)
+            return
+    raise SystemExit(f"the viewer did not draw {png.name} in {_TRIES} tries: give the machine more time")
+
+
+def clip(frames: Sequence[Path], path: Path) -> None:
+    """Frames as an animated picture."""
+    images = []
+    for frame in frames:
+        with Image.open(frame) as full:
+            height = round(full.height * _CLIP_PX / full.width)
+            images.append(full.convert("RGB").resize((_CLIP_PX, height), Image.Resampling.LANCZOS))
+    images[0].save(
+        path, save_all=True, append_images=images[1:], duration=_CLIP_MS, loop=0, quality=_CLIP_QUALITY,
+        method=6,
+    )  # fmt: skip
 
 
 def main() -> None:
-    """Render one picture per tab."""
+    """Draw the window with each tab, and the climb as a clip."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("recording", type=Path)
     parser.add_argument("--out", type=Path, default=Path(__file__).parent)
-    parser.add_argument("--chromium", default="chromium")
-    parser.add_argument("--tabs", nargs="*", default=list(TABS))
-    parser.add_argument("--size", default="1600,900")
+    parser.add_argument("--vulkan", type=Path, default=_CHROMIUM, help="folder of a software Vulkan")
+    parser.add_argument("--size", default="1600x900")
+    parser.add_argument("--frames", type=int, default=50)
     options = parser.parse_args()
-    geometry = WheelGeometry.from_vector(np.array(read_header(options.recording)["geometry"]))
-    run = max(read_runs(options.recording), key=lambda r: len(r.records))
-    with tempfile.TemporaryDirectory() as folder:
-        for tab in options.tabs:
-            rrd = Path(folder) / f"{tab}.rrd"
-            play(run, geometry, rrd, tab)
-            photograph(rrd, options.out / f"rerun_{tab.lower()}.png", options.chromium, options.size)
+    scene, records = climb()
+    end_s = (records[-1].inputs.t_ns - records[0].inputs.t_ns) / 1e9
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for tab in TABS:
+            play(scene, records, folder / f"{tab}.rrd", tab)
+            with viewer(
+                options.vulkan, options.size
+            ) as client:  # a viewer keeps the layout of its first file
+                client.open(str(folder / f"{tab}.rrd"))
+                photograph(client, options.out / f"rerun_{tab.lower()}.png", 0.6 * end_s)
+        with viewer(options.vulkan, _CLIP_WINDOW) as client:
+            client.open(str(folder / f"{TABS[0]}.rrd"))
+            view = next(v.view_id for v in client.get_state().views if v.name.startswith("Robot"))
+            frames = [folder / f"{k:03d}.png" for k in range(options.frames)]
+            for k, frame in enumerate(frames):
+                photograph(client, frame, end_s * k / (options.frames - 1), view)
+        clip(frames, options.out / "robot_climbs.webp")
 
 
 if __name__ == "__main__":

@@ -22,7 +22,6 @@ from hil.vocabulary.geometry import Array, between, se2_log
 from hil.vocabulary.kinds import Force, kinds
 from hil.vocabulary.signals import CycleRecord, Inputs
 
-_ROW_NS = NS_PER_S // 20
 _SLIP_WINDOW_NS = NS_PER_S // 2
 
 
@@ -55,7 +54,7 @@ class Moment:
 
 
 class Moments:
-    """Collects moments from cycles, twenty a second at most.
+    """Keeps the newest that is known of the robot.
 
     Args:
         scene: robot and surface.
@@ -70,29 +69,25 @@ class Moments:
         self._seen: deque[tuple[int, Array]] = deque()
         self._angles: deque[tuple[int, Array]] = deque()
         self._forces: dict[str, tuple[Force, ...]] = {}
-        self._taken_ns = -(1 << 62)
-        self._rows: list[Moment] = []
 
-    def add(self, record: CycleRecord, t_s: float) -> None:
-        """Take one cycle.
-
-        Args:
-            record: of the cycle.
-            t_s: its time in the view.
-        """
+    def note(self, record: CycleRecord) -> None:
+        """Take what one cycle tells."""
         self._note_wheels(record)
         self._note_truth(record)
         self._note_forces(record.inputs)
-        pose = record.state.pose_body_in_wall
-        due = not 0 <= record.inputs.t_ns - self._taken_ns < _ROW_NS
-        if due and np.isfinite(pose).all():
-            self._taken_ns = record.inputs.t_ns
-            self._rows.append(self._moment(record, t_s))
 
-    def take(self) -> list[Moment]:
-        """Everything since the last call."""
-        taken, self._rows = self._rows, []
-        return taken
+    def at(self, record: CycleRecord, t_s: float) -> Moment:
+        """The robot at a cycle that has been noted.
+
+        Args:
+            record: of the cycle; its pose is known.
+            t_s: its time in the view.
+        """
+        pose = record.state.pose_body_in_wall
+        return Moment(
+            t_s, record.cycle, pose, record.state.covariance, self._steering, self._wheel_angle,
+            self._truth, self._reference, self._slip(), self._loads(float(pose[2])), self._all_forces(),
+        )  # fmt: skip
 
     def _note_wheels(self, record: CycleRecord) -> None:
         """The newest figures of every wheel; what a servo did not say stays as it was."""
@@ -120,13 +115,6 @@ class Moments:
             told = tuple(kind.forces(inputs, self._scene.robot))
             if told:
                 self._forces[name] = told
-
-    def _moment(self, record: CycleRecord, t_s: float) -> Moment:
-        pose = record.state.pose_body_in_wall
-        return Moment(
-            t_s, record.cycle, pose, record.state.covariance, self._steering, self._wheel_angle,
-            self._truth, self._reference, self._slip(), self._loads(float(pose[2])), self._all_forces(),
-        )  # fmt: skip
 
     def _slip(self) -> Array | None:
         """The emulated robot's own; else the mean over a window in which poses and wheel angles are known."""

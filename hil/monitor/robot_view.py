@@ -101,37 +101,26 @@ class RobotView:
         lines = self._lines([strip], colour, 1.0 if static else 2.0)
         self._stream.log(f"{WALL}/path/{name}", lines, static=static)
 
-    def move(self, moments: Sequence[Moment]) -> None:
-        """Place the robot, its wheels, truth and reference at each of some moments."""
+    def show(self, m: Moment) -> None:
+        """Place robot, wheels, truth and reference, now; twice a second say what acts on the robot."""
         rr, geometry = self._rr, self._scene.geometry
-        poses = {
-            "estimate": [(m, m.pose) for m in moments],
-            "truth": [(m, m.truth) for m in moments if m.truth is not None],
-            "reference": [(m, m.reference) for m in moments if m.reference is not None],
-        }
-        for name, placed in poses.items():
-            if placed:
-                self._place(name, [m for m, _ in placed], [pose for _, pose in placed])
-        turns = [solid.wheel_turns(m.steering_rad, m.wheel_angle_rad, geometry) for m in moments]
-        columns = rr.InstancePoses3D.columns(
-            translations=np.tile(solid.hub_places(geometry), (len(moments), 1)),
-            quaternions=_xyzw(np.concatenate(turns)),
-        )
-        self._columns(f"{ROBOT}/wheels", moments, columns.partition([4] * len(moments)))
-
-    def explain(self, moments: Sequence[Moment]) -> None:
-        """Draw how sure the estimate is, and what acts on the robot, twice a second of some moments."""
-        for m in moments:
-            if 0.0 <= m.t_s - self._explained_s < _EXPLAINED_S:
-                continue
+        for name, pose in (("estimate", m.pose), ("truth", m.truth), ("reference", m.reference)):
+            if pose is not None:
+                self._place(name, pose)
+        turns = solid.wheel_turns(m.steering_rad, m.wheel_angle_rad, geometry)
+        wheels = rr.InstancePoses3D(translations=solid.hub_places(geometry), quaternions=_xyzw(turns))
+        self._log(f"{ROBOT}/wheels", wheels)
+        if not 0.0 <= m.t_s - self._explained_s < _EXPLAINED_S:
             self._explained_s = m.t_s
-            self._at(m)
-            if finite(m.covariance[:2, :2]):
-                ellipse = solid.ellipse_in_body(m.covariance, float(m.pose[2]))
-                lines = self._lines([ellipse], PATH_COLOURS["estimate"], 2.0)
-                self._log(f"{ROBOT}/covariance_95", lines)
             self._explain_wheels(m)
             self._explain_forces(m)
+            self._explain_estimate(m)
+
+    def _explain_estimate(self, m: Moment) -> None:
+        """How sure it is of the position."""
+        if finite(m.covariance[:2, :2]):
+            ellipse = solid.ellipse_in_body(m.covariance, float(m.pose[2]))
+            self._log(f"{ROBOT}/covariance_95", self._lines([ellipse], PATH_COLOURS["estimate"], 2.0))
 
     def _explain_wheels(self, m: Moment) -> None:
         rr, geometry = self._rr, self._scene.geometry
@@ -218,28 +207,16 @@ class RobotView:
         for name, part in {"plate": plate, "fan": fan, "frame": frame}.items():
             self._log(f"{ROBOT}/body/{name}", part, static=True)
 
-    def _place(self, name: str, moments: Sequence[Moment], poses: Sequence[Array]) -> None:
+    def _place(self, name: str, pose: Array) -> None:
+        """Move a frame; what has not been there before gets its outline now, and is nowhere before."""
         rr = self._rr
         if name not in self._outlined:
             self._outlined.add(name)
-            self._at(moments[0])
             drawn = robot_parts.outline(self._scene.robot)
             self._log(f"{WALL}/{name}/outline", self._lines([drawn], PATH_COLOURS[name], 1.5))
-        columns = rr.Transform3D.columns(
-            translation=np.stack([solid.translation(pose) for pose in poses]),
-            quaternion=_xyzw(np.stack([quat_from_yaw(float(pose[2])) for pose in poses])),
-        )
-        self._columns(f"{WALL}/{name}", moments, columns)
-
-    def _columns(self, entity: str, moments: Sequence[Moment], columns: Any) -> None:
-        rr = self._rr
-        times = rr.TimeColumn("time", duration=[m.t_s for m in moments])
-        cycles = rr.TimeColumn("cycle", sequence=[m.cycle for m in moments])
-        self._stream.send_columns(entity, indexes=[times, cycles], columns=columns)
-
-    def _at(self, m: Moment) -> None:
-        self._stream.set_time("time", duration=m.t_s)
-        self._stream.set_time("cycle", sequence=m.cycle)
+        w, x, y, z = quat_from_yaw(float(pose[2])).tolist()
+        placed = rr.Transform3D(translation=solid.translation(pose), quaternion=(x, y, z, w))
+        self._log(f"{WALL}/{name}", placed)
 
     def _log(self, entity: str, drawn: Any, *, static: bool = False) -> None:
         self._stream.log(entity, drawn, static=static)
@@ -250,10 +227,11 @@ class RobotView:
 
 
 def _xyzw(quaternions_wxyz: Array) -> Array:
-    return np.asarray(quaternions_wxyz[:, [1, 2, 3, 0]], dtype=np.float64)
+    w, x, y, z = quaternions_wxyz.T
+    return np.column_stack([x, y, z, w])
 
 
 def _marks(low: float, high: float) -> Array:
     """Multiples of the grid's width between two bounds."""
     first, last = math.ceil(low / _GRID_M), math.floor(high / _GRID_M)
-    return _GRID_M * np.arange(first, last + 1)
+    return np.asarray(_GRID_M * np.arange(first, last + 1), dtype=np.float64)

@@ -17,7 +17,6 @@ from collections import deque
 from pathlib import Path
 
 from hil.monitor.scene import Scene
-from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
 from hil.vocabulary.geometry import Array
@@ -101,7 +100,7 @@ class RerunMonitor(Sink):
         if lossless:
             from hil.monitor.stream import RerunStream
 
-            self._stream = RerunStream(targets, self._scene, moved_ns=NS_PER_S)
+            self._stream = RerunStream(targets, self._scene)
             return
         self._process = subprocess.Popen(
             [sys.executable, "-m", "hil.monitor", *targets],

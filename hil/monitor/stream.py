@@ -46,17 +46,13 @@ class RerunStream:
             file; several at once are fed the same.
         scene: robot and surface.
         tab: which of the blueprint's tabs is in front.
-        moved_ns: how often the robot's moments are sent: often to a viewer that follows a loop, rarely where
-            nobody waits, because each piece has a head.
     """
 
-    def __init__(
-        self, targets: tuple[str, ...], scene: Scene, *, tab: str = "Motion", moved_ns: int = _BATCH_NS
-    ) -> None:
+    def __init__(self, targets: tuple[str, ...], scene: Scene, *, tab: str = "Motion") -> None:
         import rerun
 
         self._rr = rerun
-        self._scene, self._tab, self._every_ns = scene, tab, moved_ns
+        self._scene, self._tab = scene, tab
         self._server: subprocess.Popen[bytes] | None = None
         self._stream = rerun.RecordingStream("hil", send_properties=False)
         layout = blueprint(tab=tab)
@@ -71,7 +67,7 @@ class RerunStream:
         self._latest: CycleRecord | None = None
         self._wheels: tuple[Array, Array] = (np.zeros(4), np.zeros(4))
         self._truth: Array | None = None
-        self._sent_ns = self._plotted_ns = self._trails_ns = self._moved_ns = -(1 << 62)
+        self._sent_ns = self._plotted_ns = self._trails_ns = -(1 << 62)
         self._dropped = 0
 
     def _sink(self, target: str) -> Any:
@@ -112,7 +108,7 @@ class RerunStream:
             if wrong != self._conditions.get(name, ""):
                 self._tell(record, f"{name}: {wrong or 'good again'}", "WARN" if wrong else "INFO")
             self._conditions[name] = wrong
-        self._moments.add(record, self._collector.seconds(record))
+        self._moments.note(record)
         if not 0 <= record.inputs.t_ns - self._sent_ns < _BATCH_NS:
             self.flush()
 
@@ -139,13 +135,11 @@ class RerunStream:
         if not 0 <= record.inputs.t_ns - self._plotted_ns < _PLOTS_NS:
             self._send_plots()
             self._plotted_ns = record.inputs.t_ns
-        if not 0 <= record.inputs.t_ns - self._moved_ns < self._every_ns:
-            self._send_moments()
-            self._moved_ns = record.inputs.t_ns
         self._at(record)
         if finite(record.state.pose_body_in_wall):
             self._show_all(record.state.pose_body_in_wall[None, :2])
             self._send_robot(record)
+            self._robot.show(self._moments.at(record, self._collector.seconds(record)))
         if not 0 <= record.inputs.t_ns - self._trails_ns < _TRAIL_NS:
             self._send_trails()
             self._trails_ns = record.inputs.t_ns
@@ -154,7 +148,6 @@ class RerunStream:
         """Send the rest and let go of the outputs."""
         self.flush()
         self._send_plots()
-        self._send_moments()
         if self._latest is not None:
             self._send_trails()
         try:
@@ -192,12 +185,6 @@ class RerunStream:
 
     def _trail(self, name: str, pose: Array) -> None:
         self._trails.setdefault(name, shapes.Trail()).add(float(pose[0]), float(pose[1]))
-
-    def _send_moments(self) -> None:
-        moments = self._moments.take()
-        if moments:
-            self._robot.move(moments)
-            self._robot.explain(moments)
 
     def _send_plots(self) -> None:
         for entity, series in self._collector.take():

@@ -1,0 +1,99 @@
+"""What the three-dimensional view is made of: a mesh of the user's, forces, and what happens without."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_monitor_sink import needs_rerun, shown
+
+from hil.config.environment import EnvironmentConfig
+from hil.config.loading import load_bench
+from hil.config.robot import RobotConfig
+from hil.monitor import RerunMonitor, Scene, moments
+from hil.monitor.moments import Moments
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.kinds import Force, kinds
+
+TRIANGLE = "v 0 0 0\nv 100 0 0\nv 0 100 50\nf 1 2 3\n"
+
+
+def bench_with(tmp_path, mesh: str, **more: object):
+    return load_bench("emulated", overrides={"monitor.mesh": str(tmp_path / mesh), **more})
+
+
+@needs_rerun
+def test_a_mesh_of_the_users_stands_for_the_body_and_wheels_are_still_drawn(tmp_path):
+    (tmp_path / "robot.obj").write_text(TRIANGLE)
+    config = bench_with(tmp_path, "robot.obj", **{"monitor.mesh_unit_m": 0.001})
+    monitor = RerunMonitor(
+        str(tmp_path / "run.rrd"), lossless=True, scene=Scene.of(config, WheelGeometry.nominal())
+    )
+    monitor.write(shown(0))
+    monitor.close()
+    data = (tmp_path / "run.rrd").read_bytes()
+    assert b"estimate/mesh" in data
+    assert b"estimate/wheels" in data
+    assert b"estimate/body" not in data
+
+
+def test_a_mesh_that_is_not_there_is_named_and_a_recording_does_without(tmp_path, caplog):
+    config = bench_with(tmp_path, "robot.obj")
+    with pytest.raises(ConfigError, match=r"monitor\.mesh: .*robot\.obj is no file"):
+        Scene.of(config, WheelGeometry.nominal())
+    scene = Scene.of(config, WheelGeometry.nominal(), recorded=True)
+    assert scene.looks.mesh is None
+    assert "robot.obj is not here" in caplog.text
+
+
+def test_a_mesh_of_another_format_is_refused_with_those_that_can_be_shown(tmp_path):
+    with pytest.raises(ConfigError) as refused:
+        bench_with(tmp_path, "robot.step")
+    assert "monitor.mesh" in str(refused.value)
+    assert ".glb, .gltf, .obj, .stl" in str(refused.value)
+
+
+def test_a_relative_mesh_lies_beside_the_bench_file(tmp_path):
+    (tmp_path / "my.toml").write_text('schema = 1\nname = "mine"\n[monitor]\nmesh = "robot.glb"\n')
+    assert load_bench(tmp_path / "my.toml").monitor.mesh == str(tmp_path / "robot.glb")
+
+
+def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
+    told = Force("fan", np.zeros(3), np.array([0.0, 0.0, -31.0]))
+    imu = replace(kinds()["imu"], forces=lambda inputs, robot: iter((told,)))
+    follower = Moments(Scene())
+    follower.note(shown(0))
+    assert [f.name for f in follower.at(shown(0), 0.0).forces] == [
+        "fan (assumed)", "left propeller (assumed)", "right propeller (assumed)"
+    ]  # fmt: skip
+    monkeypatch.setattr(moments, "kinds", lambda: {"imu": imu})
+    follower.note(shown(1))
+    assert follower.at(shown(1), 0.01).forces == (told,)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.6, np.pi / 2])
+@pytest.mark.parametrize("heading_rad", [0.0, 0.3])
+def test_loads_by_statics_balance_every_force_and_moment(tilt_rad, heading_rad):
+    robot, on_wall = RobotConfig(), EnvironmentConfig(tilt_rad=tilt_rad).on_wall
+    loads = robot.wheel_loads_n(tilt_rad, heading_rad, adheres=on_wall)
+    x, y, height = robot.centre_of_mass_m
+    press, along = robot.weight_n * np.cos(tilt_rad), robot.weight_n * np.sin(tilt_rad)
+    fan, thrust = (robot.edf_force_n, robot.thrust_compensation * robot.weight_n) if on_wall else (0.0, 0.0)
+    assert np.all(loads > 0.0)
+    assert loads.sum() == pytest.approx(press + fan)
+    about_y = press * x - height * along * np.cos(heading_rad) + robot.propeller_height_m * thrust
+    about_x = press * y + height * along * np.sin(heading_rad)
+    assert loads @ np.array(robot.wheel_x_m) == pytest.approx(about_y)
+    assert loads @ np.array(robot.wheel_y_m) == pytest.approx(about_x)
+
+
+def test_without_motion_capture_nobody_knows_the_slip_or_the_truth():
+    record = shown(0)
+    unseen = replace(record, measurements=replace(record.measurements, mocap=()))
+    follower = Moments(Scene())
+    follower.note(unseen)
+    moment = follower.at(unseen, 0.0)
+    assert moment.slip_m_s is None
+    assert moment.truth is None
