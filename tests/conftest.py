@@ -32,6 +32,7 @@ parameters, and those that talk to an `emulator`. They are patient: their like m
 ALONE = (
     "adhesion/test_keeper_killed.py",
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
+    "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
     "encoders/test_can_face.py", "imu/test_imu_on_a_pty.py", "imu_microstrain/test_microstrain_on_a_pty.py",
     "live/test_live_command.py::test_a_real_time_recording_repeats_bit_for_bit",
@@ -41,7 +42,8 @@ ALONE = (
     "tracker_mavlink/test_mavlink_links.py",
     "tracker_mavlink/test_mavlink_on_the_bench.py::test_discovery_finds_a_sender",
 )  # fmt: skip
-"""Tests that judge how punctual this computer is, or need a port of the host that others may want."""
+"""Tests that judge how punctual this computer is, need a port of the host that others may want, or see whether
+one that they gave back is free."""
 
 
 def pytest_configure(config):
