@@ -53,7 +53,7 @@ demo-calibration: $(BIN)/.installed
 	@echo "calibration file: out/demo-calibration/calibration.toml"
 	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
-# Tests in virtual time share the cores; then those that mostly wait for a clock, three at a time; then those
+# Tests in virtual time share the cores; then those that mostly wait for a clock, two at a time; then those
 # that judge the clock, one after the other. Hundreds of them start a process: compiled code is kept for it,
 # also where the environment asks for none.
 pytest = $(BIN)/python -m pytest $(if $(DURATIONS),--junit-xml $(DURATIONS)/$(1).xml)
@@ -61,7 +61,7 @@ test test-slowest: export PYTHONDONTWRITEBYTECODE :=
 test: $(BIN)/.installed
 	@failed=0; \
 	$(call pytest,virtual) -n 2 --dist worksteal -m "not long and not real_time and not alone" || failed=1; \
-	$(call pytest,real_time) -n 3 --dist worksteal -m "not long and real_time" || failed=1; \
+	$(call pytest,real_time) -n 2 --dist worksteal -m "not long and real_time" || failed=1; \
 	$(call pytest,alone) -m "not long and alone" || failed=1; \
 	exit $$failed
 

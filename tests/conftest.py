@@ -16,32 +16,36 @@ settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
     "adhesion/test_keeper_process.py",
-    "devices/test_guide.py", "emulate/", "live/test_live_command.py", "live/test_live_remote.py",
-    "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
+    "devices/test_guide.py", "emulate/", "live/test_live_command.py",
     "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",
-    "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",
     "bench/test_doctor_slow_adapter.py::test_an_adapter_as_delivered_is_recognised_at_the_wire",
-    "imu_microstrain/test_microstrain_on_a_bench.py::test_up_a_wall_with_it_at_the_wire_in_real_time",
     "mocap/test_mocap_udp.py", "monitor/test_monitor_listens.py",
     "monitor/test_monitor_sink.py::test_real_time_shows_the_same_through_its_own_process",
     "tracker/test_tracker_across_processes.py",
-    "tracker_mavlink/test_mavlink_on_the_bench.py::test_the_same_drive_at_the_wire_in_real_time",
 )  # fmt: skip
 """Tests that talk in real time and mostly wait, by how their names begin; so do all with `wire` among their
 parameters, and those that talk to an `emulator`. They are patient: their like may run beside them."""
 ALONE = (
     "adhesion/test_keeper_killed.py",
+    "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
+    "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",
+    "bench/test_doctor_discover_setup.py::test_discover_finds_everything",
+    "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy",
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
+    "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
     "encoders/test_can_face.py", "imu/test_imu_on_a_pty.py", "imu_microstrain/test_microstrain_on_a_pty.py",
+    "imu_microstrain/test_microstrain_on_a_bench.py::test_up_a_wall_with_it_at_the_wire_in_real_time",
     "live/test_live_command.py::test_a_real_time_recording_repeats_bit_for_bit",
     "live/test_live_command.py::test_nothing_stands_still_while_the_loop_begins",
     "live/test_live_command.py::test_the_summary_says_what_happened",
-    "live/test_live_emulated_start.py", "mocap/test_mocap_flood.py", "servos/test_servo_on_a_pty.py",
-    "tracker_mavlink/test_mavlink_links.py",
+    "live/test_live_emulated_start.py", "live/test_live_remote.py", "mocap/test_mocap_flood.py",
+    "servos/test_servo_on_a_pty.py", "tracker_mavlink/test_mavlink_links.py",
     "tracker_mavlink/test_mavlink_on_the_bench.py::test_discovery_finds_a_sender",
+    "tracker_mavlink/test_mavlink_on_the_bench.py::test_the_same_drive_at_the_wire_in_real_time",
 )  # fmt: skip
-"""Tests that judge how punctual this computer is, or need a port of the host that others may want."""
+"""Tests that judge how punctual this computer is, need a port of the host that others may want, or see
+whether one that they gave back is free."""
 
 
 def pytest_configure(config):

@@ -10,6 +10,7 @@ import hil
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
+from tests.patience import PATIENT
 
 STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 
@@ -140,7 +141,7 @@ def test_closing_twice_or_without_entering_is_harmless():
 
 
 def test_the_same_drive_at_the_wire_in_real_time():
-    with hil.open_bench("emulated", seed=1, realtime=True) as bench:
+    with hil.open_bench("emulated", seed=1, realtime=True, overrides=PATIENT) as bench:
         assert bench.world is None
         assert bench.truth() is None
         motion = bench.drive(STRAIGHT, hold_s=0.5)
@@ -158,7 +159,6 @@ name = "mixed"
 [servos]
 port = "{emulator["servos"]["port"]}"
 baud = {emulator["servos"]["baud"]}
-reply_slack_s = 0.006
 [mocap]
 command_port = {emulator["mocap"]["command_port"]}
 [imu]
@@ -166,7 +166,7 @@ command_port = {emulator["mocap"]["command_port"]}
 [encoders]
 """
     )
-    with hil.open_bench(mixed, emulate="imu,tracker,encoders") as bench:
+    with hil.open_bench(mixed, emulate="imu,tracker,encoders", overrides=PATIENT) as bench:
         assert bench.config.emulated() == ("encoders", "imu", "tracker")
         motion = bench.drive(STRAIGHT, feedback="odometry", hold_s=0.3)
         assert np.linalg.norm(motion.mocap[np.isfinite(motion.mocap[:, 0])][-1][:2] - [0.1, 0.0]) < 0.02

@@ -58,7 +58,7 @@ def frames_of(client, wanted=20, seconds=10.0):
     return frames
 
 
-@pytest.mark.parametrize("multicast", [None, GROUP])
+@pytest.mark.parametrize("multicast", [None, GROUP], ids=["unicast", "multicast"])
 def test_the_ports_and_the_group_of_the_bench_file_are_served(emulate, bench_file, multicast):
     command_port, data_port = free_udp_port(), free_udp_port()
     keys = {"command_port": command_port, "data_port": data_port}
@@ -107,7 +107,7 @@ def test_a_port_in_use_is_named_with_what_can_be_done(bench_file, capsys):
 
 
 @pytest.mark.parametrize("realtime", [False, True], ids=["virtual", "wire"])
-@pytest.mark.parametrize("multicast", [None, GROUP])
+@pytest.mark.parametrize("multicast", [None, GROUP], ids=["unicast", "multicast"])
 def test_a_bench_reads_an_emulated_server_whose_ports_it_names(bench_file, realtime, multicast):
     with contextlib.ExitStack() as stack:
         holder = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))

@@ -18,15 +18,12 @@ import tomli_w
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.recording.mcap_reader import read_cycles
+from tests.patience import PATIENT
 
 SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"
 LIMIT_S = 600.0
 
 pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
-
-
-PATIENT = {"safety.servo_stale_s": 2.0, "servos.fail_after_s": 5.0, "servos.reply_slack_s": 0.03}
-"""A machine that runs tests may be busy: what is late here is not what is tested here."""
 
 
 def live(folder, *options, **process):

@@ -74,7 +74,7 @@ def test_a_public_client_gets_frames_and_definitions(served, version, multicast)
     assert np.all(steps >= 0)
 
 
-@pytest.mark.parametrize("multicast", [None, GROUP])
+@pytest.mark.parametrize("multicast", [None, GROUP], ids=["unicast", "multicast"])
 @pytest.mark.parametrize("version", VERSIONS)
 def test_the_driver_reads_over_udp(served, settings_of, version, multicast):
     face = served(version=version, multicast=multicast)

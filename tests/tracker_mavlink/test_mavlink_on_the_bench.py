@@ -23,6 +23,7 @@ from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import Search, kinds
 from hil.vocabulary.signals import Status
+from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
@@ -32,8 +33,6 @@ SIDEWAYS = line((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), duration_s=6.0)
 """The robot sags on its way along the wall, which no wheel sees."""
 SHORT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 MODEL = {"tracker.model": "mavlink"}
-PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02, "safety.servo_stale_s": 1.0}
-"""At the wire this computer's load must not count as a servo's silence: this is about the tracker."""
 
 
 def drive(*faults, trajectory=SIDEWAYS, recorder=None, **overrides):
