@@ -8,8 +8,9 @@ from plant_driving import FLOOR, MS_NS, X_LINE, build, drive, play_back, rebuilt
 
 from hil.config.robot import RobotConfig
 from hil.fakes.faults import FaultPlan, make_fault
-from hil.fakes.plant import Patch, Surface
+from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
+from hil.fakes.plant_api import JointCommand, Plant
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import circle
 from hil.vocabulary.errors import UsageError

@@ -1,4 +1,4 @@
-"""What the emulated bus remembers (who hears, who answers, where a goal stands) changes no byte and no motor."""
+"""What the emulated bus remembers (who hears, who answers, where a goal stands) changes no byte."""
 
 import pytest
 from hypothesis import given, settings
