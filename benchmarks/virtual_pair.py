@@ -3,9 +3,9 @@
     python benchmarks/virtual_pair.py --against ../before --seconds 20
 
 Both trees run the same two things in a process each, 40 control cycles in turn, so that whatever else the
-machine does meets both: `rig` reads and commands the five devices of the shipped bench; `wall` drives a line
-up the wall with EKF, supervisor and recording. Compared is the 10th percentile of the turns' processor time. Without
-`--against` only this tree is measured.
+machine does meets both: `rig` reads and commands the five devices of the shipped bench; `wall` drives a
+line up the wall with EKF, supervisor and recording. Compared is the 10th percentile of the turns' processor
+time. Without `--against` only this tree is measured.
 """
 
 from __future__ import annotations

@@ -7,15 +7,13 @@ latency and wire faults; a face (in-process pyserial URL or PTY) carries the byt
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from hil.fakes.faults import Supported
 from hil.fakes.world import NEVER_NS
 
 
-@dataclass(frozen=True)
-class Reply:
+class Reply(NamedTuple):
     """Bytes a chip puts on the wire: not before `ready_ns` (world time), then paced at the baud rate."""
 
     ready_ns: int

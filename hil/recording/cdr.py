@@ -10,7 +10,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -96,7 +95,7 @@ class CdrWriter:
 class Doubles(NamedTuple):
     """That many numbers of eight bytes, in a `CdrForm`."""
 
-    count: int
+    number: int
 
 
 TIME = None
@@ -138,13 +137,13 @@ class CdrForm:
                 form.append("iI")
                 cdr.time(0)
                 begun = len(cdr.bytes())
-            elif part.count:
+            elif part.number:
                 cdr.align(8)
                 keep()
-                self._numbers.append(slice(len(self._values), len(self._values) + part.count))
-                self._values += (0.0,) * part.count
-                form.append(f"{part.count}d")
-                cdr.doubles(bytes(8 * part.count))
+                self._numbers.append(slice(len(self._values), len(self._values) + part.number))
+                self._values += (0.0,) * part.number
+                form.append(f"{part.number}d")
+                cdr.doubles(bytes(8 * part.number))
                 begun = len(cdr.bytes())
         keep()
         self._layout = struct.Struct("".join(form))
@@ -225,7 +224,9 @@ def joints(t_ns: int, names: tuple[str, ...], values: tuple[Array, ...], wall_ns
 
 @lru_cache(maxsize=64)
 def _joint_form(names: tuple[str, ...], lengths: tuple[int, ...]) -> CdrForm:
-    columns = chain.from_iterable((length, Doubles(length)) for length in lengths)
+    columns: list[int | Doubles] = []
+    for length in lengths:
+        columns += (length, Doubles(length))
     return CdrForm(TIME, "", len(names), *names, *columns)
 
 

@@ -90,3 +90,50 @@ def test_random_streams_depend_on_seed_and_name_only():
     np.testing.assert_array_equal(first, World(StillPlant(), seed=3).rng("imu").standard_normal(4))
     assert not np.array_equal(first, World(StillPlant(), seed=4).rng("imu").standard_normal(4))
     assert not np.array_equal(first, World(StillPlant(), seed=3).rng("can").standard_normal(4))
+
+
+class Waker(Ticker):
+    """Each time it acts, another part is to act 5 ns later."""
+
+    def on_due(self, t_ns):
+        super().on_due(t_ns)
+        self.other.due_ns = t_ns + 5
+
+
+class Woken(Ticker):
+    def on_due(self, t_ns):
+        self.log.append((t_ns, self.name))
+        self.due_ns = NEVER_NS
+
+
+def test_a_part_whose_plan_another_one_changes_acts_in_time():
+    log = []
+    world = World(StillPlant())
+    waker, woken = Waker("a", 20, log), Woken("b", NEVER_NS, log)
+    waker.other = woken
+    world.add(waker)
+    world.add(woken)
+    world.advance_to(50)
+    assert log == [(20, "a"), (25, "b"), (40, "a"), (45, "b")]
+
+
+def test_a_part_that_acts_alone_has_nobody_else_asked_again():
+    class Asked(Ticker):
+        asked = 0
+
+        def next_due_ns(self):
+            self.asked += 1
+            return self.due_ns
+
+    class Alone(Ticker):
+        alone = True
+
+    counted = {}
+    for kind in (Ticker, Alone):
+        world = World(StillPlant())
+        bystander = Asked("b", NEVER_NS, [])
+        world.add(kind("a", 1, []))
+        world.add(bystander)
+        world.advance_to(100)
+        counted[kind] = bystander.asked
+    assert counted == {Ticker: 101, Alone: 1}

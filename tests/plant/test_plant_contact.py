@@ -8,8 +8,9 @@ from plant_driving import FLOOR, MS_NS, X_LINE, build, drive, play_back, rebuilt
 
 from hil.config.robot import RobotConfig
 from hil.fakes.faults import FaultPlan, make_fault
-from hil.fakes.plant import Patch, Surface
+from hil.fakes.plant import Patch, Surface, make_plant
 from hil.fakes.plant.robot import GRAVITY_M_S2
+from hil.fakes.plant_api import JointCommand, Plant
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import circle
 from hil.vocabulary.errors import UsageError
@@ -265,3 +266,13 @@ def test_no_fan_pushes_the_robot_off(force_n):
         with pytest.raises(UsageError, match="a finite force >= 0"):
             act(force_n)
     assert plant.truth().adhesion_n == plant.working_point.adhesion_n
+
+
+def test_what_chips_look_at_is_a_part_of_the_truth():
+    plant = make_plant(RobotConfig(), rng=np.random.default_rng(3))
+    for joint in range(8):
+        plant.command(joint, JointCommand("velocity" if joint < 4 else "position", 0.4))
+    for t_ns in range(0, 400_000_000, 37_000_000):
+        plant.advance(t_ns)
+        assert plant.body() == Plant.body(plant)
+        assert plant.steering_rad() == Plant.steering_rad(plant)

@@ -7,13 +7,16 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from servo_client import MODEL
 from servo_wire import make_wire
 
 from hil.config.servo_models import model_text, models_text, servo_model, servo_models, shared_register
 from hil.config.servo_models.codes import BAUD_RATES, RETURN_DELAY_STEP_S, WATCHDOG_STEP_S
 from hil.config.servos import ServosConfig
 from hil.drivers.servos import scan, set_up
-from hil.drivers.servos.multi_turn import MultiTurnCounter
+from hil.drivers.servos.multi_turn import EVERYBODY, MultiTurnCounter
 from hil.drivers.servos.registers import RegisterMap
 from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.signals import ServoSetpoint
@@ -303,6 +306,30 @@ def test_how_fast_a_servo_can_turn_is_the_models():
         moved = np.full(8, round(9.0 * 0.5 / model.rad_per_count), dtype=np.int64)
         _, jumped = turns.follow(moved, still, everybody, 500_000_000)
         assert jumped.all() == jumped.any() == started_over
+
+
+@given(
+    st.lists(
+        st.tuples(st.lists(st.integers(-9000, 9000), min_size=8, max_size=8), st.integers(0, 7)), max_size=8
+    )
+)
+def test_turns_are_counted_alike_whether_all_are_looked_at_together_or_each(readings):
+    """Restarts (steps of thousands of counts), and one servo that is silent now and then."""
+    together, each = MultiTurnCounter(MODEL), MultiTurnCounter(MODEL)
+    for k, (raw, silent) in enumerate(readings):
+        seen = EVERYBODY
+        if silent == 3:
+            seen = EVERYBODY.copy()
+            seen[3] = False
+        elif silent == 4:
+            together.restarted(4)
+            each.restarted(4)
+        reading = np.array(raw), np.zeros(8)
+        one = together.follow(*reading, seen, 10_000_000 * k)
+        other = each.follow(*reading, seen.copy(), 10_000_000 * k)
+        np.testing.assert_array_equal(one[0], other[0])
+        np.testing.assert_array_equal(one[1], other[1])
+        np.testing.assert_array_equal(together.offset, each.offset)
 
 
 def test_a_range_that_is_read_in_one_go_must_be_one():

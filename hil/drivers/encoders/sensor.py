@@ -27,6 +27,7 @@ _ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _OPEN_SETS = 3
 _MOST_LISTED = 8
+_NO_WORD = (math.nan, Status.TIMEOUT)
 _REMEDY = "check the CAN wiring, the termination, the bit rate and the node's supply"
 _BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
@@ -287,13 +288,12 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._discard -= 1
             return None
         yellow = self._config.yellow_mode
-        pairs = [
-            decode_word(word, yellow_mode=yellow) if word >= 0 else (math.nan, Status.TIMEOUT)
-            for word in words
-        ]
+        angles, status = zip(
+            *[decode_word(w, yellow_mode=yellow) if w >= 0 else _NO_WORD for w in words], strict=True
+        )
         return EncoderSample(
             stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._timeline.sequence, device_ns=node_ns),
-            angle_rad=np.array([angle for angle, _ in pairs]),
-            status=tuple(status for _, status in pairs),
+            angle_rad=np.array(angles),
+            status=status,
             raw_word=tuple(words),
         )

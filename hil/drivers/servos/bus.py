@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 from dynamixel_sdk import (
     COMM_RX_CORRUPT,
@@ -29,8 +28,7 @@ _LONGEST_ROUND_TRIP_NS = 100_000_000
 _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
-@dataclass(frozen=True)
-class Exchange:
+class Exchange(NamedTuple):
     """Bytes of one group read, and when.
 
     Attributes:
@@ -45,8 +43,7 @@ class Exchange:
     taken_ns: int
 
 
-@dataclass(frozen=True)
-class _Asked:
+class _Asked(NamedTuple):
     """A group read whose answer has not been fetched."""
 
     group: GroupRead
@@ -167,7 +164,7 @@ class Bus:
         """
         if self._asked is not None:
             deadline_ns = max(self._asked.deadline_ns, self._clock.now_ns() + patience_ns)
-            self._asked = replace(self._asked, deadline_ns=deadline_ns)
+            self._asked = self._asked._replace(deadline_ns=deadline_ns)
         self._settle()
         found, self._ahead = self._ahead, None
         assert found is not None

@@ -213,7 +213,11 @@ class InertialSensors:
         known, true = self.calibration, self.true_offsets
         now = (known.accelerometer, known.gyroscope, known.magnetometer, self._remap)
         if any(a is not b for a, b in zip(now, self._residual_of, strict=True)):
-            pairs = zip((true.accelerometer, true.gyroscope, true.magnetometer), now, strict=False)
+            pairs = (
+                (true.accelerometer, known.accelerometer),
+                (true.gyroscope, known.gyroscope),
+                (true.magnetometer, known.magnetometer),
+            )
             a, b, c = (apply(self._remap, (t[0] - k[0], t[1] - k[1], t[2] - k[2])) for t, k in pairs)
             self._residual_of, self._residual = now, (a, b, c)
         return self._residual

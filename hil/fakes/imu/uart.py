@@ -6,7 +6,7 @@ Write `AA 00 reg len data...` -> `EE status`; read `AA 01 reg len` -> `BB len da
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 WRITE_SUCCESS, READ_FAIL, WRITE_FAIL, INVALID_ADDRESS, WRITE_DISABLED = 0x01, 0x02, 0x03, 0x04, 0x05
 WRONG_START, BUS_OVERRUN, MAX_LENGTH, MIN_LENGTH, CHARACTER_TIMEOUT = 0x06, 0x07, 0x08, 0x09, 0x0A
@@ -21,8 +21,7 @@ def status(code: int) -> bytes:
     return bytes((0xEE, code))
 
 
-@dataclass(frozen=True)
-class Request:
+class Request(NamedTuple):
     """One complete request; `data` is None for a read, `length` what a read asks for.
 
     A framing fault is a request with `error` set to its status byte.

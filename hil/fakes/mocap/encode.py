@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from hil.fakes.mocap.capture import SeenBody
 
@@ -22,8 +22,7 @@ _SOLVED = 0x0A
 _SHOWN_AS_ALL = b"all\0"
 
 
-@dataclass(frozen=True)
-class FrameTimes:
+class FrameTimes(NamedTuple):
     """Time stamps of one frame: seconds since the start, and ticks of the server's clock."""
 
     timestamp_s: float

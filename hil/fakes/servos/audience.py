@@ -7,6 +7,7 @@ a servo says that something about it has changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 from hil.fakes.servos import protocol
 from hil.fakes.servos.group import Wanted
@@ -25,6 +26,20 @@ def answers_most(servo: Servo) -> bool:
 def reads_fast(servo: Servo) -> bool:
     """Whether a servo takes part in a fast read."""
     return servo.firmware >= servo.table.model.fast_read_firmware and answers_most(servo)
+
+
+class Chain(NamedTuple):
+    """Servos that answer one and the same fast sync read together.
+
+    Attributes:
+        servos: in the order asked.
+        declared: length of the answer, as its head announces it.
+        delay_ns: return delay of the slowest.
+    """
+
+    servos: tuple[Servo, ...]
+    declared: int
+    delay_ns: int
 
 
 class Audience:
@@ -46,7 +61,7 @@ class Audience:
         """Something has changed: find out again."""
         self._listeners: list[Servo] | None = None
         self._by_id: dict[int, list[Servo]] = {}
-        self._chains: dict[bytes, tuple[Servo, ...]] = {}
+        self._chains: dict[bytes, Chain] = {}
 
     def listeners(self, baud: int, t_ns: int) -> list[Servo]:
         """Who hears what is sent now at a baud rate; another rate needs `forget` first."""
@@ -74,7 +89,7 @@ class Audience:
                 self._by_id[servo_id] = found
         return found
 
-    def chain(self, instruction: Instruction) -> tuple[Servo, ...] | None:
+    def chain(self, instruction: Instruction) -> Chain | None:
         """Servos that answer this fast sync read together, as `keep_chain` has found."""
         if instruction.code != protocol.FAST_SYNC_READ:
             return None
@@ -86,11 +101,13 @@ class Audience:
         by_id = {s.id: s for s in able}
         chain = tuple(by_id[servo_id] for servo_id, _, _ in wanted if servo_id in by_id)
         if (
-            len(chain) == len(wanted)
+            0 < len(chain) == len(wanted)
             and len(by_id) == len(able)
             and all(
                 (s.table.layout.motion.address, s.table.layout.motion.size) == (address, length)
                 for s, (_, address, length) in zip(chain, wanted, strict=True)
             )
         ):
-            self._chains[instruction.parameters] = chain
+            declared = 1 + sum(length + 4 for _, _, length in wanted)
+            slowest_ns = max(s.delay_ns for s in chain)
+            self._chains[instruction.parameters] = Chain(chain, declared, slowest_ns)

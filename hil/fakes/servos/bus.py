@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
-from hil.fakes.servos.audience import Audience, answers_most, reads_fast
+from hil.fakes.servos.audience import Audience, Chain, answers_most, reads_fast
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -210,12 +210,12 @@ class ServoBus(SerialChip, Scheduled):
                 free_ns = reply.ready_ns + len(reply.data) * byte_ns
         return replies
 
-    def _read_motion(self, chain: tuple[Servo, ...], t_ns: int) -> list[Reply]:
+    def _read_motion(self, chain: Chain, t_ns: int) -> list[Reply]:
         """The fast sync read of every cycle, from servos that have answered it before: all in one go."""
-        shown = self._live.motions(chain, t_ns)
-        parts = [(s.id, s.alert, data) for s, data in zip(chain, shown, strict=True)]
-        pieces = protocol.fast_status(parts, 1 + sum(len(data) + 4 for data in shown))
-        return [Reply(t_ns + self._processing_ns + max(s.delay_ns for s in chain), b"".join(pieces))]
+        shown = self._live.motions(chain.servos, t_ns)
+        parts = [(s.id, s.alert, data) for s, data in zip(chain.servos, shown, strict=True)]
+        pieces = protocol.fast_status(parts, chain.declared)
+        return [Reply(t_ns + self._processing_ns + chain.delay_ns, b"".join(pieces))]
 
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""

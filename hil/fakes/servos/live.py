@@ -34,12 +34,7 @@ class LiveRegisters:
         """What servos without a fault show in the registers that every cycle reads, now."""
         self._renew(t_ns)
         counts, velocities, currents = self._all
-        shown = []
-        for servo in servos:
-            j = servo.joint
-            servo.sense(counts[j], velocities[j])
-            shown.append(servo.motion(velocities[j], currents[j]))
-        return shown
+        return [s.motion(counts[j], velocities[j], currents[j]) for s in servos for j in (s.joint,)]
 
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
         """Let a servo sense; its velocity and current counts in the joint's direction."""
@@ -63,7 +58,7 @@ class LiveRegisters:
             return
         velocity, current = self.sense(servo, t_ns)
         if address >= motion.address and end <= motion.end:
-            servo.table.put_row(motion, servo.motion(velocity, current))
+            servo.table.put_row(motion, servo.motion(servo.axis.position.encoder, velocity, current))
             return
         thermal, j = self._thermal, servo.joint
         duty = float(self._sensing.duty(thermal.volts)[j])

@@ -6,7 +6,7 @@ shares no code with the driver's side.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from fastcrc import crc16
 
@@ -27,8 +27,7 @@ _OVERHEAD = 7
 _SHORTEST, _LONGEST = 3, 1024
 
 
-@dataclass(frozen=True)
-class Instruction:
+class Instruction(NamedTuple):
     """One instruction packet; `sound` tells whether its checksum was right."""
 
     servo_id: int

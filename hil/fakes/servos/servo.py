@@ -160,9 +160,16 @@ class Servo:
         measured = self.table.layout.measured
         self.table.put_row(measured, measured.pack(*values))
 
-    def motion(self, velocity: int, current: int) -> bytes:
-        """Current, velocity and position registers, which every cycle reads; `sense` has been called."""
+    def motion(self, encoder: int, velocity: int, current: int) -> bytes:
+        """Sense, and show the registers that every cycle reads: current, velocity and position.
+
+        Args:
+            encoder: counts from joint angle 0, as the other two in the joint's direction.
+            velocity: in its counts.
+            current: in its counts.
+        """
         position = self.axis.position
+        position.encoder, self._velocity = encoder, velocity
         sign = position.sign
         return self.table.layout.motion.pack(sign * current, sign * velocity, position.present)
 

@@ -47,6 +47,11 @@ class TrackerFaults(DeviceFaults):
         self._dead = False
         plan.declare(name, SUPPORTED_FAULTS)
 
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to ask for: no fault is planned, and none has left its mark."""
+        return self.none and not self._dead
+
     def restarted(self, t_ns: int) -> bool:
         """Whether the camera has just come back from a reset or from being off."""
         was_dead, self._dead = self._dead, self.find("off", t_ns) is not None

@@ -132,18 +132,20 @@ class T265(Scheduled):
         self._exposure_ns = t_ns + nanoseconds(self._options.boot_s)
 
     def _expose(self, t_ns: int) -> None:
-        options, faults = self._options, self._faults
-        if faults.restarted(t_ns):
+        options = self._options
+        faults = None if self._faults.idle else self._faults
+        if faults is not None and faults.restarted(t_ns):
             self._restart(t_ns)
             return
-        self._exposure_ns = t_ns + round(NS_PER_S / RATE_HZ * self._stretch * faults.slowness(t_ns))
+        slowness = 1.0 if faults is None else faults.slowness(t_ns)
+        self._exposure_ns = t_ns + round(NS_PER_S / RATE_HZ * self._stretch * slowness)
         number, self._number = self._number, self._number + 1
         body = self._world.plant.body()
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
-        pose = self.odometry.observe(body, dt_s, faults.scale(t_ns))
+        pose = self.odometry.observe(body, dt_s, 1.0 if faults is None else faults.scale(t_ns))
         self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
-        if lost < options.drop_probability or faults.silent(t_ns):
+        if lost < options.drop_probability or (faults is not None and faults.silent(t_ns)):
             return
         frame = PoseFrame(
             number=number,
@@ -151,16 +153,18 @@ class T265(Scheduled):
             pose=pose,
             confidence=self._confidence(body, t_ns),
         )
-        late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter) + faults.delay_ns(t_ns)
+        late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter)
+        if faults is not None:
+            late_ns += faults.delay_ns(t_ns)
         self._arrived_ns = max(t_ns + late_ns, self._arrived_ns)
-        frames = (frame,) if self._world.faults.empty else faults.spoil(frame, t_ns)
-        self._travelling.extend((self._arrived_ns, f) for f in frames)
+        for one in (frame,) if faults is None else faults.spoil(frame, t_ns):
+            self._travelling.append((self._arrived_ns, one))
 
     def _relocalise(self, t_ns: int, dt_s: float) -> None:
         rate = self._options.relocalisations_per_s
         if rate > 0.0 and self._rng.random() < rate * dt_s:
             self.odometry.jump(self._options.relocalisation_m)
-        distance_m = self._faults.jump_m(t_ns)
+        distance_m = 0.0 if self._faults.idle else self._faults.jump_m(t_ns)
         if distance_m:
             self.odometry.jump(distance_m)
 
