@@ -137,22 +137,38 @@ def finish_joint(j: int, dt: float, rate: float, c: Array, s: Array, q: Array) -
     s[ANGLE + j] += c[DT] * rate
 
 
-def steer(c: Array, s: Array, q: Array) -> None:
-    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step.
+def follow_references(c: Array, s: Array, q: Array) -> None:
+    """Move the reference of every position loop towards its goal, as fast as its limit allows."""
+    for j in range(8):
+        if q[MODE + j] == MODE_POSITION:
+            s[REFERENCE + j] += clip(q[GOAL + j] - s[REFERENCE + j], q[RATE_LIMIT + j] * c[DT])
+        else:
+            s[REFERENCE + j] = s[ANGLE + j]
+
+
+def steer_joint(i: int, c: Array, s: Array, q: Array) -> float:
+    """Turn one steering joint and, through its play, its wheel; returns the wheel's heading before.
 
     No contact force reaches these joints, so they go by the implicit midpoint rule: where an overshoot
     leaves a wheel within its play must not depend on the step.
     """
+    j = i + 4
+    start, dt = s[RATE + j], 0.5 * c[DT] if q[MODE + j] == MODE_POSITION else c[DT]
+    rate, _, _, _ = motor(j, dt, 0.0, 0.0, c[COULOMB + j], c, s, q)
+    finish_joint(j, dt, rate, c, s, q)
+    if q[MODE + j] == MODE_POSITION and rate != 0.0:
+        s[RATE + j] = 2.0 * rate - start
+    before: float = s[HEADING + i]
+    angle = s[ANGLE + j] + c[OFFSET + i]
+    s[HEADING + i] = min(max(before, angle - c[PLAY + i]), angle + c[PLAY + i])
+    return before
+
+
+def steer(c: Array, s: Array, q: Array) -> None:
+    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step."""
     middle = s[BODY + 2] + 0.5 * c[DT] * s[VELOCITY + 2]
     for i in range(4):
-        j = i + 4
-        start, dt = s[RATE + j], 0.5 * c[DT] if q[MODE + j] == MODE_POSITION else c[DT]
-        rate, _, _, _ = motor(j, dt, 0.0, 0.0, c[COULOMB + j], c, s, q)
-        finish_joint(j, dt, rate, c, s, q)
-        if q[MODE + j] == MODE_POSITION and rate != 0.0:
-            s[RATE + j] = 2.0 * rate - start
-        before, angle = s[HEADING + i], s[ANGLE + j] + c[OFFSET + i]
-        s[HEADING + i] = min(max(before, angle - c[PLAY + i]), angle + c[PLAY + i])
+        before = steer_joint(i, c, s, q)
         direction = middle + 0.5 * (before + s[HEADING + i])
         s[COSINE + i], s[SINE + i] = math.cos(direction), math.sin(direction)
     cosine, sine = math.cos(middle), math.sin(middle)
@@ -304,11 +320,7 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
     for k in range(n):
         if k == n - 1:
             before_x, before_y = origin_velocity(c, s)
-        for j in range(8):
-            if q[MODE + j] == MODE_POSITION:
-                s[REFERENCE + j] += clip(q[GOAL + j] - s[REFERENCE + j], q[RATE_LIMIT + j] * c[DT])
-            else:
-                s[REFERENCE + j] = s[ANGLE + j]
+        follow_references(c, s, q)
         steer(c, s, q)
         loads(adhesion_factor if s[FALLEN] == 0.0 else 0.0, c, s)
         contacts(c, s)

@@ -20,6 +20,7 @@ _BLOCK = 512
 _DRAWS = 16
 _NEAR_VERTICAL = 0.2
 
+
 class Vector(NamedTuple):
     """Three components, as `rs.vector`."""
 
