@@ -178,13 +178,16 @@ def steer(c: Array, s: Array, q: Array) -> None:
 
 
 def loads(adhesion_factor: float, c: Array, s: Array) -> None:
-    """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go."""
+    """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go.
+
+    It tips when what presses it on acts outside of the wheels.
+    """
     cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
     weight = c[MASS] * c[GRAVITY]
     total = c[ADHESION] * adhesion_factor + c[PRESS]
     moment_y = c[PRESS_Y] - c[COM_HEIGHT] * weight * cosine + c[THRUST_HEIGHT] * c[THRUST]
     moment_x = c[PRESS_X] + c[COM_HEIGHT] * weight * sine
-    positive, lifted = 0.0, 0
+    positive, tips = 0.0, False
     for i in range(4):
         n = (
             c[LOAD_MAP + 3 * i] * total
@@ -193,8 +196,10 @@ def loads(adhesion_factor: float, c: Array, s: Array) -> None:
         )
         s[LOAD + i] = max(n, 0.0)
         positive += s[LOAD + i]
-        lifted += 1 if n <= 0.0 else 0
-    if total <= 0.0 or lifted >= 2:
+        x, y, after = c[WHEEL_X + i], c[WHEEL_Y + i], (i + 1) % 4
+        edge_x, edge_y = c[WHEEL_X + after] - x, c[WHEEL_Y + after] - y
+        tips = tips or edge_x * (moment_x - total * y) < edge_y * (moment_y - total * x)
+    if total <= 0.0 or tips:
         s[FALLEN] = 1.0
         total, positive = 0.0, 1.0
     for i in range(4):
