@@ -16,7 +16,7 @@ from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
 from hil.fakes.faults import Fault, FaultPlan, describe
 from hil.fakes.mujoco_plant import make_mujoco_plant
-from hil.fakes.plant import make_plant
+from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
@@ -66,6 +66,28 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
         return make_plant(config.robot, **common)
     mjcf = None if emulation.mjcf is None else Path(emulation.mjcf)
     return make_mujoco_plant(config.robot, contact=emulation.contact or "creep", mjcf=mjcf, **common)
+
+
+def hidden_truth(world: World) -> dict[str, object]:
+    """What the robot of a world truly is, as JSON values; nobody who measures may look at it.
+
+    Raises:
+        UsageError: its robot repeats a recording: nobody knows.
+    """
+    plant = world.plant
+    if not isinstance(plant, SteppedBody):
+        raise UsageError("the truth of a robot that repeats a recording is not known")
+    p, geometry = plant.parameters, plant.parameters.geometry()
+    return {
+        "x_w_m": geometry.x_m.tolist(),
+        "y_w_m": geometry.y_m.tolist(),
+        "r_m": geometry.radius_m.tolist(),
+        "delta0_rad": geometry.steering_zero_rad.tolist(),
+        "load": (plant.truth().normal_load_n / plant.truth().normal_load_n.mean()).tolist(),
+        "mass_kg": p.mass_kg,
+        "centre_of_mass_m": list(p.centre_of_mass_m),
+        "friction": p.contact.friction,
+    }
 
 
 def _servo_model(config: BenchConfig) -> ServoModel:
