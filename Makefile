@@ -6,7 +6,7 @@ LOCK := requirements/ci.lock
 VENV := $(if $(LOCK),.venv,.venv-newest)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
-EXTRAS := fast rerun parquet campaign test lint
+EXTRAS := fast rerun parquet campaign mujoco test lint
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
 .PHONY: help demo demo-calibration docs pictures test test-slowest test-long lint lock bench clean

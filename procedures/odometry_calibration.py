@@ -25,16 +25,8 @@ from hil.calibration.validation import score
 from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedures.parts.odometry_collecting import (
-    MOTIONS,
-    Collected,
-    MotionName,
-    Repetition,
-    Sizes,
-    collect,
-    read_round,
-    reference,
-)
+from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
+from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
 from hil.procedures.parts.odometry_rounds import (
     Driven,

@@ -6,7 +6,7 @@ line and the procedures have.
 """
 
 from hil.bench.bench import Bench
-from hil.bench.emulation import check_faults, open_emulation
+from hil.bench.emulation import check_faults, hidden_truth, open_emulation
 from hil.bench.opening import open_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
@@ -21,6 +21,7 @@ __all__ = [
     "alignment_parameters",
     "check_faults",
     "describe_fault",
+    "hidden_truth",
     "make_fault",
     "open_bench",
     "open_emulation",

@@ -5,6 +5,8 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 from hil.bench.drivers import model_of
 from hil.bench.repeating import repeating_robot
@@ -13,7 +15,9 @@ from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
 from hil.fakes.faults import Fault, FaultPlan, describe
-from hil.fakes.plant import make_plant
+from hil.fakes.mujoco_plant import make_mujoco_plant
+from hil.fakes.plant import SteppedBody, make_plant
+from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
@@ -39,22 +43,51 @@ class Connected:
 def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ()) -> World:
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
-    emulation, environment = config.emulation, config.environment
-    if emulation.replay is not None:
+    if config.emulation.replay is not None:
         return World(repeating_robot(config), seed=seed, faults=plan)
-    plant = make_plant(
-        config.robot,
-        surface=environment.surface,
-        tilt_rad=environment.tilt_rad,
-        start_pose=environment.start_pose,
-        servos=_servo_model(config),
-        rng=random_stream(seed, "plant"),
-        randomise_truth=emulation.randomise_truth,
-        geometry_share=emulation.geometry_share,
-        faults=plan,
-        by_hand=environment.tilt_rad > 0.0,
-    )
-    return World(plant, seed=seed, faults=plan)
+    return World(_simulated(config, seed, plan), seed=seed, faults=plan)
+
+
+def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
+    """The robot of the configuration in the physics that it names."""
+    emulation, environment = config.emulation, config.environment
+    common: dict[str, Any] = {
+        "surface": environment.surface,
+        "tilt_rad": environment.tilt_rad,
+        "start_pose": environment.start_pose,
+        "servos": _servo_model(config),
+        "rng": random_stream(seed, "plant"),
+        "randomise_truth": emulation.randomise_truth,
+        "geometry_share": emulation.geometry_share,
+        "faults": plan,
+        "by_hand": environment.tilt_rad > 0.0,
+    }
+    if emulation.plant == "own":
+        return make_plant(config.robot, **common)
+    mjcf = None if emulation.mjcf is None else Path(emulation.mjcf)
+    return make_mujoco_plant(config.robot, contact=emulation.contact or "creep", mjcf=mjcf, **common)
+
+
+def hidden_truth(world: World) -> dict[str, object]:
+    """What the robot of a world truly is, as JSON values; nobody who measures may look at it.
+
+    Raises:
+        UsageError: its robot repeats a recording: nobody knows.
+    """
+    plant = world.plant
+    if not isinstance(plant, SteppedBody):
+        raise UsageError("the truth of a robot that repeats a recording is not known")
+    p, geometry = plant.parameters, plant.parameters.geometry()
+    return {
+        "x_w_m": geometry.x_m.tolist(),
+        "y_w_m": geometry.y_m.tolist(),
+        "r_m": geometry.radius_m.tolist(),
+        "delta0_rad": geometry.steering_zero_rad.tolist(),
+        "load": (plant.truth().normal_load_n / plant.truth().normal_load_n.mean()).tolist(),
+        "mass_kg": p.mass_kg,
+        "centre_of_mass_m": list(p.centre_of_mass_m),
+        "friction": p.contact.friction,
+    }
 
 
 def _servo_model(config: BenchConfig) -> ServoModel:

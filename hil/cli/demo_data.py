@@ -1,42 +1,120 @@
-"""`hil demo-data`: write a data set of the six motions by a robot with hidden true parameters."""
+"""`hil demo-data`: write a data set of the six motions by a robot with hidden true parameters.
+
+Without `--plant` recordings come from formulas (seconds). With it an emulated bench drives them in the
+physics named: the same servos and cameras, wires and faults as in any other run (minutes).
+"""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import click
 
 from hil.cli.options import SEED
+from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
+
+_CONTACTS = {"formulas": ("viscous", "coulomb"), "own": (), "mujoco": ("creep", "holding")}
+_FLOOR = "emulated_floor"
 
 
 @click.command()
 @click.argument("folder", type=click.Path(path_type=Path))
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of robot and noise.")
 @click.option("--repetitions", default=4, show_default=True, type=click.IntRange(1, 20))
-@click.option("--contact", type=click.Choice(["viscous", "coulomb"]), default="viscous", show_default=True)
-@click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "mujoco"]),
+    help="Drive an emulated bench in this physics instead of evaluating formulas.",
+)
+@click.option("--motions", help="Which motions, separated by commas [default: the six of the calibration].")
+@click.option(
+    "--contact",
+    help="How wheels touch: viscous or coulomb in formulas; creep or holding in mujoco "
+    "[default: the first of them].",
+)
+@click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2 (formulas only).")
+@click.option("--fault", "faults", multiple=True, help="Fault, e.g. mocap:drop@9+2 (--plant; repeatable).")
 @BENCH
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    folder: Path, seed: int, repetitions: int, contact: str, corrupt: str | None, bench: str | None,
-    as_json: bool,
+    folder: Path, seed: int, repetitions: int, plant: str | None, motions: str | None, contact: str | None,
+    corrupt: str | None, faults: tuple[str, ...], bench: str | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json)."""
-    from hil.calibration.synthetic import MOTIONS, hidden_robot, make_set
-    from hil.recording.plain_csv import write_plain
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.files import check_folder, staged, write_text
 
-    names = [f"{m}_{k}" for m in MOTIONS for k in range(1, repetitions + 1)]
+    world = plant or "formulas"
+    chosen = _motions(world, motions)
+    touch = _contact(world, contact)
+    names = [f"{m}_{k}" for m in chosen for k in range(1, repetitions + 1)]
+    if plant is None and faults:
+        raise UsageError(f"--fault {faults[0]}: formulas have no devices", remedy="add --plant own or mujoco")
+    if plant is not None and corrupt is not None:
+        raise UsageError(f"--corrupt {corrupt}: not with --plant", remedy="use --fault, e.g. mocap:jump@20")
     if corrupt is not None and corrupt not in names:
         raise UsageError(f"--corrupt {corrupt}: no such recording", expected=", ".join(names[:3]) + ", ...")
     check_folder(folder)
+    with staged(folder) as parts:
+        if plant is None:
+            truth = _from_formulas(parts, seed, repetitions, chosen, touch, corrupt, bench)
+        else:
+            truth = _from_a_bench(parts, seed, repetitions, chosen, (plant, touch), faults, bench or _FLOOR)
+        write_text(parts / "truth.json", json.dumps(truth, indent=1) + "\n")
+    summary = {
+        "folder": str(folder), "recordings": len(names), "seed": seed, "geometry": truth["nominal"],
+        "plant": world, "contact": touch,
+    }  # fmt: skip
+    click.echo(json.dumps(summary) if as_json else f"{len(names)} recordings in {folder}")
+    return 0
+
+
+def _motions(world: str, asked: str | None) -> tuple[str, ...]:
+    """The motions wanted; raises `UsageError` that names one that there is not."""
+    from hil.calibration.synthetic import MOTIONS, OTHER_MOTIONS
+    from hil.procedure.odometry_motions import OTHER_MOTIONS as DRIVEN
+    from hil.vocabulary.errors import UsageError, did_you_mean
+
+    if asked is None:
+        return MOTIONS
+    known = (*MOTIONS, *(OTHER_MOTIONS if world == "formulas" else DRIVEN))
+    for name in asked.split(","):
+        if name not in known:
+            raise UsageError(
+                f"--motions: {name!r} is unknown", expected=", ".join(known), remedy=did_you_mean(name, known)
+            )
+    return tuple(dict.fromkeys(asked.split(",")))
+
+
+def _contact(world: str, asked: str | None) -> str | None:
+    """How wheels touch; raises `UsageError` where that is not of this physics."""
+    from hil.vocabulary.errors import UsageError
+
+    known = _CONTACTS[world]
+    if asked is not None and asked not in known:
+        raise UsageError(
+            f"--contact {asked}: not of {'the formulas' if world == 'formulas' else f'--plant {world}'}",
+            expected=" or ".join(known) or "no --contact: the own plant has one law",
+        )
+    return asked or (known[0] if known else None)
+
+
+def _from_formulas(
+    folder: Path, seed: int, repetitions: int, motions: tuple[str, ...], contact: str | None,
+    corrupt: str | None, bench: str | None,
+) -> dict[str, Any]:  # fmt: skip
+    """Write recordings of a robot that obeys a formula; returns its truth."""
+    from hil.calibration.synthetic import hidden_robot, make_set
+    from hil.recording.plain_csv import write_plain
+
     nominal = on_paper(configured(bench))
-    robot = hidden_robot(seed, contact=contact, nominal=nominal)
-    recordings = make_set(robot, seed, repetitions=repetitions, corrupted=corrupt)
-    truth = {
+    robot = hidden_robot(seed, contact=contact or "viscous", nominal=nominal)
+    for recording in make_set(robot, seed, motions, repetitions=repetitions, corrupted=corrupt):
+        write_plain(folder / f"{recording.name}.csv", recording)
+    return {
         "x_w_m": robot.geometry.x_m.tolist(),
         "y_w_m": robot.geometry.y_m.tolist(),
         "r_m": robot.geometry.radius_m.tolist(),
@@ -45,12 +123,27 @@ def command(
         "contact": contact,
         "nominal": nominal.to_json(),
     }
-    with staged(folder) as parts:
-        for recording in recordings:
-            write_plain(parts / f"{recording.name}.csv", recording)
-        write_text(parts / "truth.json", json.dumps(truth, indent=1) + "\n")
-    summary = {
-        "folder": str(folder), "recordings": len(recordings), "seed": seed, "geometry": nominal.to_json(),
-    }  # fmt: skip
-    click.echo(json.dumps(summary) if as_json else f"{len(recordings)} recordings in {folder}")
-    return 0
+
+
+def _from_a_bench(
+    folder: Path, seed: int, repetitions: int, motions: tuple[str, ...], physics: tuple[str, str | None],
+    faults: tuple[str, ...], bench: str,
+) -> dict[str, Any]:  # fmt: skip
+    """Let an emulated bench drive the motions, each repetition in a world of its own; returns its truth."""
+    from hil.bench import hidden_truth, open_bench
+    from hil.config.loading import load_bench
+    from hil.procedure.odometry_motions import UNUSED, Repetition, Sizes, drive_repetition
+
+    plant, contact = physics
+    varied = {"emulation.plant": plant, **({"emulation.contact": contact} if contact else {})}
+    config = load_bench(bench, emulate="all", overrides={**UNUSED, **varied})
+    truth: dict[str, Any] = {}
+    with reporting() as report:
+        for number in range(1, repetitions + 1):
+            report("repetition", number - 1, repetitions)
+            with open_bench(config, seed=seed, faults=faults) as driven:
+                assert driven.world is not None
+                truth = hidden_truth(driven.world)
+                drive_repetition(driven, Repetition(folder, motions, number, Sizes()))
+        report("repetition", repetitions, repetitions)
+    return {**truth, "plant": plant, "contact": contact, "nominal": on_paper(config).to_json()}

@@ -16,6 +16,7 @@ from hil.vocabulary.versions import version_of
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
     "fastcrc", "filterpy", "mcap", "rosbags", "matplotlib", "rerun-sdk", "pyarrow", "pyrealsense2",
+    "mujoco",
 )  # fmt: skip
 
 
@@ -30,6 +31,9 @@ def _compile() -> None:
             bench.observe(0.1, feedback="ukf")
             start = records[0].state
             smoothed(records, bench.config.estimator, bench.geometry, bench.config.environment.kind, start)
+    if not lacks("mujoco"):
+        with open_bench("emulated", overrides={"emulation.plant": "mujoco"}) as bench:
+            bench.observe(0.1, feedback="odometry")
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:

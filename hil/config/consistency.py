@@ -26,6 +26,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_motion(config)
     yield from _of_servos(config)
     yield from _of_the_environment(config)
+    yield from _of_the_emulation(config)
     if config.environment.on_wall:
         yield from _of_a_wall(config)
 
@@ -43,6 +44,20 @@ def _of_the_environment(config: BenchConfig) -> Iterator[Problem]:
             "environment.surface",
             f"{environment.surface!r} cannot be emulated, only " + ", ".join(SURFACES),
         )
+
+
+def _of_the_emulation(config: BenchConfig) -> Iterator[Problem]:
+    emulation = config.emulation
+    if emulation.plant == "mujoco":
+        if emulation.replay is not None:
+            yield "emulation.plant", "'mujoco' simulates a robot, emulation.replay repeats one; leave one out"
+        return
+    for name in ("contact", "mjcf"):
+        if (value := getattr(emulation, name)) is not None:
+            yield (
+                f"emulation.{name}",
+                f"{value!r} is of the plant 'mujoco'; add plant = 'mujoco' or remove it",
+            )
 
 
 def _of_motion(config: BenchConfig) -> Iterator[Problem]:

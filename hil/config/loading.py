@@ -20,7 +20,7 @@ from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml, toml_tables
 
-_PATHS = ("calibration", "emulation.replay", "monitor.mesh")
+_PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh")
 
 
 def profile_names() -> tuple[str, ...]:

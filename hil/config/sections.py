@@ -98,6 +98,12 @@ class EmulationConfig(Strict):
     Every kind of device has a table of its own beside these: true imperfections of the emulated device.
 
     Attributes:
+        plant: the physics of body, wheels and surface: `own`, or `mujoco` (extra `mujoco`), an engine that
+            others wrote. Both have the same motors, servos and seeds.
+        contact: of `mujoco` only. `creep`: loaded wheels lose a share of every metre, as tyres do; that is
+            taken where it is left out. `holding`: they hold until they slide (dry friction).
+        mjcf: of `mujoco` only: MJCF file of your own robot, with joints `steer_FL` ... `drive_FR`; made from
+            `[robot]` where it is left out.
         faults: specs (`imu:stuck@2+3`) or paths of TOML timelines.
         randomise_truth: draw the robot's true parameters by seed instead of taking the nominal ones.
         geometry_share: share of the drawn deviations of wheel positions, radii and steering zeros; 1 is the
@@ -107,6 +113,9 @@ class EmulationConfig(Strict):
         replay_after_s: world time at which that motion begins; before it the robot stands.
     """
 
+    plant: Literal["own", "mujoco"] = "own"
+    contact: Literal["creep", "holding"] | None = None
+    mjcf: str | None = None
     randomise_truth: bool = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()

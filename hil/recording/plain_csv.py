@@ -22,6 +22,8 @@ from hil.vocabulary.geometry import Array
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
 RATE_COLUMNS = tuple(f"w{i}" for i in range(1, 5))
+_GAP_S = 0.1
+"""Longest time between two samples of ground truth across which the robot's way is known."""
 
 
 def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
@@ -84,8 +86,12 @@ def _lines(path: Path, data: bytes) -> Iterator[list[str]]:
 
 
 def write_plain(path: Path, recording: Recording) -> None:
-    """Write a recording; ground truth is interpolated to the wheel rows."""
-    truth = [np.interp(recording.t_s, recording.truth_t_s, recording.truth_pose[:, k]) for k in range(3)]
+    """Write a recording; ground truth is interpolated to the wheel rows, but not across a gap in it."""
+    t_s, at_s = recording.t_s, recording.truth_t_s
+    before = np.clip(np.searchsorted(at_s, t_s, side="right") - 1, 0, len(at_s) - 2)
+    blind = (at_s[before + 1] - at_s[before] > _GAP_S) & (t_s > at_s[before]) & (t_s < at_s[before + 1])
+    truth = [np.interp(t_s, at_s, recording.truth_pose[:, k]) for k in range(3)]
+    truth = [np.where(blind, np.nan, column) for column in truth]
     columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth]
     names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]
     if recording.has_rates:

@@ -21,6 +21,7 @@ MODULES = {
     "t265": "pyrealsense2",
     "mavlink": "pymavlink",
     "campaign": "distributed",
+    "mujoco": "mujoco",
 }
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hil.vocabulary.errors import DataError
+from hil.vocabulary.errors import DataError, HilError
 
 _REMEDY = "choose a folder that exists and has room"
 
@@ -79,7 +79,7 @@ def staged(folder: Path) -> Iterator[Path]:
         for path in made:
             with suppress(OSError):
                 path.rmdir()
-        if isinstance(error, OSError):
+        if isinstance(error, OSError) and not isinstance(error, HilError):
             raise _refused(folder, error) from None
         raise
 

@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -98,3 +99,27 @@ def test_a_fault_reaches_the_client(emulate):
         assert {packets.ping(port, silent)[1] for _ in range(5)} == {COMM_RX_TIMEOUT}
     finally:
         port.closePort()
+
+
+def test_a_robot_in_another_physics_answers_the_same_client(emulate, tmp_path):
+    pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    bench = tmp_path / "bench.toml"
+    bench.write_text(
+        'schema = 1\nname = "another"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
+        '[emulation]\nplant = "mujoco"\n[servos]\nbackend = "emulated"\n'
+    )
+    found = emulate("--bench", str(bench))["servos"]
+    port, packets = PortHandler(found["port"]), PacketHandler(2.0)
+    assert port.openPort()
+    try:
+        port.setBaudRate(found["baud"])
+        packets.write1ByteTxRx(port, 1, 64, 1)
+        packets.write4ByteTxRx(port, 1, 104, 100)
+        before, result, _ = packets.read4ByteTxRx(port, 1, 132)
+        assert result == COMM_SUCCESS
+        time.sleep(0.5)
+        after, result, _ = packets.read4ByteTxRx(port, 1, 132)
+        assert result == COMM_SUCCESS
+    finally:
+        port.closePort()
+    assert after - before > 300

@@ -111,7 +111,9 @@ def test_a_robot_that_tips_falls_although_friction_would_hold():
 
 
 def test_a_ceiling_is_held_by_adhesion_beyond_the_weight():
-    assert _holds(tilt_rad=math.pi)
+    """45 N are more than the weight, which acts so far behind the fan that it levers the rear wheels off."""
+    assert _holds(tilt_rad=math.pi, config=RobotConfig(edf_force_n=50.0))
+    assert not _holds(tilt_rad=math.pi, config=RobotConfig(edf_force_n=45.0))
     assert not _holds(tilt_rad=math.pi, config=RobotConfig(edf_force_n=30.0))
 
 

@@ -1,5 +1,6 @@
 """The emulated robot body on a floor or wall: rigid body, wheel contacts, servos, falling."""
 
+from hil.fakes.plant.body import SteppedBody
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.recorded import RecordedMotion, RecordedRobot
 from hil.fakes.plant.robot import WallRobot, make_plant
@@ -10,6 +11,7 @@ __all__ = [
     "Patch",
     "RecordedMotion",
     "RecordedRobot",
+    "SteppedBody",
     "Surface",
     "TrueParameters",
     "WallRobot",

@@ -137,22 +137,38 @@ def finish_joint(j: int, dt: float, rate: float, c: Array, s: Array, q: Array) -
     s[ANGLE + j] += c[DT] * rate
 
 
-def steer(c: Array, s: Array, q: Array) -> None:
-    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step.
+def follow_references(c: Array, s: Array, q: Array) -> None:
+    """Move the reference of every position loop towards its goal, as fast as its limit allows."""
+    for j in range(8):
+        if q[MODE + j] == MODE_POSITION:
+            s[REFERENCE + j] += clip(q[GOAL + j] - s[REFERENCE + j], q[RATE_LIMIT + j] * c[DT])
+        else:
+            s[REFERENCE + j] = s[ANGLE + j]
+
+
+def steer_joint(i: int, c: Array, s: Array, q: Array) -> float:
+    """Turn one steering joint and, through its play, its wheel; returns the wheel's heading before.
 
     No contact force reaches these joints, so they go by the implicit midpoint rule: where an overshoot
     leaves a wheel within its play must not depend on the step.
     """
+    j = i + 4
+    start, dt = s[RATE + j], 0.5 * c[DT] if q[MODE + j] == MODE_POSITION else c[DT]
+    rate, _, _, _ = motor(j, dt, 0.0, 0.0, c[COULOMB + j], c, s, q)
+    finish_joint(j, dt, rate, c, s, q)
+    if q[MODE + j] == MODE_POSITION and rate != 0.0:
+        s[RATE + j] = 2.0 * rate - start
+    before: float = s[HEADING + i]
+    angle = s[ANGLE + j] + c[OFFSET + i]
+    s[HEADING + i] = min(max(before, angle - c[PLAY + i]), angle + c[PLAY + i])
+    return before
+
+
+def steer(c: Array, s: Array, q: Array) -> None:
+    """Turn the steering joints and, through their play, the wheels; contact directions at mid-step."""
     middle = s[BODY + 2] + 0.5 * c[DT] * s[VELOCITY + 2]
     for i in range(4):
-        j = i + 4
-        start, dt = s[RATE + j], 0.5 * c[DT] if q[MODE + j] == MODE_POSITION else c[DT]
-        rate, _, _, _ = motor(j, dt, 0.0, 0.0, c[COULOMB + j], c, s, q)
-        finish_joint(j, dt, rate, c, s, q)
-        if q[MODE + j] == MODE_POSITION and rate != 0.0:
-            s[RATE + j] = 2.0 * rate - start
-        before, angle = s[HEADING + i], s[ANGLE + j] + c[OFFSET + i]
-        s[HEADING + i] = min(max(before, angle - c[PLAY + i]), angle + c[PLAY + i])
+        before = steer_joint(i, c, s, q)
         direction = middle + 0.5 * (before + s[HEADING + i])
         s[COSINE + i], s[SINE + i] = math.cos(direction), math.sin(direction)
     cosine, sine = math.cos(middle), math.sin(middle)
@@ -162,13 +178,16 @@ def steer(c: Array, s: Array, q: Array) -> None:
 
 
 def loads(adhesion_factor: float, c: Array, s: Array) -> None:
-    """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go."""
+    """Normal loads from statics; a wheel does not pull. The robot falls when it tips or is let go.
+
+    It tips when what presses it on acts outside of the wheels.
+    """
     cosine, sine = math.cos(s[BODY + 2]), math.sin(s[BODY + 2])
     weight = c[MASS] * c[GRAVITY]
     total = c[ADHESION] * adhesion_factor + c[PRESS]
     moment_y = c[PRESS_Y] - c[COM_HEIGHT] * weight * cosine + c[THRUST_HEIGHT] * c[THRUST]
     moment_x = c[PRESS_X] + c[COM_HEIGHT] * weight * sine
-    positive, lifted = 0.0, 0
+    positive, tips = 0.0, False
     for i in range(4):
         n = (
             c[LOAD_MAP + 3 * i] * total
@@ -177,8 +196,10 @@ def loads(adhesion_factor: float, c: Array, s: Array) -> None:
         )
         s[LOAD + i] = max(n, 0.0)
         positive += s[LOAD + i]
-        lifted += 1 if n <= 0.0 else 0
-    if total <= 0.0 or lifted >= 2:
+        x, y, after = c[WHEEL_X + i], c[WHEEL_Y + i], (i + 1) % 4
+        edge_x, edge_y = c[WHEEL_X + after] - x, c[WHEEL_Y + after] - y
+        tips = tips or edge_x * (moment_x - total * y) < edge_y * (moment_y - total * x)
+    if total <= 0.0 or tips:
         s[FALLEN] = 1.0
         total, positive = 0.0, 1.0
     for i in range(4):
@@ -304,11 +325,7 @@ def advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> Non
     for k in range(n):
         if k == n - 1:
             before_x, before_y = origin_velocity(c, s)
-        for j in range(8):
-            if q[MODE + j] == MODE_POSITION:
-                s[REFERENCE + j] += clip(q[GOAL + j] - s[REFERENCE + j], q[RATE_LIMIT + j] * c[DT])
-            else:
-                s[REFERENCE + j] = s[ANGLE + j]
+        follow_references(c, s, q)
         steer(c, s, q)
         loads(adhesion_factor if s[FALLEN] == 0.0 else 0.0, c, s)
         contacts(c, s)

@@ -1,0 +1,207 @@
+"""The emulated robot body in MuJoCo: how it is set down, stepped and looked at.
+
+The robot is set down first: it settles on its wheels without gravity along the surface, is put exactly where
+it begins, and only then hangs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from hil.fakes.faults import FaultPlan
+from hil.fakes.mujoco_plant import kernel as mk
+from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
+from hil.fakes.mujoco_plant.model import SPRING_DAMPING_N_M_S, SPRING_N_M, Built, as_built, load_mujoco
+from hil.fakes.plant import kernel as k
+from hil.fakes.plant.body import SteppedBody, checked_pose
+from hil.fakes.plant.compiled import numba_available
+from hil.fakes.plant.parameters import TrueParameters
+from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants
+from hil.fakes.plant.surfaces import Patch
+from hil.fakes.plant_api import BodyMotion, PlantState
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import ConfigError, DeviceError
+from hil.vocabulary.geometry import Array, ArrayLike
+
+_SETTLE_S = 0.4
+_AT_REST = 1e-3
+
+
+class MujocoRobot(SteppedBody):
+    """Four steered and driven wheels on an inclined plane, in MuJoCo.
+
+    Args:
+        built: the compiled model.
+        parameters: what the robot truly is; places and radii of its wheels are read from the model.
+        patches: where the surface's friction differs.
+        tilt_rad, faults, by_hand: see `SteppedBody`.
+        start_pose: (3,) of the body in the wall frame, at rest.
+
+    Attributes:
+        parameters: the truth as MuJoCo has it: places of the wheels, and the radii on which they roll, which
+            are smaller than they are made by half of what they sink in.
+
+    Raises:
+        ConfigError: the robot does not come to rest on its wheels.
+    """
+
+    def __init__(
+        self,
+        built: Built,
+        parameters: TrueParameters,
+        *,
+        patches: tuple[Patch, ...] = (),
+        tilt_rad: float = math.pi / 2.0,
+        start_pose: ArrayLike = (0.0, 0.0, 0.0),
+        faults: FaultPlan | None = None,
+        by_hand: bool = False,
+    ) -> None:
+        pose = checked_pose(start_pose)
+        self._built, self._mujoco = built, load_mujoco()
+        p = as_built(built, parameters)
+        step_ns = round(float(built.model.opt.timestep) * NS_PER_S)
+        constants = make_constants(p, patches, tilt_rad, step_ns / NS_PER_S)
+        super().__init__(p, constants, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand)
+        self._state[k.HEADING : k.HEADING + 4] = p.steering_offset_rad
+        self._friction = np.zeros(6)
+        data = built.data
+        self._vectors = (
+            constants, self._state, self._commands, self._friction, built.indices, data.qpos, data.qvel,
+            data.ctrl, built.model.pair_friction,
+        )  # fmt: skip
+        self._prepare, self._finish = _kernels()
+        self._load_kernels()
+        self._settle()
+        self._put(pose)
+
+    def _load_kernels(self) -> None:
+        """Run them once on copies: machine code that is loaded when the first motor turns comes too late."""
+        c, s, q, p, a, qpos, qvel, ctrl, friction = map(np.array, self._vectors)
+        self._prepare(c, s, q, p, a, qpos, qvel, ctrl, friction)
+        self._finish(c, s, a, qpos, qvel)
+
+    def _settle(self) -> None:
+        """Stand the robot on its wheels, held against its weight along the surface, and see how it stands.
+
+        One that what presses it on cannot keep there is pressed on by hand: it will fall when it is let go.
+        """
+        weight_n = self.parameters.mass_kg * GRAVITY_M_S2
+        normal_m_s2 = -GRAVITY_M_S2 * math.cos(self.tilt_rad)
+        if not self._rests(normal_m_s2, self._constants[k.ADHESION]) and not self._rests(0.0, weight_n):
+            raise ConfigError(
+                f"emulation.mjcf = {self._built.source}: the robot does not come to rest on its wheels",
+                expected="masses, inertias and an option timestep that MuJoCo's contacts can carry",
+            )
+        model, data = self._built.model, self._built.data
+        model.opt.gravity[:] = -GRAVITY_M_S2 * math.sin(self.tilt_rad), 0.0, normal_m_s2
+        radius_m = self.parameters.wheel_radius_m + 0.5 * self._by_wheel(data.contact.dist)
+        self.parameters = replace(self.parameters, wheel_radius_m=radius_m)
+        self._constants[k.RADIUS : k.RADIUS + 4] = radius_m
+        creep = self._built.contact.ratio_times_speed(float(np.mean(data.efc_R[data.contact.efc_address])))
+        self._friction[:] = (
+            SPRING_N_M, SPRING_DAMPING_N_M_S, creep, HOLDING_IMPRATIO, CREEP_FLOOR_M_S, data.qpos[2],
+        )  # fmt: skip
+
+    def _rests(self, normal_m_s2: float, press_n: float) -> bool:
+        """Whether the robot comes to rest on four wheels from where it was described."""
+        model, data, a = self._built.model, self._built.data, self._built.indices
+        self._mujoco.mj_resetData(model, data)
+        data.qpos[2] -= self._built.lowest_m
+        data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
+        model.opt.gravity[:] = 0.0, 0.0, normal_m_s2
+        model.opt.impratio = HOLDING_IMPRATIO
+        data.ctrl[self._built.fan] = press_n
+        self._mujoco.mj_step(model, data, nstep=round(_SETTLE_S * NS_PER_S / self._step_ns))
+        still = mk.is_sound(data.qpos, data.qvel) and float(np.abs(data.qvel).max()) < _AT_REST
+        return still and np.count_nonzero(data.efc_force[data.contact.efc_address] > 0.0) == 4
+
+    def _put(self, pose: Array) -> None:
+        """Move the settled robot to where it begins, at rest, joints at zero, and let it hang."""
+        model, data, a = self._built.model, self._built.data, self._built.indices
+        mk.look_at_body(self._state, data.qpos, data.qvel)
+        half = 0.5 * float(pose[2] - self._state[k.BODY + 2])
+        turned = np.zeros(4)
+        self._mujoco.mju_mulQuat(turned, np.array([math.cos(half), 0.0, 0.0, math.sin(half)]), data.qpos[3:7])
+        data.qpos[3:7], data.qpos[:2], data.qvel[:] = turned, pose[:2], 0.0
+        data.qpos[a[mk.DRIVE_Q : mk.DRIVE_Q + 4]] = 0.0
+        data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
+        self._state[k.BODY : k.VELOCITY + 3] = [*pose, 0.0, 0.0, 0.0]
+        self._mujoco.mj_forward(model, data)
+
+    def _integrate(self, n: int, adhesion_factor: float) -> None:
+        built, prepare, vectors = self._built, self._prepare, self._vectors
+        model, data, step = built.model, built.data, self._mujoco.mj_step
+        option = model.opt
+        self._blow(adhesion_factor)
+        for done in range(n):
+            ratio = prepare(*vectors)
+            if ratio == mk.LOOK:
+                ratio = self._stumbled(done)
+            option.impratio = ratio
+            step(model, data)
+        self._finish(self._constants, self._state, built.indices, data.qpos, data.qvel)
+
+    def _blow(self, adhesion_factor: float) -> None:
+        """Fan and propellers as they are now; a robot that has fallen has neither."""
+        ctrl, c, held = self._built.data.ctrl, self._constants, 1.0 - self._state[k.FALLEN]
+        ctrl[self._built.fan] = held * adhesion_factor * c[k.ADHESION]
+        ctrl[self._built.thrust] = held * c[k.THRUST]
+        ctrl[self._built.turn] = held * c[k.THRUST_TORQUE]
+
+    def _stumbled(self, done: int) -> float:
+        """The robot has just fallen, or the numbers are no robot any more.
+
+        Raises:
+            DeviceError: the simulation has diverged: no verdict can come of it.
+        """
+        if not mk.is_sound(self._built.data.qpos, self._built.data.qvel):
+            raise DeviceError(
+                "plant",
+                f"the MuJoCo simulation of {self._built.source} has diverged at "
+                f"{(self._steps + done) * self._step_ns / NS_PER_S:.3f} s",
+                remedy="a smaller option timestep in the MJCF, or heavier parts",
+            )
+        self._built.data.qvel[3:6] = 0.0  # what a crash looks like nobody asks: it falls as it hung
+        self._built.model.opt.disableflags |= int(self._mujoco.mjtDisableBit.mjDSBL_CONTACT)
+        self._blow(0.0)
+        return HOLDING_IMPRATIO
+
+    def _by_wheel(self, values: Array) -> Array:
+        """Values (n,) of the present contacts as (4,) of the wheels; 0 for one that touches nothing."""
+        out = np.zeros(4)
+        for geom, value in zip(self._built.data.contact.geom[:, 1], values, strict=True):
+            out[self._built.wheel_of[int(geom)]] = value
+        return out
+
+    def body(self) -> BodyMotion:
+        """How the origin of the body moves; MuJoCo's velocities are in wall axes."""
+        x, y, theta, vx, vy, turn, ax, ay = self._motion.tolist()
+        c, n = math.cos(theta), math.sin(theta)
+        return BodyMotion(x, y, theta, c * vx + n * vy, c * vy - n * vx, turn, ax, ay, self.tilt_rad)
+
+    def steering_rad(self) -> list[float]:
+        """True heading of each fork in the body frame, wheel order."""
+        steer = self._built.indices[mk.STEER_Q : mk.STEER_Q + 4]
+        return self._built.data.qpos[steer].tolist()  # type: ignore[no-any-return]
+
+    def _look(self) -> PlantState:
+        data, loads = self._built.data, np.zeros(4)
+        if not self._state[k.FALLEN]:
+            loads = self._by_wheel(data.efc_force[data.contact.efc_address])
+        self._state[k.LOAD : k.LOAD + 4] = loads
+        return super()._look()
+
+
+@cache
+def _kernels() -> tuple[Callable[..., float], Callable[..., None]]:
+    """`prepare` and `finish`, compiled where numba is installed."""
+    if not numba_available():
+        return mk.prepare, mk.finish
+    from hil.vocabulary.kernels import compiled_with_parts
+
+    return compiled_with_parts(mk.prepare), compiled_with_parts(mk.finish)

@@ -1,0 +1,153 @@
+"""The motions of an odometry calibration: how a bench drives them and keeps each as a plain CSV."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from hil.calibration.datasets import Log, Recording, build_recording
+from hil.procedure.scripted import Stretch, play
+from hil.procedure.tracking import stand
+from hil.recording.plain_csv import write_plain
+from hil.ring.motion import Motion
+from hil.robot.kinematics import inverse
+from hil.robot.trajectories import Trajectory, circle, line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array, ArrayLike, rotation2
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+
+MotionName = Literal["line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw"]
+MOTIONS: tuple[MotionName, ...] = (
+    "line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw",
+)  # fmt: skip
+OTHER_MOTIONS = ("diagonal", "arc_ccw", "arc_cw")
+"""Of use to see whether a calibration holds for what it was not made with."""
+UNUSED = {"encoders": None, "imu": None, "tracker": None}
+"""Bench overrides that leave out what calibration does not look at."""
+_STAGGER_S = 0.13
+_SETTLE_S = 0.2
+_APPROACH_RAD = 0.1
+_FOLD_RAD = math.radians(5.0)
+_ACCELERATION_M_S2 = 0.19
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """How large the motions are, and how fast (peak wheel speed)."""
+
+    line_m: float = 2.5
+    radius_m: float = 0.5
+    turns: float = 1.0
+    speed_m_s: float = 0.118
+
+
+@dataclass(frozen=True)
+class Repetition:
+    """One repetition of all motions, driven one after the other in one world.
+
+    Attributes:
+        prefix: of the file names, which end in `MOTION_K.csv`.
+        number: K, counted from 1 over all rounds.
+    """
+
+    folder: Path
+    motions: tuple[str, ...]
+    number: int
+    sizes: Sizes
+    feedback: str = "odometry"
+    hold_s: float = 1.0
+
+
+def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
+    """One of the motions from where the robot stands; lines may be driven backwards."""
+    pose = np.asarray(start, dtype=np.float64)
+    sense = 1.0 if name.endswith("_ccw") else -1.0
+    limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
+    if name.startswith("line"):
+        step_m = np.array([sizes.line_m, 0.0] if name == "line_x" else [0.0, sizes.line_m])
+        step_m = rotation2(float(pose[2])) @ step_m * (-1.0 if backwards else 1.0)
+        return line(pose, pose + np.append(step_m, 0.0), name=name, **limits)
+    if name == "diagonal":
+        step_m = rotation2(float(pose[2])) @ np.full(2, math.sqrt(0.5) * sizes.line_m)
+        return line(pose, pose + np.append(step_m * (-1.0 if backwards else 1.0), 0.0), name=name, **limits)
+    if name.startswith("arc"):
+        turns = 0.25 * sense * sizes.turns
+        return circle(pose, 2.0 * sizes.radius_m, turns=turns, name=name, **limits)
+    if name.startswith("circle"):
+        return circle(pose, sizes.radius_m, turns=sense * sizes.turns, name=name, **limits)
+    turn = np.array([0.0, 0.0, sense * 2.0 * math.pi * sizes.turns])
+    return line(pose, pose + turn, name=name, **limits)
+
+
+def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
+    """Drive all motions of a repetition and write their recordings; returns the file names.
+
+    The first rest is a little longer in every repetition, so that two worlds of one seed do not
+    repeat each other's noise.
+    """
+    pose = stand(bench, 0.5 + _STAGGER_S * repetition.number)
+    backwards = repetition.number % 2 == 0
+    written = []
+    for name in repetition.motions:
+        take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
+        pose = stand(bench)
+        motion = bench.drive(
+            reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
+            hold_s=repetition.hold_s, start_pose=pose,
+        )  # fmt: skip
+        path = repetition.folder / f"{name}_{repetition.number}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_plain(path, recording_of(motion, path.stem, name))
+        written.append(path.name)
+    return written
+
+
+def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
+    """Turn every wheel to where a motion needs it, the last part always from the same side.
+
+    A wheel may stand anywhere in the backlash of its gear. Left to chance, an eighth of a degree between
+    front and rear turns the robot by degrees on a few metres, and differently in every round.
+    """
+    standing = bench.observe(_SETTLE_S, feedback="odometry", start_pose=pose).wheels[:, 4:]
+    now = standing[np.all(np.isfinite(standing), axis=1)]
+    if not len(now):
+        raise DataError(trajectory.name, "has no complete servo readings", remedy="run bring_up")
+    _, heading = inverse(bench.geometry, trajectory.sample(0.5 * trajectory.duration_s).twist_body)
+    goal = np.mod(heading + 0.5 * math.pi - _FOLD_RAD, math.pi) - 0.5 * math.pi + _FOLD_RAD
+    parts = (Stretch(0.8, steering_rad=goal - _APPROACH_RAD), Stretch(0.4, steering_rad=goal), Stretch(0.2))
+    play(bench, parts, pose, now[-1])
+
+
+def recording_of(motion: Motion, name: str, group: str) -> Recording:
+    """A driven motion as a calibration recording: wheels and ground truth on the bench clock.
+
+    Raises:
+        DataError: no usable wheels or no ground truth.
+    """
+    origin_ns = motion.records[0].inputs.t_ns
+    wheels = [w for r in motion.records for w in r.measurements.wheels if all(w.valid)]
+    truth = [m for r in motion.records for m in r.measurements.mocap if m.valid]
+    if not truth or not wheels:
+        missing = "ground truth from motion capture" if wheels else "complete servo readings"
+        raise DataError(name, f"has no {missing}", remedy="hil run bring_up")
+    return build_recording(
+        name,
+        Log(
+            _stamps([w.stamp.t_ns for w in wheels], origin_ns),
+            np.array([np.r_[w.wheel_angle_rad, w.steering_rad, w.wheel_rate_rad_s] for w in wheels]),
+        ),
+        Log(_stamps([m.stamp.t_ns for m in truth], origin_ns), np.array([m.pose for m in truth])),
+        motion=group,
+    )
+
+
+def _stamps(t_ns: Sequence[int], origin_ns: int) -> Array:
+    return np.array([(t - origin_ns) / NS_PER_S for t in t_ns], dtype=np.float64)
