@@ -85,12 +85,8 @@ class Audience:
         able = [s for s in self._listeners or () if reads_fast(s)]
         by_id = {s.id: s for s in able}
         chain = tuple(by_id[servo_id] for servo_id, _, _ in wanted if servo_id in by_id)
-        if (
-            len(chain) == len(wanted)
-            and len(by_id) == len(able)
-            and all(
-                (s.table.layout.motion.address, s.table.layout.motion.size) == (address, length)
-                for s, (_, address, length) in zip(chain, wanted, strict=True)
-            )
+        if len(chain) == len(wanted) and len(by_id) == len(able) and all(
+            (s.table.layout.motion.address, s.table.layout.motion.size) == (address, length)
+            for s, (_, address, length) in zip(chain, wanted, strict=True)
         ):
             self._chains[instruction.parameters] = chain
