@@ -13,6 +13,7 @@ from hil.bench.drivers import make_rig
 from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
+from hil.config.device import ImuConfig
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import DEVICE
 from hil.drivers.adhesion.keeper.spec import Spec
@@ -27,6 +28,7 @@ _NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
 _LEVEL_RAD = math.radians(15.0)
 _NO_FORCE = 0.2
 """Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
+_CELLS_REST_N = 1.0
 _TETHERED = "say --tethered once the robot is tethered or off the wall"
 
 Say = Callable[[str], None]
@@ -167,7 +169,8 @@ def seen_off_the_wall(config: BenchConfig) -> str:
         finally:
             device.close()
     tilt_rad = _tilt(config, seen["imu"])
-    limit_n = _NO_FORCE * max(map(table.force_at_n, (s.speed_rpm for s in seen[DEVICE])), default=math.nan)
+    blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
+    limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
     force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
     told = f"tilted by {math.degrees(tilt_rad):.0f} deg, load cells {force_n:.1f} N"
     if not (tilt_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
@@ -192,8 +195,8 @@ def _tilt(config: BenchConfig, samples: list[Any]) -> float:
     """Angle between the body's up axis and gravity's, by the IMU; NaN where it says nothing."""
     if not samples:
         return math.nan
-    mount = config.devices()["imu"].mount_rotation_wxyz
-    up = rotated(mount, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
+    mount = config.of(ImuConfig) or ImuConfig()
+    up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
     return math.acos(max(-1.0, min(1.0, up[2] / math.hypot(*up))))
 
 
