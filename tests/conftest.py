@@ -15,7 +15,7 @@ settings.register_profile("hil", deadline=None)
 settings.load_profile("hil")
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
-    "adhesion/test_keeper_process.py",
+    "adhesion/test_adhesion_command.py", "adhesion/test_keeper_process.py",
     "devices/test_guide.py", "emulate/", "live/test_live_command.py", "live/test_live_remote.py",
     "bench/test_bench_assembly.py::test_a_mix_of_real_and_emulated_devices",
     "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",

@@ -20,7 +20,7 @@ from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
 from hil.vocabulary.geometry import rotated
-from hil.vocabulary.signals import Status
+from hil.vocabulary.signals import Status, worst
 
 _STEP_NS = nanoseconds(0.02)
 _WATCH_S = 2.0
@@ -188,7 +188,7 @@ def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
     while clock.now_ns() < end_ns:
         samples += device.read()
         clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
-    return [s for s in samples if set(np.atleast_1d(s.status)) == {Status.OK}]
+    return [s for s in samples if worst(s) is Status.OK]
 
 
 def _tilt(config: BenchConfig, samples: list[Any]) -> float:
