@@ -1,14 +1,21 @@
-"""Wall runs in real time, killed: the emulated robot in one process, the bench in another, the keeper in a third."""
+"""Wall runs in real time, killed: robot, bench and keeper in a process each."""
 
 import json
+import os
+import random
+import signal
 import subprocess
 import sys
+import threading
 import time
 from contextlib import contextmanager
+from dataclasses import dataclass
+from math import dist
 from pathlib import Path
 
 import can
 import tomli_w
+from kills import keeper_pid, new_keeper, wait_until
 
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
@@ -16,6 +23,14 @@ from hil.vocabulary.kinds import Connection, kinds
 
 FOLDER = Path(__file__).parent
 _SET_COMMANDS = range(5)
+
+
+@dataclass(frozen=True)
+class WallKill:
+    """One trial: the longest gap between commands; whether the robot hung still a moment later."""
+
+    gap_s: float
+    held: bool
 
 
 class Robot:
@@ -64,10 +79,10 @@ def robot_on_the_wall(seed):
 def bench_driving(path):
     """A bench that drives on the wall, in a process of its own."""
     command = [sys.executable, str(FOLDER / "wall_bench.py"), str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    log = path.with_name("bench.log")
+    with log.open("w") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said) as process:
         try:
-            line = process.stdout.readline()
-            assert "driving" in line, process.stderr.read()
+            assert process.stdout.readline() == b"driving\n", log.read_text()
             yield process
         finally:
             process.kill()
@@ -95,5 +110,44 @@ class Commands:
         pairs = zip(times, [*times[1:], end_s], strict=True)
         return max((after - before for before, after in pairs), default=duration_s)
 
-    def close(self):
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
         self._bus.shutdown()
+
+
+def killed(robot, commands, pid, rng):
+    """Kill a process at a random moment and look at the bus and at the robot."""
+    time.sleep(rng.uniform(0.0, 3.0))
+    timer = threading.Timer(0.2, os.kill, (pid, signal.SIGKILL))
+    timer.start()
+    gap_s = commands.longest_gap_s(1.2)
+    timer.join()
+    return gap_s, robot.truth()
+
+
+def benches_killed(robot, path, count, seed):
+    """Benches killed while they drive, each followed by another that takes the robot over."""
+    rng, found = random.Random(seed), []
+    with Commands(path) as commands:
+        for _ in range(count):
+            with bench_driving(path) as process:
+                gap_s, before = killed(robot, commands, process.pid, rng)
+            time.sleep(0.5)
+            after = robot.truth()
+            still = dist(before["pose"][:2], after["pose"][:2]) < 5e-4
+            found.append(WallKill(gap_s, still and not after["fallen"]))
+    return found
+
+
+def keepers_killed(robot, path, count, seed):
+    """Keepers killed while one bench drives on."""
+    spec = keeper_spec(load_bench(str(path)))
+    rng, found, last = random.Random(seed), [], None
+    with Commands(path) as commands, bench_driving(path):
+        for _ in range(count):
+            last = wait_until(lambda last=last: new_keeper(spec, last), "a new keeper")
+            gap_s, truth = killed(robot, commands, last, rng)
+            found.append(WallKill(gap_s, not truth["fallen"] and keeper_pid(spec) != last))
+    return found
