@@ -1,7 +1,7 @@
 """Kills benches and keepers at random moments and writes the table of docs/adhesion.md.
 
-`python docs/make_kill_table.py` takes about ten minutes: 100 kills of each kind, in real time, at a fan on a
-CAN bus of loopback (`tests/adhesion/kills.py`).
+`python docs/make_kill_table.py` takes about half an hour: 100 kills of each kind, in real time, while the
+emulated robot is driven on its wall (`tests/adhesion/wall_trials.py`).
 """
 
 from __future__ import annotations
@@ -17,31 +17,40 @@ from statistics import median
 PAGE = Path(__file__).with_name("adhesion.md")
 TRIALS = Path(__file__).resolve().parents[1] / "tests" / "adhesion"
 KILLS, BOTH, SEED = 100, 10, 1
-HEAD = "| killed | times | without a command: median | at worst | the fan |\n|---|---|---|---|---|\n"
+HEAD = "| killed | times | without a command: median | at worst | the robot |\n|---|---|---|---|---|\n"
 
 
-def row(killed: str, gaps_s: Sequence[float], fan: str) -> str:
+def row(killed: str, gaps_s: Sequence[float], robot: str) -> str:
     """One line of the table."""
     figures = f"{1e3 * median(gaps_s):.0f} ms | {1e3 * max(gaps_s):.0f} ms"
-    return f"| {killed} | {len(gaps_s)} | {figures} | {fan} |\n"
+    return f"| {killed} | {len(gaps_s)} | {figures} | {robot} |\n"
 
 
 def table(kills: int = KILLS, both: int = BOTH) -> str:
     """Run all trials; the table of what they found."""
     sys.path.insert(0, str(TRIALS))
     import kills as trials
+    import wall_trials
     from fan_on_the_wire import fan_on_the_wire
 
+    from hil.bench.adhesion import keeper_spec
+    from hil.config.loading import load_bench
+
     rows = []
-    with tempfile.TemporaryDirectory() as folder, fan_on_the_wire() as (fan, spec):
+    with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_STATE_HOME"] = folder
-        for killed, run in (("bench", trials.bench_killed), ("keeper", trials.keeper_killed)):
-            found = run(fan, spec, kills, SEED)
-            held = sum(kill.lowest_duty == trials.HELD_DUTY for kill in found)
-            rows.append(row(killed, [k.gap_s for k in found], f"ran on at its set-point {held} times"))
-        released_s = trials.both_killed(fan, spec, both, SEED)
-        rows.append(row("both", released_s, "was let go of by its controller"))
-        trials.end_keeper(spec)
+        with wall_trials.robot_on_the_wall(SEED) as robot:
+            path = robot.bench_file(Path(folder))
+            runs = (("bench, driving", wall_trials.benches_killed), ("keeper", wall_trials.keepers_killed))
+            for killed, run in runs:
+                found = run(robot, path, kills, SEED)
+                held = sum(kill.held for kill in found)
+                rows.append(row(killed, [k.gap_s for k in found], f"held {held} times"))
+            trials.end_keeper(keeper_spec(load_bench(str(path))))
+        with fan_on_the_wire() as (fan, spec):
+            released_s = trials.both_killed(fan, spec, both, SEED)
+            rows.append(row("both at once", released_s, "falls: its VESC has let go"))
+            trials.end_keeper(spec)
     return HEAD + "".join(rows)
 
 

@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
+from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
@@ -25,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, UsageError
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -91,6 +92,7 @@ class Bench(Blueprint):
             raise
         self._stack.callback(self.rig.close)
         try:
+            Hanging(self.config, self.rig, self.clock).hold()
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
         except BaseException:
@@ -343,5 +345,15 @@ class Bench(Blueprint):
         self.rig.actuators().stop()
 
     def release(self) -> None:
-        """Drop torque: on a wall the robot slides."""
+        """Drop torque: on a wall the robot slides.
+
+        Raises:
+            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it.
+        """
+        if self.on_wall and self.has("adhesion") and not self.config.safety.tethered:
+            raise UsageError(
+                "torque is not released: the robot hangs on a wall",
+                expected="a robot off the wall, or on a tether",
+                remedy="take it off the wall, or secure it and set safety.tethered = true",
+            )
         self.rig.actuators().release()

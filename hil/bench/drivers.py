@@ -34,8 +34,12 @@ def make_rig(config: BenchConfig, clock: Clock, connections: Mapping[str, Connec
         return model_of(config, name).driver(at, clock, **found.parts)
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
-    moving = [device for name, device in made.items() if kinds()[name].actuates]
-    sensors = {name: device for name, device in made.items() if not kinds()[name].actuates}
+    known = {name: kinds()[name] for name in made}
+    moving = [made[name] for name, kind in known.items() if kind.actuates and not kind.holds]
+    holding = {name: made[name] for name, kind in known.items() if kind.holds}
+    sensing = {name: made[name] for name, kind in known.items() if not kind.actuates and not kind.holds}
     return Rig(
-        clock, cast("Actuators", moving[0]) if moving else None, cast("dict[str, Sensor[Any]]", sensors)
+        clock,
+        cast("Actuators", moving[0]) if moving else None,
+        cast("dict[str, Sensor[Any]]", {**holding, **sensing}),
     )

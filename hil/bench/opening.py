@@ -94,10 +94,10 @@ def _reach(config: BenchConfig, endpoints: Mapping[str, Mapping[str, Any]]) -> d
     for kind in config.emulated():
         endpoint, model = endpoints[kinds()[kind].shown_as], model_of(config, kind)
         if model.reach is not None:
-            values = model.reach(endpoint)
+            reached = model.reach(endpoint)
         else:
-            values = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
-        found[kind] = Connection(values)
+            reached = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
+        found[kind] = reached if isinstance(reached, Connection) else Connection(reached)
     return found
 
 

@@ -9,16 +9,22 @@ from dataclasses import fields
 import numpy as np
 
 from hil.calibration.nominal import Nominal
+from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
+from hil.config.load_cells import LoadCellsConfig
+from hil.config.robot import GRAVITY_M_S2
 from hil.config.servos import ServosConfig
+from hil.config.thrust import ThrustConfig
+from hil.ring.adhesion import AdhesionLimits, AdhesionWatch
 from hil.ring.alignment import AlignmentParameters
 from hil.ring.crosscheck import SteeringWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
 from hil.ring.supervisor import Checks, SafetyLimits
+from hil.robot.holding import Statics
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
 from hil.vocabulary.clock import Clock, MonotonicClock
@@ -80,7 +86,69 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
+        hold=adhesion_watch(config),
     )
+
+
+def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
+    """What watches the robot's hold on its surface; None for a bench without fan and load cells."""
+    limits = adhesion_limits(config)
+    return None if limits is None else AdhesionWatch(limits, on_wall=config.environment.on_wall)
+
+
+def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
+    """Need and limits of adhesion of a configuration; None for a bench without fan and load cells."""
+    fan, cells, push = config.of(AdhesionConfig), config.of(LoadCellsConfig), config.of(ThrustConfig)
+    if fan is None and cells is None:
+        return None
+    safety, known = config.safety, {}
+    if fan is not None:
+        known = {
+            "rated_n": fan.rated_force_n,
+            "rated_rpm": fan.rated_rpm,
+            "rated_w": fan.rated_input_a * fan.rated_input_v,
+            "low_input_v": fan.low_input_v,
+            "hot_fet_c": fan.hot_fet_c,
+        }
+    return AdhesionLimits(
+        statics_of(config),
+        reserve=safety.adhesion_reserve,
+        utilisation=safety.utilisation_limit,
+        nominal_thrust_n=thrust_wanted_n(config),
+        full_thrust_n=0.0 if push is None else push.full_force_n,
+        zero_n=None if cells is None else sum(cells.zero_n),
+        stale_s=safety.adhesion_stale_s,
+        **known,
+    )
+
+
+def statics_of(config: BenchConfig) -> Statics:
+    """Weight, wheels and friction of a configuration."""
+    robot, environment = config.robot, config.environment
+    return Statics(
+        robot.wheel_x_m,
+        robot.wheel_y_m,
+        robot.mass_kg,
+        robot.centre_of_mass_m,
+        robot.propeller_height_m,
+        environment.tilt_rad,
+        environment.known_friction,
+    )
+
+
+def thrust_wanted_n(config: BenchConfig) -> float:
+    """What the propellers push with: `thrust.force_n`, or the configured share of the weight."""
+    push, robot = config.of(ThrustConfig), config.robot
+    if push is not None and push.force_n is not None:
+        return push.force_n
+    along = robot.mass_kg * GRAVITY_M_S2 * math.sin(config.environment.tilt_rad)
+    return robot.thrust_compensation * along if config.environment.on_wall else 0.0
+
+
+def force_wanted_n(config: BenchConfig) -> float:
+    """What the fan is asked for: `adhesion.force_n`, or what `[robot]` says of it."""
+    fan = config.of(AdhesionConfig)
+    return config.robot.edf_force_n if fan is None or fan.force_n is None else fan.force_n
 
 
 def alignment_parameters(config: BenchConfig) -> AlignmentParameters:

@@ -27,6 +27,7 @@ from hil.vocabulary.stop_signals import deaf_from_now_on
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
+    "adhesion": "the fan that presses the robot on its wall: on, off, status, watch",
     "calibrate": "fit the odometry parameters to recordings, with validation",
     "calibration": "list, apply and roll back versions of a calibration",
     "campaign": "a procedure over many seeds and settings, in parallel",

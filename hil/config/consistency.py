@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
+from hil.config.adhesion import AdhesionConfig
 from hil.config.environment import SURFACES
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
@@ -118,6 +119,12 @@ def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
             "servos.watchdog_s",
             f"{servos.watchdog_s:g} on a wall: without commands the wheels would go on turning {told}; "
             f"it takes more than 0, at most {WALL_WATCHDOG_S:g}",
+        )
+    if config.of(AdhesionConfig) is not None and config.exit.policy == "release" and not safety.tethered:
+        yield (
+            "exit.policy",
+            "'release' on a wall: the robot would slide down when the work ends; 'hold', or safety.tethered "
+            "= true for a robot on a tether",
         )
     limit_rad = config.robot.hold_limit_rad()
     if limit_rad is not None and safety.heading_limit_rad > limit_rad * _SAME and not safety.tethered:

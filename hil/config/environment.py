@@ -12,7 +12,11 @@ from hil.config.values import Within
 FLOOR_TILT_RAD = 0.1
 """Beyond it a robot whose wheels lose their grip slides: it stands on a wall, and is guarded as there."""
 
-SURFACES = ("floor", "concrete", "melamine", "patchy")
+FRICTION = {"floor": 0.8, "concrete": 0.8, "melamine": 0.45, "patchy": 0.36}
+"""Assumed friction of tyres on surfaces that have a name; on `patchy` that of the worst patch."""
+LEAST_FRICTION = 0.45
+"""Assumed on a surface of which nothing is known."""
+SURFACES = tuple(FRICTION)
 """Surfaces that can be emulated; a real robot may stand on anything."""
 
 Metres = Annotated[float, Within(-1000.0, 1000.0, "m in the wall frame")]
@@ -27,6 +31,8 @@ class EnvironmentConfig(BaseModel):
             `concrete`, `melamine` or `patchy`; what else a real one stands on is only written down.
         tilt_rad: 0 for a floor, pi/2 for a wall, more overhangs. Above 0.1 it counts as a wall: gravity lies
             in the plane of motion, and the wall's guards are on.
+        friction: coefficient of tyre on surface, where it is known (`hil run surface_identification` and
+            `adhesion_check` find it): how much adhesion the robot needs goes by it. Left out, an assumption.
         start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.
             Where a real one stands is measured by motion capture, else given with `--start`, else this if it
             is written in the file.
@@ -36,7 +42,13 @@ class EnvironmentConfig(BaseModel):
 
     surface: str = Field("melamine", min_length=1)
     tilt_rad: Annotated[float, Within(0.0, 3.1416, "0 floor, pi/2 wall, pi ceiling")] = math.pi / 2.0
+    friction: Annotated[float, Within(0.05, 2.0, "rubber on anything")] | None = None
     start_pose: tuple[Metres, Metres, Heading] = (0.0, 0.0, 0.0)
+
+    @property
+    def known_friction(self) -> float:
+        """`friction`, or what is assumed of a surface of this name."""
+        return FRICTION.get(self.surface, LEAST_FRICTION) if self.friction is None else self.friction
 
     @property
     def on_wall(self) -> bool:

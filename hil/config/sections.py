@@ -46,6 +46,10 @@ class SafetyConfig(Strict):
         tracking_error_limit_m: distance from the reference.
         body_speed_limit_m_s: speed that the camera may see: faster is a slide.
         adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.
+        adhesion_reserve: with a fan among the devices: share by which its measured force exceeds what holds
+            the robot; below that no wheel moves.
+        adhesion_stale_s: age after which fan or load cells count as silent; the robot then stops.
+        utilisation_limit: share of its friction that no wheel may exceed.
         x_range_m, y_range_m: usable surface; references that leave it are refused.
     """
 
@@ -61,6 +65,13 @@ class SafetyConfig(Strict):
         float, Within(0.05, 1.0, "the robot drives 0.13 m/s; 1 m/s is a fall of 5 cm")
     ] = 0.5
     adhesion_limit_m_s2: Annotated[float, Within(0.0, 9.0, "standing feels 9.8, falling nothing")] = 5.0
+    adhesion_reserve: Annotated[
+        float, Within(0.1, 3.0, "a tenth is what measuring and drawing leave open")
+    ] = 0.25
+    adhesion_stale_s: Annotated[float, Within(0.05, 2.0, "a fan that stops lets the robot fall in 0.3 s")] = (
+        0.25
+    )
+    utilisation_limit: Annotated[float, Within(0.1, 0.95, "at 1 the wheel slides")] = 0.8
     x_range_m: Range | None = None
     y_range_m: Range | None = None
 

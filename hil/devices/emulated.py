@@ -106,6 +106,23 @@ class Wired(EmulatedDevice):
 
 
 @dataclass
+class Begun(EmulatedDevice):
+    """An emulated device that is told when it is connected in this process."""
+
+    device: EmulatedDevice
+    begin: Callable[[], None]
+
+    def connect(self) -> Connection:
+        """As `EmulatedDevice.connect`."""
+        self.begin()
+        return self.device.connect()
+
+    def serve(self) -> Face:
+        """As `EmulatedDevice.serve`."""
+        return self.device.serve()
+
+
+@dataclass
 class SerialWired(EmulatedDevice):
     """A chip at the far end of a serial line: `hil://NAME`, or a PTY."""
 

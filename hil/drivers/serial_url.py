@@ -98,7 +98,9 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     )
 
 
-def open_serial(url: str, *, baud: int, timeout_s: float, write_timeout_s: float) -> Any:
+def open_serial(
+    url: str, *, baud: int, timeout_s: float, write_timeout_s: float, shared: bool = False
+) -> Any:
     """Open a port.
 
     Args:
@@ -106,6 +108,7 @@ def open_serial(url: str, *, baud: int, timeout_s: float, write_timeout_s: float
         baud: bits per second; a raw socket's server must be set to it.
         timeout_s: of reads, in the port's own waiting.
         write_timeout_s: of writes, where the port has one.
+        shared: whether another driver may have the port open, too: one that only writes, one that only reads.
 
     Raises:
         serial.SerialException, OSError, ValueError: as pyserial raises them.
@@ -117,7 +120,7 @@ def open_serial(url: str, *, baud: int, timeout_s: float, write_timeout_s: float
             warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
             remote.open()
         return remote
-    local: dict[str, Any] = {} if "://" in url else {"exclusive": True}
+    local: dict[str, Any] = {} if "://" in url or shared else {"exclusive": True}
     port = serial.serial_for_url(
         url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s, **local
     )

@@ -34,7 +34,7 @@ WIRE_FAULTS: Supported = {
 DEFAULT_GROUP = "239.74.163.2"
 DEFAULT_PORT = 43113
 
-_QUEUE = 4096
+_QUEUE, _ECHOES = 4096, 256
 _OVERHEAD_BITS, _STUFFING = 47, 1.1
 
 _CHANNELS: dict[str, CanChannel] = {}
@@ -197,6 +197,9 @@ class CanFace(Face):
         channel: the emulated wire.
         interface, address: python-can interface and channel that clients open too.
         dbc: path told to clients.
+        device: name in errors.
+        listens: whether somebody on the emulated bus hears what clients send.
+        told: what clients are told besides.
         options: further keyword arguments of the interface. Without a `port`, the first face of a
             host has python-can's own, so that clients need only the group; another has a free one,
             because a host hears every group at the port that it listens to.
@@ -212,9 +215,14 @@ class CanFace(Face):
         interface: str = "udp_multicast",
         address: str = DEFAULT_GROUP,
         dbc: Path | str = "",
+        device: str = "encoders",
+        listens: bool = False,
+        told: Mapping[str, object] | None = None,
         options: Mapping[str, Any] | None = None,
     ) -> None:
-        self._channel, self._dbc = channel, str(dbc)
+        self._channel, self._dbc, self._listens = channel, str(dbc), listens
+        self._told = dict(told or {})
+        self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
         self._interface, self._address, self._options = interface, address, dict(options or {})
         self._claim: socket.socket | None = None
         if interface == "udp_multicast":
@@ -227,7 +235,7 @@ class CanFace(Face):
         except (can.CanError, OSError, ValueError, TypeError) as error:
             self._give_up_claim()
             raise DeviceError(
-                "encoders",
+                device,
                 f"the emulated CAN bus cannot be served ({error})",
                 port=f"{interface}:{address}",
                 remedy="choose another python-can interface or address",
@@ -248,6 +256,8 @@ class CanFace(Face):
             try:
                 self._bus.send(message)
                 self.sent += 1
+                if self._listens:
+                    self._echoes.append((message.arbitration_id, bytes(message.data)))
             except (can.CanError, OSError):
                 self.lost += 1
 
@@ -261,10 +271,18 @@ class CanFace(Face):
         return []
 
     def on_readable(self, fd: int, t_ns: int) -> None:
-        """Throw one frame away: the node listens to nobody, and multicast hears itself."""
+        """Take one frame, and throw it away where nobody listens; multicast hears itself, too."""
+        message = None
         if self._bus is not None:
             with contextlib.suppress(can.CanError, OSError):
-                self._bus.recv(0)
+                message = self._bus.recv(0)
+        if message is None or not self._listens:
+            return
+        key = (message.arbitration_id, bytes(message.data))
+        if key in self._echoes:
+            self._echoes.remove(key)
+        else:
+            self._channel.send(message, t_ns, sender=self._queue)
 
     def endpoint(self) -> dict[str, object]:
         """How a client reaches the bus."""
@@ -273,6 +291,7 @@ class CanFace(Face):
             "channel": self._address,
             "bitrate": self._channel.bitrate,
             "dbc": self._dbc,
+            **self._told,
             **{key: value for key, value in self._options.items() if key != "hop_limit"},
         }
 

@@ -70,6 +70,12 @@ class Fault:
         """By which `factor` a period is longer, at least 1."""
         return max(1.0, self.option("factor", _SLOWNESS))
 
+    def faded(self, t_ns: int, left: float, over_s: float) -> float:
+        """Share that is left of something that goes down to `left` along a line within `over_s`."""
+        over_ns = nanoseconds(over_s)
+        passed = 1.0 if over_ns <= 0 else min((t_ns - self.start_ns) / over_ns, 1.0)
+        return 1.0 + (left - 1.0) * passed
+
     def delay_ns(self, default_s: float = 0.1) -> int:
         """`delay_s` of a `delayed` fault."""
         return nanoseconds(self.option("delay_s", default_s))

@@ -41,10 +41,13 @@ class HoldingForces:
     Attributes:
         adhesion_n: of the ducted fan, towards the surface, at the body's origin.
         thrust_n: of both propellers, along body x.
+        fan_gain, propeller_gain: how much stronger they are than on paper.
     """
 
     adhesion_n: float
     thrust_n: float
+    fan_gain: float = 1.0
+    propeller_gain: float = 1.0
 
 
 @dataclass(frozen=True)

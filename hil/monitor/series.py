@@ -22,6 +22,8 @@ _GROUPS = {
     "rejected": "estimator/rejected",
     "reanchored": "estimator/rejected",
     "age": "estimator/age_s",
+    "adhesion": "adhesion/force_n",
+    "utilisation": "adhesion/utilisation",
 }
 _OTHER = "estimator/states"
 _SLOW = ("estimator/mean_nis", "estimator/rejected", "estimator/age_s", _OTHER)

@@ -48,6 +48,7 @@ SHAPES: Mapping[str, Mapping[str, tuple[int, ...]]] = {
     "TrackerSample": {"quaternion_wxyz": _QUATERNION}
     | dict.fromkeys(("position_m", "velocity_m_s", "angular_velocity_rad_s"), _VECTOR),
     "MocapSample": {"position_m": _VECTOR, "quaternion_wxyz": _QUATERNION},
+    "LoadCellSample": {"force_n": (2,)},
     "WheelMeasurement": dict.fromkeys(("wheel_angle_rad", "wheel_rate_rad_s", "steering_rad"), _WHEELS),
     "GyroMeasurement": {"acceleration_m_s2": (2,)},
     "PoseMeasurement": {"pose": _VECTOR},

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.ring.adhesion import LETTING_GO
 from hil.ring.alignment import Alignment
 from hil.ring.loop_timing import Laps, LoopStatistics
 from hil.ring.rig import Rig
@@ -111,6 +112,8 @@ class Brain:
         measurements = self.alignment.measure(inputs)  # 3
         events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
         state = self.estimator.update(measurements)  # 4
+        if figures := self.supervisor.figures():
+            state = replace(state, diagnostics={**state.diagnostics, **figures})
         others = {name: observer.update(measurements) for name, observer in self.observers.items()}
         lap("estimate")
         if self.reference_at is not None:
@@ -245,6 +248,8 @@ class ControlLoop:
         """Hold the robot at once and leave a last record that names the reason."""
         if self.rig.servos is not None:
             self.rig.servos.stop()
+        if isinstance(stop, SafetyStop) and stop.reason in LETTING_GO:
+            self.rig.brace()
         event = Event(inputs.t_ns, "error", source, str(stop))
         zero = np.zeros(4)
         nothing = Measurements(inputs.cycle, inputs.t_ns)

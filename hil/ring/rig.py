@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, cast
 
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.interfaces import Actuators, Device, Sensor
+from hil.vocabulary.interfaces import Actuators, Device, Holding, Sensor
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS, Inputs
 
 
@@ -19,7 +20,8 @@ class Rig:
     Attributes:
         clock: the bench clock.
         servos: what moves the robot; None where the bench has none.
-        sensors: the other devices by kind, in the order in which they are opened and drained.
+        sensors: the other devices by kind, in the order in which they are opened and drained; what holds the
+            robot (`DeviceKind.holds`) is among them, and comes first.
     """
 
     clock: Clock
@@ -31,7 +33,7 @@ class Rig:
         return self.sensors.get(kind, self.servos if kind == "servos" else None)
 
     def devices(self) -> tuple[Device, ...]:
-        """Present devices, servos last so that nothing moves before the sensors answer."""
+        """Present devices: what holds the robot first, servos last: nothing moves before sensors answer."""
         return (*self.sensors.values(), *(() if self.servos is None else (self.servos,)))
 
     def open(self) -> None:
@@ -47,7 +49,7 @@ class Rig:
             raise
 
     def close(self) -> None:
-        """Close every device, servos first."""
+        """Close every device, servos first, what holds the robot last; a fan blows on when it is closed."""
         for device in reversed(self.devices()):
             device.close()
 
@@ -63,6 +65,12 @@ class Rig:
         if self.servos:
             known["servos"], known["health"] = self.servos.read(), self.servos.read_health()
         return Inputs(cycle, t_ns, added=added, **known)
+
+    def brace(self) -> None:
+        """Have what holds the robot hold as firmly as it may. Never raises."""
+        for kind, device in self.sensors.items():
+            if kinds()[kind].holds:
+                cast("Holding[Any]", device).brace()
 
     def actuators(self) -> Actuators:
         """The servos, or a `DeviceError` when the bench has none."""

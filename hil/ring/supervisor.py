@@ -14,15 +14,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.fall_watch import FallWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
-from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, Status, WheelSetpoint
-
-_HOLD_SAMPLES = 3
+from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,14 @@ class Checks:
             in doubt or silent.
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
+        hold: what presses the robot on its surface; None where nobody measures it.
     """
 
     motion: MotionCheck | None = None
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False
+    hold: AdhesionWatch | None = None
 
 
 def _finite(values: Array) -> bool:
@@ -89,6 +91,7 @@ class Supervisor:
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
         self._samples = SampleWatch(stale_s)
+        self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
 
     def reset(self) -> None:
@@ -99,7 +102,9 @@ class Supervisor:
             self.checks.motion.reset()
         if self.checks.steering is not None:
             self.checks.steering.reset()
-        self._weightless = self._sliding = 0
+        if self.checks.hold is not None:
+            self.checks.hold.reset()
+        self._fall.reset()
         self._causes: dict[str, str] = {}
 
     def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
@@ -110,10 +115,11 @@ class Supervisor:
             measurements: the same, aligned; without them no sensor is held against another.
 
         Raises:
-            SafetyStop: `adhesion`, `sliding`, `hardware_error`, `stale_servos`, `blocked`, `servo_jump`,
-                `horn_slip`, `sensors_disagree` or `stale_tracker`; the message names everything that came
-                together. A silent IMU is an event, and so is a silent camera where nothing that is followed
-                needs it; a silence that lasts is their driver's `DeviceTimeoutError`, which stops as well.
+            SafetyStop: `adhesion`, those of `hil.ring.adhesion`, `sliding`, `hardware_error`, `stale_servos`,
+                `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree` or `stale_tracker`; the message names
+                everything that came together. A silent IMU is an event, and so is a silent camera where
+                nothing that is followed needs it; a silence that lasts is their driver's
+                `DeviceTimeoutError`, which stops as well.
         """
         events = self._judge(inputs, measurements)
         if self._causes:
@@ -124,7 +130,9 @@ class Supervisor:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes = {}
-        self._check_hold(inputs)
+        self._fall.judge(inputs, self._blame)
+        if self.checks.hold is not None:
+            self.checks.hold.judge(inputs, events, self._blame)
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
@@ -163,26 +171,10 @@ class Supervisor:
                         self._blame("blocked", standing)
                     self._blame("sensors_disagree", doubt.message)
 
-    def _check_hold(self, inputs: Inputs) -> None:
-        """A robot that has come off is weightless; one that slides is faster than it can drive."""
-        for imu in inputs.imu:
-            if imu.status is Status.OK:
-                force = imu.gravity_m_s2 + imu.linear_acceleration_m_s2
-                light = math.hypot(*force.tolist()) < self.limits.adhesion_limit_m_s2
-                self._weightless = self._weightless + 1 if light else 0
-        for tracker in inputs.tracker:
-            if tracker.status is Status.OK:
-                fast = math.hypot(*tracker.velocity_m_s.tolist()) > self.limits.body_speed_limit_m_s
-                self._sliding = self._sliding + 1 if fast else 0
-        if self._weightless >= _HOLD_SAMPLES:
-            self._blame("adhesion", "the accelerometer feels less than the weight: adhesion is lost")
-        if self._sliding >= _HOLD_SAMPLES:
-            self._blame(
-                "sliding", f"the camera sees more than {self.limits.body_speed_limit_m_s:g} m/s: no hold"
-            )
-
     def guard(self, state: RobotState, reference: Reference | None) -> None:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
+        if self.checks.hold is not None:
+            self.checks.hold.heading_rad = float(state.pose_body_in_wall[2])
         pose, found = state.pose_body_in_wall, {}
         if not (_finite(pose) and _finite(state.twist_body)):
             raise SafetyStop("not_finite", "the estimated state is not finite")
@@ -199,6 +191,10 @@ class Supervisor:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
         if found:
             raise _stop_for(found)
+
+    def figures(self) -> Mapping[str, float]:
+        """What the checks of this cycle measured, for the robot's state."""
+        return {} if self.checks.hold is None else self.checks.hold.figures
 
     def limit(self, setpoint: WheelSetpoint) -> WheelSetpoint:
         """Setpoint within command limits; scaling keeps the centre of rotation.

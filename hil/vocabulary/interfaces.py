@@ -104,6 +104,29 @@ class Actuators(Device, Protocol):
         """Torque off. On a wall the robot slides: only at the operator's word."""
 
 
+class Holding(Sensor[S_co], Protocol[S_co]):
+    """What keeps the robot on its surface beside its wheels: the fan, the propellers.
+
+    Opening and closing it changes nothing: it goes on as it was told last, whoever told it.
+    """
+
+    @abstractmethod
+    def set_force_n(self, force_n: float) -> None:
+        """Ask for a force from now on, reached by a ramp; refused with nothing sent if it cannot be meant.
+
+        Raises:
+            UsageError: negative, not finite, or more than the device may give.
+        """
+
+    @abstractmethod
+    def set_duty(self, duty: float) -> None:
+        """Ask for a share of what the device can do, 0..1; as `set_force_n`."""
+
+    def brace(self) -> None:
+        """Hold as firmly as it may: the robot is being lost. Never raises."""
+        return
+
+
 class Estimator(Protocol):
     """Pose estimation as a deterministic function of its inputs and its own state."""
 

@@ -104,7 +104,8 @@ class DeviceModel:
         search: looks for it elsewhere.
         ask_after: models with a smaller number are asked first: those that answer quickly.
         look: what `hil doctor` says of it beside the kind's own look; as `DeviceKind.look`.
-        reach: keys of its table from the endpoint that `hil emulate` printed; the same keys when None.
+        reach: keys of its table from the endpoint that `hil emulate` printed, or a `Connection`; the same
+            keys when None.
         package: name and version of the package that it comes from; filled in when it is loaded.
     """
 
@@ -119,7 +120,7 @@ class DeviceModel:
     search: Callable[[Search], Found | None] | None = None
     ask_after: int = 5
     look: Callable[[Any], Iterable[Finding]] | None = None
-    reach: Callable[[Mapping[str, Any]], Mapping[str, Any]] | None = None
+    reach: Callable[[Mapping[str, Any]], Mapping[str, Any] | Connection] | None = None
     package: str = "hil"
 
 
@@ -183,7 +184,9 @@ class DeviceKind:
         sample: dataclass of its samples: a `stamp` and a `status` (one, or one for each channel), scalars
             and arrays.
         models: what there is of it; the first is meant where the bench file names none.
-        actuates: whether it moves the robot; such a kind is opened last and closed first.
+        actuates: whether it does something to the robot: a moving kind is opened last and closed first.
+        holds: whether what it does keeps the robot on its surface (`hil.vocabulary.interfaces.Holding`): it
+            is opened first, closed last, and a stop leaves it alone.
         aliases: further names that people give it.
         endpoint: its name in what `hil emulate` prints, where that is not its own.
         labels: names of the channels, where `status` has several.
@@ -210,6 +213,7 @@ class DeviceKind:
     sample: type[Any]
     models: tuple[DeviceModel, ...]
     actuates: bool = False
+    holds: bool = False
     aliases: tuple[str, ...] = ()
     endpoint: str = ""
     labels: tuple[str, ...] = ()
@@ -306,10 +310,11 @@ def _add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> No
             f"device package {origin}: kind {kind.name!r} with {len(kind.models)} models",
             expected="a name of letters, digits and _, and at least one model",
         )
-    if kind.actuates:
+    if kind.actuates and not kind.holds:
         raise ConfigError(
             f"device package {origin}: the kind {kind.name} says that it moves the robot",
-            expected="servos only: actuates=False, or a model of the kind servos",
+            expected="servos only: actuates=False, holds=True for what presses the robot on its surface, or "
+            "a model of the kind servos",
         )
     named = {f.name for f in fields(kind.sample)} if is_dataclass(kind.sample) else set()
     if not {"stamp", "status"} <= named:

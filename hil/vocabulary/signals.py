@@ -170,6 +170,59 @@ class MocapSample:
 
 
 @dataclass(frozen=True)
+class AdhesionSample:
+    """What the fan's controller reports; NaN for what it has not reported yet, or no longer does.
+
+    Attributes:
+        speed_rpm: mechanical speed of the fan.
+        duty: share of the battery's voltage that the motor gets, -1..1.
+        motor_a, input_a: current of the motor, and that from the battery.
+        input_v: battery voltage at the controller.
+        fet_c, motor_c: temperatures of power stage and motor.
+        trouble: what is wrong with how the fan is kept running, in words; empty for nothing.
+    """
+
+    stamp: Stamp
+    speed_rpm: float
+    duty: float
+    motor_a: float
+    input_a: float
+    input_v: float
+    fet_c: float
+    motor_c: float
+    status: Status = Status.OK
+    trouble: str = ""
+
+
+@dataclass(frozen=True)
+class ThrustSample:
+    """The propellers that carry part of the weight.
+
+    Attributes:
+        throttle: 0..1, as it was sent last; NaN where this program has sent none.
+        speed_rpm: where the controller reports it; else NaN.
+    """
+
+    stamp: Stamp
+    throttle: float
+    speed_rpm: float
+    status: Status = Status.OK
+
+
+@dataclass(frozen=True)
+class LoadCellSample:
+    """The cells that measure with which force the fan presses; shape (2,), N, NaN where not OK.
+
+    Cells have a zero of their own, which `hil.ring.adhesion` takes off. `raw` holds the converter's counts.
+    """
+
+    stamp: Stamp
+    force_n: Array
+    status: tuple[Status, ...]
+    raw: tuple[int, ...]
+
+
+@dataclass(frozen=True)
 class Inputs:
     """Everything that the devices delivered since the previous cycle, oldest first per device.
 
@@ -185,6 +238,9 @@ class Inputs:
     imu: tuple[ImuSample, ...] = ()
     tracker: tuple[TrackerSample, ...] = ()
     mocap: tuple[MocapSample, ...] = ()
+    adhesion: tuple[AdhesionSample, ...] = ()
+    thrust: tuple[ThrustSample, ...] = ()
+    load_cells: tuple[LoadCellSample, ...] = ()
     added: Mapping[str, tuple[Any, ...]] = field(default_factory=dict)
 
     def of(self, kind: str) -> tuple[Any, ...]:

@@ -13,6 +13,7 @@ from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.fakes.world import VirtualClock
+from hil.vocabulary.signals import KINDS
 
 SETTLE_S = 0.6
 
@@ -31,7 +32,7 @@ def test_the_emulated_bench_is_healthy(capsys, way):
     code, result = doctor(capsys, *way)
     assert [f for f in result["findings"] if f["level"] == "failure"] == []
     assert (code, result["ok"]) == (0, True)
-    assert {f["device"] for f in result["findings"]} == {"servos", "encoders", "imu", "tracker", "mocap"}
+    assert {f["device"] for f in result["findings"]} == set(KINDS)
 
 
 @pytest.mark.parametrize(
@@ -42,13 +43,15 @@ def test_the_emulated_bench_is_healthy(capsys, way):
         ("tracker:off", "tracker"),
         ("encoders:bus_off", "encoders"),
         ("servo.drive_BL:off", "servos"),
+        ("adhesion:off", "adhesion"),
+        ("load_cells:off", "load_cells"),
     ],
 )
 def test_a_sick_device_is_named_and_does_not_hide_the_others(capsys, fault, device):
     code, result = doctor(capsys, "--fault", fault)
     assert code == 3
     assert {sick for (sick, _), level in levels(result).items() if level == "failure"} == {device}
-    assert {f["device"] for f in result["findings"]} == {"servos", "encoders", "imu", "tracker", "mocap"}
+    assert {f["device"] for f in result["findings"]} == set(KINDS)
     failed = [f for f in result["findings"] if f["level"] == "failure"]
     assert all(f["found"] for f in failed)
     assert any(f["remedy"] for f in failed)

@@ -16,6 +16,7 @@ from hil.drivers.serial_url import latency_timer
 from hil.drivers.servos import scan, set_up
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.signals import KINDS
 
 END_S = 20.0
 SERVOS_ONLY = dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
@@ -53,9 +54,7 @@ def test_other_ports_have_no_timer(system, port):
 def test_doctor_tells_of_the_timer_of_a_linked_port_and_of_nothing_else_first(system):
     port = system / "dev/serial/by-id/usb-FTDI_U2D2_FT4T-if00-port0"
     values = {"servos.backend": "real", "servos.port": str(port)}
-    bench = hil.open_bench(
-        "emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap")) | values
-    )
+    bench = hil.open_bench("emulated", overrides=dict.fromkeys(set(KINDS) - {"servos"}) | values)
     first, opened = examine(bench, watch_s=0.1, sysfs=system / "sys")
     assert (first.check, first.level, first.found) == ("latency timer", "warning", "16 ms")
     assert (opened.check, opened.level) == ("open", "failure")
@@ -67,9 +66,7 @@ def test_doctor_tells_of_the_timer_of_a_linked_port_and_of_nothing_else_first(sy
 def test_a_timer_that_is_set_or_unreadable_is_no_warning(system, text):
     (system / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer").write_text(text)
     values = {"servos.backend": "real", "servos.port": str(system / "dev/ttyUSB0")}
-    bench = hil.open_bench(
-        "emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap")) | values
-    )
+    bench = hil.open_bench("emulated", overrides=dict.fromkeys(set(KINDS) - {"servos"}) | values)
     found = list(examine(bench, watch_s=0.1, sysfs=system / "sys"))
     assert [f.check for f in found if f.level != "ok"] == ["open"]
     assert "latency_timer" not in found[-1].remedy

@@ -6,7 +6,7 @@ import pytest
 import hil
 from hil.fakes.faults import parse_fault
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DeviceError, HilError, SafetyStop
+from hil.vocabulary.errors import ConfigError, DeviceError, HilError, SafetyStop, UsageError
 from hil.vocabulary.signals import SERVOS
 
 SECOND = 1_000_000_000
@@ -168,11 +168,22 @@ def test_the_floor_needs_nobody():
 
 
 def test_a_wall_starts_held_and_release_is_told():
-    with hil.open_bench("emulated", seed=1, overrides={"exit.policy": "release"}) as bench:
+    on_a_tether = {"exit.policy": "release", "safety.tethered": True}
+    with hil.open_bench("emulated", seed=1, overrides=on_a_tether) as bench:
         assert moved_from(bench, 1.0) < 0.3
     assert bench.held.state == "NOT HELD"
     assert not bench.held.wanted
     assert "released" in bench.held.why
+
+
+def test_a_robot_that_hangs_by_its_fan_is_not_released():
+    with pytest.raises(ConfigError, match=r"exit.policy: 'release' on a wall.*safety.tethered"):
+        hil.open_bench("emulated", overrides={"exit.policy": "release"})
+    with hil.open_bench("emulated", seed=1) as bench:
+        with pytest.raises(UsageError, match=r"hangs on a wall.*safety.tethered = true"):
+            bench.release()
+        bench.observe(1.0, feedback="odometry")
+    assert bench.held.state == "HELD"
 
 
 @pytest.mark.parametrize("kind", ["unplug", "baud_mismatch"])

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from hypothesis import strategies as st
 
 from hil.vocabulary.signals import (
+    AdhesionSample,
     CycleRecord,
     EncoderSample,
     Event,
     GyroMeasurement,
     ImuSample,
     Inputs,
+    LoadCellSample,
     Measurements,
     MocapSample,
     PoseMeasurement,
@@ -22,6 +26,7 @@ from hil.vocabulary.signals import (
     ServoSetpoint,
     Stamp,
     Status,
+    ThrustSample,
     TrackerSample,
     WheelMeasurement,
     WheelSetpoint,
@@ -60,6 +65,9 @@ def driving_record(k: int) -> CycleRecord:
                 for s in camera_stamps
             ),
             mocap=(MocapSample(stamp, position + noise[33:36], upright, True, 0.004, 2e-4),),
+            adhesion=(AdhesionSample(stamp, 30_000.0, 0.8, 37.0, 30.0, 22.8, 45.0, 40.0),),
+            thrust=(ThrustSample(stamp, 0.75, math.nan),),
+            load_cells=(LoadCellSample(stamp, 22.0 + noise[36:38], (Status.OK,) * 2, (440_000, 441_000)),),
         ),
         measurements=Measurements(
             cycle=k,
@@ -123,6 +131,11 @@ INPUTS = st.builds(
         )
     ),
     mocap=few(st.builds(MocapSample, STAMPS, doubles(3), doubles(4), st.booleans(), FLOATS, FLOATS, STATUS)),
+    adhesion=few(st.builds(AdhesionSample, STAMPS, *[FLOATS] * 7, STATUS, st.text(max_size=9))),
+    thrust=few(st.builds(ThrustSample, STAMPS, FLOATS, FLOATS, STATUS)),
+    load_cells=few(
+        st.builds(LoadCellSample, STAMPS, doubles(2), st.tuples(STATUS, STATUS), few(st.integers(0, 2**18)))
+    ),
 )  # fmt: skip
 MEASUREMENTS = st.builds(
     Measurements,

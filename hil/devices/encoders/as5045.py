@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.encoders import EncodersConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import Connection, DeviceModel, Found, Search, opens
+from hil.vocabulary.kinds import DeviceModel, Found, Search, opens
 from hil.vocabulary.signals import EncoderSample
 
 if TYPE_CHECKING:
@@ -31,36 +30,22 @@ def _imperfections() -> type[Any]:
 
 
 def _emulate(setting: Setting) -> EmulatedDevice:
-    from hil.devices.emulated import Face, Wired
-    from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
+    from hil.devices.canbus import channel_of, on_can
     from hil.fakes.encoders import EncoderNode, EncoderTruthOptions
 
     config: EncodersConfig = setting.config
-    channel = CanChannel(setting.world, setting.name, bitrate=config.bitrate)
+    channel = channel_of(setting)
     EncoderNode(
         setting.world, channel, rate_hz=config.rate_hz, node_id=config.node_id, sign=config.sign,
         zero_rad=config.zero_rad, options=setting.options(EncoderTruthOptions),
     )  # fmt: skip
-
-    def connect() -> Connection:
-        opened = channel.open()
-        return Connection(
-            {"interface": "hil", "channel": opened.name, "options": {}}, close=opened.close
-        )  # fmt: skip
-
-    def serve() -> Face:
-        address = DEFAULT_GROUP if setting.standard_ports else f"239.74.163.{2 + os.getpid() % 250}"
-        return CanFace(channel, address=address, dbc=config.dbc_path)
-
-    return Wired(connect, serve)
+    return on_can(setting, channel, subnet=163, dbc=config.dbc_path)
 
 
 def _reach(endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
-    where = {key: endpoint[key] for key in ("interface", "channel", "bitrate")}
-    options = {key: value for key, value in endpoint.items() if key not in (*where, "dbc")}
-    if endpoint["interface"] == "udp_multicast":
-        options["hop_limit"] = 0
-    return {**where, "options": options}
+    from hil.devices.canbus import where
+
+    return where(endpoint)
 
 
 def _search(search: Search) -> Found | None:

@@ -34,7 +34,8 @@ class SteppedBody(Plant):
         parameters: what the robot truly is.
         constants: `c` of the kernel.
         tilt_rad: 0 floor, pi/2 wall, more than that overhanging.
-        faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left.
+        faults: answers to device `plant`, kind `adhesion_loss` with `factor` (0) of the adhesion left,
+            reached along a line within `over_s` (0).
         step_ns: internal step.
         by_hand: somebody holds the robot until the first motor has torque; nothing moves before.
     """
@@ -46,7 +47,7 @@ class SteppedBody(Plant):
         self.parameters, self._by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
         self._faults = faults if faults is not None else FaultPlan()
-        self._faults.declare("plant", {"adhesion_loss": ("factor",)})
+        self._faults.declare("plant", {"adhesion_loss": ("factor", "over_s")})
         self._step_ns, self._steps = step_ns, 0
         self._constants, self._state = constants, np.zeros(k.STATE_SIZE)
         self._commands = np.zeros(k.COMMANDS_SIZE)
@@ -143,7 +144,9 @@ class SteppedBody(Plant):
 
     def _adhesion_factor(self, step: int) -> float:
         fault = self._faults.find("plant", "adhesion_loss", step * self._step_ns)
-        return 1.0 if fault is None else fault.option("factor", 0.0)
+        if fault is None:
+            return 1.0
+        return fault.faded(step * self._step_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
 
     def joints(self) -> tuple[Array, Array, Array]:
         """Read-only views of position (8,), velocity (8,) and current (8,)."""

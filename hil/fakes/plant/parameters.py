@@ -192,7 +192,10 @@ def draw(
         thrust_torque_n_m=nominal.thrust_torque_n_m + thrust_n * imbalance * propeller_y_m,
         thrust_lever_m=nominal.thrust_lever_m + imbalance * propeller_y_m,
         working_point=HoldingForces(
-            nominal.working_point.adhesion_n * fan_spread, nominal.working_point.thrust_n * thrust_spread
+            nominal.working_point.adhesion_n * fan_spread,
+            nominal.working_point.thrust_n * thrust_spread,
+            fan_spread,
+            thrust_spread,
         ),
         supply_v=nominal.supply_v * _spread(rng, 0.01),
         contact=replace(

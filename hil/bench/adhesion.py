@@ -1,0 +1,225 @@
+"""The fan of a bench outside any run: what `hil adhesion` does, by its keeper and the bench's own devices."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from hil.bench.drivers import make_rig
+from hil.bench.settings import force_wanted_n
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.config.device import ImuConfig
+from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper.core import DEVICE
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import MonotonicClock, nanoseconds
+from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
+from hil.vocabulary.geometry import rotated
+from hil.vocabulary.signals import Status, worst
+
+_STEP_NS = nanoseconds(0.02)
+_WATCH_S = 2.0
+_NEAR, _STEADY_NS, _TELL_NS = 0.05, nanoseconds(0.5), nanoseconds(1.0)
+_LEVEL_RAD = math.radians(15.0)
+_NO_FORCE = 0.2
+"""Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
+_CELLS_REST_N = 1.0
+_TETHERED = "say --tethered once the robot is tethered or off the wall"
+
+Say = Callable[[str], None]
+
+
+def keeper_spec(config: BenchConfig) -> Spec:
+    """What keeps the fan of a bench.
+
+    Raises:
+        ConfigError: it has no fan, or one that no other program can reach.
+    """
+    table = _fan(config)
+    return Spec(**getattr(table, "keeper")())  # noqa: B009 - every model of a fan has it
+
+
+def _fan(config: BenchConfig) -> AdhesionConfig:
+    table = config.of(AdhesionConfig)
+    if table is None:
+        raise ConfigError(
+            f"{config.name}: no fan", expected="a table [adhesion]", remedy="see docs/hardware.md"
+        )
+    if table.backend == "emulated":
+        raise ConfigError(
+            f"{config.name}: its fan is emulated, and is gone with the program that emulates it",
+            expected='adhesion.backend = "real"',
+            remedy="serve it with `hil emulate` and write its endpoint into a bench file",
+        )
+    return table
+
+
+def keeper_status(spec: Spec) -> client.Status | None:
+    """What the fan's keeper says; None where there is none. Raises `DeviceError`."""
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        return client.ask(connection, {"do": "status"}, spec)
+
+
+def switch_on(
+    config: BenchConfig, *, force_n: float | None, duty: float | None, wait_s: float, say: Say
+) -> float:
+    """Start the fan, or give one that runs another set-point, and wait until it is reached.
+
+    Args:
+        config: of the bench; only its fan is opened.
+        force_n: what to ask for; what the bench wants on its wall when None.
+        duty: asked for in place of a force.
+        wait_s: how long it may take.
+        say: told how far it is.
+
+    Returns:
+        The force that the fan's speed gives, N. The fan goes on, whatever ends this.
+
+    Raises:
+        ConfigError, UsageError, DeviceError: it cannot be asked for, or is not reached.
+    """
+    table, clock = _fan(config), MonotonicClock()
+    wanted_n = force_wanted_n(config) if force_n is None else force_n
+    fan: Any = make_rig(config, clock, {}).get(DEVICE)
+    fan.open()
+    try:
+        if duty is None:
+            fan.set_force_n(wanted_n)
+        else:
+            fan.set_duty(duty)
+        near_ns, told_ns, newest = None, 0, None
+        end_ns = clock.now_ns() + nanoseconds(wait_s)
+        while (now_ns := clock.now_ns()) < end_ns:
+            newest = (*fan.read()[-1:], newest)[0]
+            if newest is not None:
+                is_n = table.force_at_n(newest.speed_rpm)
+                off = is_n / wanted_n - 1.0 if duty is None else newest.duty / duty - 1.0
+                near_ns = (near_ns or now_ns) if abs(off) <= _NEAR else None
+                if near_ns is not None and now_ns - near_ns >= _STEADY_NS:
+                    return is_n
+                if now_ns - told_ns > _TELL_NS:
+                    told_ns = now_ns
+                    say(f"{newest.speed_rpm:.0f} 1/min, good for {is_n:.1f} N")
+            clock.sleep_until_ns(now_ns + _STEP_NS)
+        raise _not_reached(newest, f"{wanted_n:g} N" if duty is None else f"duty {duty:g}", wait_s)
+    finally:
+        fan.close()
+
+
+def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
+    found = "no report" if newest is None else f"{newest.speed_rpm:.0f} 1/min, duty {newest.duty:.2f}"
+    trouble = f" ({newest.trouble})" if newest is not None and newest.trouble else ""
+    return DeviceError(
+        DEVICE, f"not steady at the set-point within {wait_s:g} s: {found}{trouble}", expected=wanted,
+        remedy="it goes on as far as it can; look at battery and temperature (`hil adhesion status`)",
+    )  # fmt: skip
+
+
+def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> client.Status | None:
+    """Let the fan come to rest along the ramp and wait for it; None where it has no keeper.
+
+    Args:
+        spec: the fan.
+        confirmed_by: why nothing hangs by it.
+        say: told how far it is.
+    """
+    connection = client.connect(spec)
+    if connection is None:
+        return None
+    with connection:
+        status = client.ask(connection, client.off_request(confirmed_by), spec)
+        while status["state"] != "idle":
+            say(f"{status['sent'][0]} {status['sent'][1]:.2f}")
+            time.sleep(0.5)
+            status = client.ask(connection, {"do": "status"}, spec)
+            if status["state"] == "keeping":
+                raise UsageError("somebody has asked for the fan again", remedy="`hil adhesion status`")
+        return status
+
+
+def seen_off_the_wall(config: BenchConfig) -> str:
+    """What shows that the robot does not hang by its fan: it lies level, and nothing is pressed.
+
+    Both have to say so, because either may lie.
+
+    Raises:
+        UsageError: something says that it may hang, or nobody can see.
+    """
+    table = _fan(config)
+    rig, clock = make_rig(config, MonotonicClock(), {}), MonotonicClock()
+    seen: dict[str, list[Any]] = {}
+    for name in ("imu", "load_cells", DEVICE):
+        device = rig.get(name)
+        if device is None or config.devices()[name].backend == "emulated":
+            raise UsageError(
+                f"{config.name}: no {name} of the robot to see whether it is off the wall",
+                expected="imu, load_cells and adhesion, all real", remedy=_TETHERED,
+            )  # fmt: skip
+        device.open()
+        try:
+            seen[name] = _watched(device, clock)
+        finally:
+            device.close()
+    tilt_rad = _tilt(config, seen["imu"])
+    blows_n = max((table.force_at_n(s.speed_rpm) for s in seen[DEVICE]), default=math.nan)
+    limit_n = max(_NO_FORCE * blows_n, _CELLS_REST_N)
+    force_n = max((float(np.sum(s.force_n)) for s in seen["load_cells"]), default=math.nan)
+    told = f"tilted by {math.degrees(tilt_rad):.0f} deg, load cells {force_n:.1f} N"
+    if not (tilt_rad <= _LEVEL_RAD and abs(force_n) <= limit_n):
+        raise UsageError(
+            f"the robot may hang by its fan: {told}",
+            expected=f"at most {math.degrees(_LEVEL_RAD):.0f} deg and {limit_n:.1f} N", remedy=_TETHERED,
+        )  # fmt: skip
+    return f"seen off the wall: {told}"
+
+
+def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
+    """Good samples of a while."""
+    samples: list[Any] = []
+    end_ns = clock.now_ns() + nanoseconds(_WATCH_S)
+    while clock.now_ns() < end_ns:
+        samples += device.read()
+        clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
+    return [s for s in samples if worst(s) is Status.OK]
+
+
+def _tilt(config: BenchConfig, samples: list[Any]) -> float:
+    """Angle between the body's up axis and gravity's, by the IMU; NaN where it says nothing."""
+    if not samples:
+        return math.nan
+    mount = config.of(ImuConfig) or ImuConfig()
+    up = rotated(mount.mount_rotation_wxyz, np.mean([s.gravity_m_s2 for s in samples], axis=0).tolist())
+    return math.acos(max(-1.0, min(1.0, up[2] / math.hypot(*up))))
+
+
+def described(status: Mapping[str, Any]) -> str:
+    """One line about a kept fan."""
+    sent, report = status["sent"], status["report"]
+    parts = [status["state"] + (f" at {sent[0]} {sent[1]:.3g}" if sent else "")]
+    units = (
+        ("erpm", "electrical 1/min", 0),
+        ("current_a", "A", 1),
+        ("input_v", "V", 1),
+        ("fet_c", "degC", 0),
+    )
+    parts += [f"{report[name]:.{digits}f} {unit}" for name, unit, digits in units if name in report]
+    if status["report_age_s"] is None or status["report_age_s"] > 1.0:
+        parts.append("its controller is silent")
+    if sent:
+        parts.append(f"longest gap between commands {1e3 * status['worst_gap_s']:.0f} ms")
+    if status["bus_error"]:
+        parts.append(f"CAN: {status['bus_error']}: it stops {status['timeout_s']:g} s after the last command")
+    return ", ".join(parts)
+
+
+def keeper_command(spec: Spec) -> list[str]:
+    """The command line of a keeper that stays in the foreground."""
+    return [*client.KEEPER, spec.to_json(), "--stay"]

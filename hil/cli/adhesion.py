@@ -1,0 +1,148 @@
+"""`hil adhesion`: the fan that presses the robot on its wall, switched on and off, looked at, kept."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.options import FiniteRange, SuggestingGroup
+from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, UsageError
+
+if TYPE_CHECKING:
+    from hil.config.bench import BenchConfig
+
+_BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+
+
+@click.group(cls=SuggestingGroup)
+def command() -> None:
+    """The fan that presses the robot on its wall, and the process that keeps it running.
+
+    The fan goes on when a program ends, however it ends: a process of its own, its keeper, goes on commanding
+    it. Only `hil adhesion off` stops it.
+    """
+
+
+@command.command("on")
+@_BENCH
+@click.option("--force", "force_n", type=FiniteRange(0.0, 500.0, min_open=True),
+              help="N [default: what the bench file wants on its wall].")  # fmt: skip
+@click.option("--duty", type=FiniteRange(0.0, 1.0, min_open=True), help="Share of the voltage, not a force.")
+@click.option("--wait", "wait_s", type=FiniteRange(0.0, 120.0), default=15.0, show_default=True,
+              help="Seconds that it may take to get there.")  # fmt: skip
+@_JSON
+def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: float, as_json: bool) -> int:
+    """Start the fan, or give a running one another set-point, along a ramp; it stays on."""
+    from hil.bench import adhesion
+
+    if force_n is not None and duty is not None:
+        raise UsageError("--force and --duty are both given", expected="one of them")
+    config = _config(bench)
+    spec = adhesion.keeper_spec(config)
+    reached_n = adhesion.switch_on(config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress)
+    status = adhesion.keeper_status(spec)
+    if as_json:
+        click.echo(json.dumps({"fan": spec.name, "force_n": reached_n, "keeper": status}))
+    else:
+        click.echo(f"{spec.name}: good for {reached_n:.1f} N; it stays on until `hil adhesion off`")
+    return EXIT_PASS
+
+
+@command.command("off")
+@_BENCH
+@click.option("--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked.")
+@_JSON
+def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
+    """Let the fan come to rest along a ramp.
+
+    Refused unless --tethered is given, or IMU and load cells both say that the robot does not hang by it.
+    """
+    from hil.bench import adhesion
+
+    config = _config(bench)
+    spec = adhesion.keeper_spec(config)
+    why = "the operator: tethered or off the wall" if tethered else adhesion.seen_off_the_wall(config)
+    status = adhesion.switch_off(spec, why, say=_progress)
+    if as_json:
+        click.echo(json.dumps({"fan": spec.name, "confirmed_by": why, "keeper": status}))
+    elif status is None:
+        click.echo(f"{spec.name}: it has no keeper; nothing was running that could be stopped")
+    else:
+        click.echo(f"{spec.name}: off ({why})")
+    return EXIT_PASS
+
+
+@command.command("status")
+@_BENCH
+@_JSON
+def show_status(bench: str, as_json: bool) -> int:
+    """How the fan runs, and who keeps it; ends with 3 where nobody does."""
+    from hil.bench import adhesion
+
+    spec = adhesion.keeper_spec(_config(bench))
+    status = adhesion.keeper_status(spec)
+    if as_json:
+        click.echo(json.dumps({"fan": spec.name, "keeper": status}))
+    elif status is None:
+        click.echo(f"{spec.name}: no keeper; `hil adhesion on` starts one")
+    else:
+        since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
+        click.echo(f"{spec.name}: {adhesion.described(status)}")
+        click.echo(f"kept by process {status['pid']} since {since}; log: {status['log'] or 'of its service'}")
+    return EXIT_DEVICE if status is None else EXIT_PASS
+
+
+@command.command("watch")
+@_BENCH
+@click.option("--every", "every_s", type=FiniteRange(0.1, 60.0), default=1.0, show_default=True,
+              help="Seconds between two lines.")  # fmt: skip
+@click.option("--duration", "duration_s", type=FiniteRange(0.0, min_open=True),
+              help="Seconds [default: until interrupted].")  # fmt: skip
+def watch(bench: str, every_s: float, duration_s: float | None) -> int:
+    """A line about the fan, again and again. The fan does not mind when this ends."""
+    from hil.bench import adhesion
+
+    spec = adhesion.keeper_spec(_config(bench))
+    end_s = None if duration_s is None else time.monotonic() + duration_s
+    while True:
+        status = adhesion.keeper_status(spec)
+        told = "no keeper" if status is None else adhesion.described(status)
+        click.echo(f"{time.strftime('%H:%M:%S')} {told}")
+        if end_s is not None and time.monotonic() + every_s > end_s:
+            return EXIT_DEVICE if status is None else EXIT_PASS
+        time.sleep(every_s)
+
+
+@command.command("keep")
+@_BENCH
+def keep(bench: str) -> int:
+    """Be the fan's keeper, in the foreground: for a service of the robot's computer.
+
+    Takes over a fan that runs, else waits until somebody asks for it. Heeds no signal that can be caught.
+    """
+    from hil.bench import adhesion
+
+    spec = adhesion.keeper_spec(_config(bench))
+    if adhesion.keeper_status(spec) is not None:
+        raise UsageError(
+            f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"
+        )
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os.execv(sys.executable, adhesion.keeper_command(spec))
+
+
+def _config(bench: str) -> BenchConfig:
+    from hil.config.loading import load_bench
+
+    return load_bench(bench)
+
+
+def _progress(text: str) -> None:
+    click.echo(text, err=True)

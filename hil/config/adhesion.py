@@ -1,0 +1,104 @@
+"""Configuration of the fan that presses the robot on its wall (`[adhesion]` of the bench file)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from hil.config.device import DeviceConfig
+from hil.config.values import Patience, Within
+
+_HIGHEST_DUTY = 0.95
+
+Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
+
+
+class AdhesionConfig(DeviceConfig):
+    """Of a fan with any controller: what bench, guards and procedures need of it.
+
+    Attributes:
+        force_n: what it is asked for on a wall; `robot.edf_force_n` when left out.
+        highest_force_n: more is never asked for.
+        by_need: ask for what posture, surface and tilt need, with `safety.adhesion_margin` on top, not for
+            `force_n`.
+        rated_force_n, rated_rpm: force at a speed; it goes with the square of the speed. `hil run
+            adhesion_check` finds it.
+        rated_input_a, rated_input_v: current from the battery at that speed, and its voltage then.
+        low_input_v: battery voltage under load below which the robot is stopped: 3.3 V per cell of a 6S pack.
+        hot_fet_c: temperature of the power stage above which it is stopped: before a VESC slows the fan down,
+            at 85 degC as delivered.
+    """
+
+    force_n: Force | None = None
+    highest_force_n: Force = 60.0
+    by_need: bool = False
+    rated_force_n: Force = 45.0
+    rated_rpm: Annotated[float, Within(1000.0, 200_000.0, "1/min of the fan, not electrical")] = 30_000.0
+    rated_input_a: Annotated[float, Within(0.5, 300.0, "A from the battery")] = 30.0
+    rated_input_v: Annotated[float, Within(3.0, 100.0, "V of the battery under load")] = 22.8
+    low_input_v: Annotated[float, Within(0.0, 100.0, "V of the battery")] = 20.0
+    hot_fet_c: Annotated[float, Within(30.0, 150.0, "degC")] = 80.0
+
+    def force_at_n(self, speed_rpm: float) -> float:
+        """What a fan of this speed presses with."""
+        return self.rated_force_n * (speed_rpm / self.rated_rpm) ** 2
+
+    def speed_for_rpm(self, force_n: float) -> float:
+        """Speed at which it presses so."""
+        return self.rated_rpm * math.sqrt(force_n / self.rated_force_n)
+
+
+class VescConfig(AdhesionConfig):
+    """A VESC motor controller on CAN.
+
+    Attributes:
+        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
+        controller_id: as set in VESC Tool (App Settings, General).
+        own_id: under which this program asks; no controller may have it.
+        command: what the controller is told: `duty`, `current` or `rpm`.
+        pole_pairs: of the motor; electrical over mechanical speed.
+        rpm_per_v: of the motor: speed per volt, unloaded.
+        timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
+            Tool; the doctor reads what it truly is.
+        ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
+        open_timeout_s: longest wait for its first report.
+        fail_after_s: uninterrupted silence that raises.
+    """
+
+    model: Literal["vesc"] = "vesc"
+    interface: str = Field("socketcan", min_length=1)
+    channel: str = Field("can0", min_length=1)
+    bitrate: int = Field(500_000, gt=0, le=1_000_000)
+    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    controller_id: int = Field(1, ge=0, le=254)
+    own_id: int = Field(254, ge=0, le=254)
+    command: Literal["duty", "current", "rpm"] = "duty"
+    pole_pairs: int = Field(3, ge=1, le=50)
+    rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
+    timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
+    ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
+    ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
+    open_timeout_s: float = Field(1.0, gt=0, le=30)
+    fail_after_s: Patience = 1.0
+
+    def keeper(self) -> dict[str, Any]:
+        """What the process that keeps the fan running is told (`hil.drivers.adhesion.keeper.spec.Spec`)."""
+        fastest_rpm = self.speed_for_rpm(self.highest_force_n)
+        return {
+            "interface": self.interface,
+            "channel": self.channel,
+            "bitrate": self.bitrate,
+            "options": dict(self.options),
+            "controller_id": self.controller_id,
+            "timeout_s": self.timeout_s,
+            "ramp_up_s": self.ramp_up_s,
+            "ramp_down_s": self.ramp_down_s,
+            "highest": {
+                "duty": _HIGHEST_DUTY,
+                "current_a": 4.0 * self.rated_input_a,
+                "erpm": self.pole_pairs * fastest_rpm,
+            },
+        }

@@ -1,0 +1,79 @@
+"""Configuration of the cells that measure the fan's force (`[load_cells]` of the bench file)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import Field
+
+from hil.config.device import DeviceConfig
+from hil.config.values import Patience, Within
+
+SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
+
+Pair = tuple[float, float]
+
+
+class LoadCellsConfig(DeviceConfig):
+    """Two cells on HX711 converters, however their counts arrive.
+
+    Attributes:
+        n_per_count: force of one count, by cell; negative where a cell is mounted the other way round.
+        zero_n: what each cell shows while the fan is off; `hil run adhesion_check` finds it.
+        rate_hz: samples per second: 10 or 80, by the converter's RATE pin.
+        largest_n: each cell's range; a cell at its end counts as broken.
+        open_timeout_s: longest wait for the first sample.
+        fail_after_s: uninterrupted silence that raises.
+    """
+
+    n_per_count: tuple[
+        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits")],
+        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits")],
+    ] = (5e-5, 5e-5)
+    zero_n: Pair = (0.0, 0.0)
+    rate_hz: float = Field(80.0, gt=0, le=320)
+    largest_n: Annotated[float, Within(1.0, 5000.0, "N of one cell; 40 kg are 392 N")] = 392.0
+    open_timeout_s: float = Field(1.0, gt=0, le=30)
+    fail_after_s: Patience = 1.0
+
+
+class CanCellsConfig(LoadCellsConfig):
+    """Cells whose microcontroller sends them on CAN.
+
+    Attributes:
+        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        options: further keyword arguments of the python-can interface.
+        dbc: path of a DBC file; the shipped `load_cells.dbc` when None.
+        signals: DBC signals with the raw counts of both cells, in one message.
+        node_id: added to the message's identifier.
+    """
+
+    PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
+
+    model: Literal["hx711_can"] = "hx711_can"
+    interface: str = Field("socketcan", min_length=1)
+    channel: str = Field("can0", min_length=1)
+    bitrate: int = Field(500_000, gt=0, le=1_000_000)
+    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    dbc: str | None = None
+    signals: tuple[str, str] = ("Cell1", "Cell2")
+    node_id: int = Field(0, ge=0, le=0x3F)
+
+    @property
+    def dbc_path(self) -> Path:
+        """The DBC file in use."""
+        return SHIPPED_DBC if self.dbc is None else Path(self.dbc)
+
+
+class LineCellsConfig(LoadCellsConfig):
+    """Cells whose counts come as lines `LC <number> <counts> <counts>`: of the Teensy, or of another.
+
+    Attributes:
+        port: device path or any pyserial URL; may be that of `[thrust]`, which only writes.
+        baud: of the line.
+    """
+
+    model: Literal["hx711_line"] = "hx711_line"
+    port: str = Field("/dev/ttyACM0", min_length=1)
+    baud: int = Field(115_200, gt=0, le=12_000_000)

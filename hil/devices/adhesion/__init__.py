@@ -1,0 +1,59 @@
+"""What presses the robot on its surface: a ducted fan."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from hil.devices.adhesion.look import look
+from hil.devices.adhesion.vesc import VESC
+from hil.recording.cdr import joints
+from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
+from hil.vocabulary.signals import AdhesionSample, Inputs
+
+__all__ = ["KIND", "fan_state"]
+
+_RAD_S_PER_RPM = 2.0 * math.pi / 60.0
+_NOTHING = np.empty(0)
+
+
+def fan_state(sample: AdhesionSample, wall_ns: int = 0) -> bytes:
+    """`sensor_msgs/JointState` of the fan; effort holds the motor's current in A."""
+    speed = np.array([sample.speed_rpm * _RAD_S_PER_RPM])
+    return joints(sample.stamp.t_ns, ("fan",), (_NOTHING, speed, np.array([sample.motor_a])), wall_ns)
+
+
+def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
+    if inputs.adhesion:
+        sample = inputs.adhesion[-1]
+        yield "adhesion/speed_rpm", {"fan": sample.speed_rpm}
+        yield "adhesion/current_a", {"motor": sample.motor_a, "battery": sample.input_a}
+        yield "adhesion/battery_v", {"battery": sample.input_v}
+        yield "adhesion/temperature_c", {"power stage": sample.fet_c, "motor": sample.motor_c}
+
+
+KIND = DeviceKind(
+    name="adhesion",
+    noun="fan",
+    sample=AdhesionSample,
+    models=(VESC,),
+    actuates=True,
+    holds=True,
+    aliases=("fan",),
+    stale_s=lambda safety, own: safety.adhesion_stale_s,
+    rate_hz=lambda own, loop_hz: math.nan,
+    age_s=0.01,
+    gap_s=0.2,
+    delivered=0.9,
+    topics=(Topic("/adhesion/fan", "sensor_msgs/msg/JointState", fan_state),),
+    figures=_figures,
+    plots=(
+        Plot("Adhesion", "Fan (1/min)", "adhesion/speed_rpm"),
+        Plot("Adhesion", "Fan's currents (A)", "adhesion/current_a"),
+        Plot("Adhesion", "Fan's battery (V)", "adhesion/battery_v"),
+        Plot("Adhesion", "Fan's temperatures (C)", "adhesion/temperature_c"),
+    ),
+    look=look,
+)

@@ -1,0 +1,115 @@
+"""A fan behind a VESC on CAN."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+from hil.config.adhesion import VescConfig
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.interfaces import Holding
+from hil.vocabulary.kinds import Connection, DeviceModel, Found, Search
+from hil.vocabulary.signals import AdhesionSample
+
+if TYPE_CHECKING:
+    from hil.devices.emulated import EmulatedDevice, Setting
+
+_OPEN_TIMEOUT_S = 0.5
+
+
+def _driver(
+    config: VescConfig, clock: Clock, *, emulator: int | None = None, here: bool = False
+) -> Holding[AdhesionSample]:
+    """The fan's driver.
+
+    Args:
+        config: its table.
+        clock: the bench clock.
+        emulator: process that serves an emulated fan: its keeper ends with it.
+        here: the fan is emulated in this process, where no other could reach it.
+    """
+    from functools import partial
+
+    from hil.drivers.adhesion.fan import VescFan
+    from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+    from hil.drivers.adhesion.keeper.kept import KeptHere
+
+    return VescFan(config, clock, KeptHere if here else partial(KeptByProcess, emulator=emulator))
+
+
+def _imperfections() -> type[Any]:
+    from hil.fakes.adhesion import AdhesionTruthOptions
+
+    return AdhesionTruthOptions
+
+
+def _emulate(setting: Setting) -> EmulatedDevice:
+    from hil.devices.canbus import channel_of, on_can
+    from hil.drivers.adhesion.vesc import DBC
+    from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
+
+    config: VescConfig = setting.config
+    channel = channel_of(setting)
+    options = setting.options(AdhesionTruthOptions, timeout_s=config.timeout_s)
+    node = VescNode(setting.world, channel, config, options)
+    told = {"controller_id": config.controller_id, "pid": os.getpid()}
+    return on_can(
+        setting, channel, subnet=164, dbc=DBC, listens=True, told=told, parts={"here": True},
+        begin=node.begin_in_use,
+    )  # fmt: skip
+
+
+def _reach(endpoint: Mapping[str, Any]) -> Connection:
+    from hil.devices.canbus import where
+
+    values = where(endpoint, ("controller_id", "pid"))
+    return Connection(
+        {**values, "controller_id": endpoint["controller_id"]}, parts={"emulator": endpoint["pid"]}
+    )
+
+
+def _search(search: Search) -> Found | None:
+    """Ping the controllers on the CAN buses that were named, or that the system has."""
+    from hil.drivers.adhesion.settings import Answers
+    from hil.drivers.adhesion.who import ask_who
+    from hil.drivers.can_link import CanLink
+    from hil.vocabulary.errors import HilError
+
+    for config in search.given.get("adhesion") or _detected_buses():
+        search.say(f"asking for a VESC on {config.interface}:{config.channel}")
+        link = CanLink("adhesion", config, search.clock)
+        try:
+            link.open()
+            seen = ask_who(link, config, search.clock, Answers())
+        except HilError:
+            continue
+        finally:
+            link.close()
+        if ids := sorted({*seen.pongs, *seen.statuses}):
+            table = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
+            notes = (f"controllers {', '.join(map(str, ids))}: the first is taken for the fan's",)
+            return Found({**table, "controller_id": ids[0]}, notes if len(ids) > 1 else ())
+    return None
+
+
+def _detected_buses() -> Iterator[VescConfig]:
+    import can
+
+    for found in can.detect_available_configs(["socketcan"]):
+        yield VescConfig(
+            interface=str(found["interface"]), channel=str(found["channel"]), open_timeout_s=_OPEN_TIMEOUT_S
+        )
+
+
+VESC = DeviceModel(
+    kind="adhesion",
+    name="vesc",
+    title="a ducted fan on a VESC",
+    config=VescConfig,
+    driver=_driver,
+    emulate=_emulate,
+    imperfections=_imperfections,
+    search=_search,
+    reach=_reach,
+)

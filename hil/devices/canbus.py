@@ -1,0 +1,63 @@
+"""How emulated devices on CAN are connected: a channel in this process, or one that any client can open."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.devices.emulated import EmulatedDevice, Face, Setting, Wired
+from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
+from hil.vocabulary.kinds import Connection
+
+
+def channel_of(setting: Setting) -> CanChannel:
+    """A bus of its own for an emulated device, with the bit rate of its table."""
+    return CanChannel(setting.world, setting.name, bitrate=setting.config.bitrate, device=setting.kind)
+
+
+def on_can(
+    setting: Setting,
+    channel: CanChannel,
+    *,
+    subnet: int,
+    dbc: Path,
+    listens: bool = False,
+    told: Mapping[str, object] | None = None,
+    parts: Mapping[str, Any] | None = None,
+    begin: Callable[[], None] = lambda: None,
+) -> EmulatedDevice:
+    """An emulated device on a channel.
+
+    Args:
+        setting: where it is built.
+        channel: its bus.
+        subnet: third byte of its multicast group, so that devices of one process do not share one.
+        dbc: told to clients.
+        listens: whether it hears what clients send.
+        told: what clients are told besides.
+        parts: of the connection in this process.
+        begin: called when it is connected in this process.
+    """
+
+    def connect() -> Connection:
+        begin()
+        opened = channel.open()
+        values = {"interface": "hil", "channel": opened.name, "options": {}}
+        return Connection(values, parts=dict(parts or {}), close=opened.close)
+
+    def serve() -> Face:
+        address = DEFAULT_GROUP if setting.standard_ports else f"239.74.{subnet}.{2 + os.getpid() % 250}"
+        return CanFace(channel, address=address, dbc=dbc, device=setting.kind, listens=listens, told=told)
+
+    return Wired(connect, serve)
+
+
+def where(endpoint: Mapping[str, Any], told: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Keys of a table from an endpoint that was printed; `told` are not options of the interface."""
+    keys = ("interface", "channel", "bitrate")
+    options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *told)}
+    if endpoint["interface"] == "udp_multicast":
+        options["hop_limit"] = 0
+    return {**{key: endpoint[key] for key in keys}, "options": options}

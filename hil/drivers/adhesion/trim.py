@@ -1,0 +1,71 @@
+"""From a speed of the fan to what its controller is told, and slowly better by what it then does."""
+
+from __future__ import annotations
+
+import math
+
+from hil.config.adhesion import VescConfig
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.signals import AdhesionSample, Status
+
+_DROOP = 0.93
+"""Speed of a loaded motor over that of a free one, before anything was measured."""
+_NOMINAL_V = 22.2
+_EVERY_NS = nanoseconds(0.2)
+_SETTLING_NS = nanoseconds(1.5)
+_TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
+_MOTOR_OVER_INPUT = 1.25
+_NEAR = 0.05
+
+
+class Trim:
+    """Keeps a speed up.
+
+    Args:
+        config: ratings; `command` says in which quantity.
+        speed_rpm: wanted.
+        input_v: battery voltage, NaN where unknown.
+        now: the fan's latest report.
+
+    Attributes:
+        point: what the controller is to be told now.
+    """
+
+    def __init__(
+        self, config: VescConfig, speed_rpm: float, input_v: float, now: AdhesionSample | None
+    ) -> None:
+        self._config, self._wanted_rpm = config, speed_rpm
+        self._next_ns: int | None = None
+        self.point = self._first(input_v if math.isfinite(input_v) else _NOMINAL_V)
+        running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
+        if now is not None and running and self.point.quantity == "duty":
+            self.point = SetPoint("duty", now.duty)
+
+    def _first(self, input_v: float) -> SetPoint:
+        """A first guess from the ratings."""
+        config, highest = self._config, self._config.keeper()["highest"]
+        if config.command == "rpm":
+            return SetPoint("erpm", config.pole_pairs * self._wanted_rpm)
+        if config.command == "current":
+            share = (self._wanted_rpm / config.rated_rpm) ** 2
+            return SetPoint("current_a", share * _MOTOR_OVER_INPUT * config.rated_input_a)
+        duty = self._wanted_rpm / (_DROOP * config.rpm_per_v * input_v)
+        return SetPoint("duty", min(duty, highest["duty"]))
+
+    def better(self, sample: AdhesionSample) -> SetPoint | None:
+        """Another set-point, when the fan has had its time and still turns too fast or too slowly."""
+        t_ns = sample.stamp.t_ns
+        if self._next_ns is None:
+            self._next_ns = t_ns + _SETTLING_NS
+        if t_ns < self._next_ns or sample.status is not Status.OK or self._config.command == "rpm":
+            return None
+        self._next_ns = t_ns + _EVERY_NS
+        error = 1.0 - sample.speed_rpm / self._wanted_rpm
+        if abs(error) < _TOLERANCE:
+            return None
+        highest = self._config.keeper()["highest"][self.point.quantity]
+        square = 2.0 if self.point.quantity == "current_a" else 1.0
+        value = self.point.value * (1.0 + min(max(_GAIN * square * error, -_MOST), _MOST))
+        self.point = SetPoint(self.point.quantity, min(value, highest))
+        return self.point

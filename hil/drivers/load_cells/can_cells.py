@@ -1,0 +1,184 @@
+"""Load cells whose counts come in CAN frames, by a DBC file."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import cantools
+from cantools.database import Error as CantoolsError
+from cantools.database import UnsupportedDatabaseFormatError
+
+from hil.config.load_cells import CanCellsConfig
+from hil.drivers.can_link import CanLink
+from hil.drivers.load_cells.judging import Judge
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.reading import read_bytes
+from hil.vocabulary.signals import LoadCellSample
+
+_WAIT_S = 0.02
+_MOST_BYTES = 4 << 20
+_BITS = 24
+_REMEDY = "check the CAN wiring, the termination, the bit rate and the supply of the cells' node"
+
+
+class CanCells(Sensor[LoadCellSample]):
+    """Two cells behind one CAN node.
+
+    Args:
+        config: bus, DBC, scales.
+        clock: the bench clock.
+        name: device name in errors.
+
+    Attributes:
+        malformed: frames of the right identifier and the wrong length since `open`.
+    """
+
+    def __init__(self, config: CanCellsConfig, clock: Clock, name: str = "load_cells") -> None:
+        self.name, self._config, self._clock = name, config, clock
+        self._link = CanLink(name, config, clock)
+        self._identity: dict[str, str] = {}
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._judge = Judge(config)
+        self._frame_id = self._length = self.malformed = 0
+        self._fields: tuple[_Field, ...] = ()
+        self._good_ns = 0
+
+    def open(self) -> None:
+        """Load the DBC, open the bus and wait for a first frame.
+
+        Raises:
+            DataError: the DBC cannot be used.
+            DeviceError: the bus cannot be opened, or no cell is heard.
+        """
+        self.close()
+        self._frame_id, self._length, self._fields = _layout(self._config)
+        self._link.open()
+        self._judge, self.malformed = Judge(self._config), 0
+        try:
+            self._await_first()
+        except BaseException:
+            self.close()
+            raise
+        self._good_ns = self._clock.now_ns()
+        self._identity = {
+            "model": "HX711",
+            "port": self._link.port,
+            "dbc": str(self._config.dbc_path),
+            "frame": f"0x{self._frame_id:X}",
+        }
+
+    def close(self) -> None:
+        """Let go of the bus. Idempotent; never raises."""
+        self._identity = {}
+        self._link.close()
+
+    def identity(self) -> Mapping[str, str]:
+        """Bus, DBC and frame; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[LoadCellSample, ...]:
+        """All conversions since the last call, oldest first; raises `DeviceTimeoutError`."""
+        if not self._link.is_open:
+            raise DeviceError(
+                self.name, "used while closed", port=self._link.port, remedy="call open() first"
+            )
+        now_ns = self._clock.now_ns()
+        samples = tuple(
+            self._judge.sample(raw, t_ns, now_ns)
+            for t_ns, message in self._link.take()
+            if (raw := self._counts(message)) is not None
+        )
+        if samples:
+            self._good_ns, self._link.error = now_ns, ""
+        elif now_ns - self._good_ns > self._fail_ns:
+            raise self._silent((now_ns - self._good_ns) / NS_PER_S)
+        return samples
+
+    def _counts(self, message: Any) -> tuple[int, int] | None:
+        if message.arbitration_id != self._frame_id or message.is_extended_id:
+            return None
+        if len(message.data) != self._length:
+            self.malformed += 1
+            return None
+        first, second = (field.take(message.data) for field in self._fields)
+        return first, second
+
+    def _await_first(self) -> None:
+        heard: set[int] = set()
+        tries = math.ceil(self._config.open_timeout_s / _WAIT_S)
+        for _ in range(tries):
+            for _, message in self._link.take(_WAIT_S):
+                if self._counts(message) is not None:
+                    return
+                heard.add(message.arbitration_id)
+        if not heard:
+            raise self._silent(self._config.open_timeout_s)
+        told = ", ".join(f"0x{i:X}" for i in sorted(heard)[:8])
+        raise DeviceError(
+            self.name, f"no frame of the cells; seen {told}", port=self._link.port,
+            expected=f"0x{self._frame_id:X} ({self._length} bytes)",
+            remedy="check load_cells.dbc and load_cells.node_id",
+        )  # fmt: skip
+
+    def _silent(self, duration_s: float) -> DeviceTimeoutError:
+        return DeviceTimeoutError(
+            self.name, f"no conversion for {duration_s:.1f} s{self._link.told()}", port=self._link.port,
+            expected=f"{self._config.rate_hz:g} per second", remedy=_REMEDY,
+        )  # fmt: skip
+
+
+class _Field:
+    """Where a cell's counts lie in the frame."""
+
+    def __init__(self, order: Any, shift: int) -> None:
+        self._order, self._shift = order, shift
+
+    def take(self, data: bytes | bytearray) -> int:
+        """The signed counts."""
+        value = int.from_bytes(data, self._order) >> self._shift & (1 << _BITS) - 1
+        return value - (1 << _BITS) if value >> (_BITS - 1) else value
+
+
+def _layout(config: CanCellsConfig) -> tuple[int, int, tuple[_Field, ...]]:
+    """Identifier, length and fields; raises `DataError`."""
+    path = config.dbc_path
+    database = _database(path)
+    for message in database.messages:
+        by_name = {signal.name: signal for signal in message.signals}
+        if not all(name in by_name for name in config.signals):
+            continue
+        signals = [by_name[name] for name in config.signals]
+        if any(s.length != _BITS or not s.is_signed for s in signals):
+            raise DataError(
+                str(path), f"message {message.name} has counts of another width",
+                expected="signed 24-bit counts",
+            )  # fmt: skip
+        fields = tuple(_field(s, message.length) for s in signals)
+        return message.frame_id + config.node_id, message.length, fields
+    raise DataError(
+        str(path), "no message has both " + " and ".join(config.signals),
+        expected="both names of load_cells.signals in one message of the DBC",
+        remedy="correct load_cells.signals or load_cells.dbc",
+    )  # fmt: skip
+
+
+def _field(signal: Any, length: int) -> _Field:
+    if signal.byte_order == "little_endian":
+        return _Field("little", signal.start)
+    from_top = signal.start // 8 * 8 + 7 - signal.start % 8
+    return _Field("big", 8 * length - from_top - signal.length)
+
+
+def _database(path: Path) -> Any:
+    try:
+        text = read_bytes(path, _MOST_BYTES).decode("cp1252", errors="replace")
+        return cantools.database.load_string(text, "dbc")
+    except OSError as error:
+        raise DataError(str(path), f"the DBC cannot be read ({error.strerror})") from None
+    except (CantoolsError, UnsupportedDatabaseFormatError, ValueError) as error:
+        raise DataError(str(path), f"not a usable DBC ({str(error).splitlines()[0]})") from None

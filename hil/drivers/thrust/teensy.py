@@ -1,0 +1,128 @@
+"""The propellers behind a Teensy: lines `THR<0..180>`, which nobody confirms.
+
+Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
+that got lost, and the firmware's way down after one that got damaged, do not last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from hil.config.thrust import TeensyConfig
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.interfaces import Holding
+from hil.vocabulary.signals import Stamp, Status, ThrustSample
+
+STEPS = 180
+_SLACK_NS = 1_000_000
+
+
+class TeensyThrust(Holding[ThrustSample]):
+    """All propellers, by one throttle.
+
+    Args:
+        config: port and full force.
+        clock: the bench clock.
+        name: device name in errors.
+    """
+
+    def __init__(self, config: TeensyConfig, clock: Clock, name: str = "thrust") -> None:
+        self.name, self._config, self._clock = name, config, clock
+        self._port: Any = None
+        self._identity: dict[str, str] = {}
+        self._repeat_ns = nanoseconds(config.repeat_s)
+        self._step: int | None = None
+        self._next_ns = self._failing_ns = 0
+        self._sequence = 0
+
+    def open(self) -> None:
+        """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
+        self.close()
+        config = self._config
+        try:
+            self._port = open_serial(
+                config.port,
+                baud=config.baud,
+                timeout_s=0.0,
+                write_timeout_s=config.write_timeout_s,
+                shared=True,
+            )
+        except PORT_ERRORS as error:
+            expected = "the Teensy of the propellers at a serial port or pyserial URL"
+            raise cannot_open(self.name, config.port, error, expected=expected) from None
+        self._next_ns = self._clock.now_ns()
+        self._failing_ns, self._step = 0, None
+        self._identity = {"model": "Teensy", "port": config.port, "baud": str(config.baud)}
+
+    def close(self) -> None:
+        """Let go of the port; the propellers go on. Idempotent; never raises."""
+        self._identity = {}
+        port, self._port = self._port, None
+        if port is not None:
+            try:
+                port.close()
+            except PORT_ERRORS:
+                return
+
+    def identity(self) -> Mapping[str, str]:
+        """Model, port and baud rate; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[ThrustSample, ...]:
+        """Send the throttle again where it is due; one sample each time.
+
+        Raises:
+            DeviceTimeoutError: the port has taken nothing for half a second.
+        """
+        self._must_be_open()
+        now_ns = self._clock.now_ns()
+        if now_ns < self._next_ns - _SLACK_NS:
+            return ()
+        self._next_ns = max(self._next_ns + self._repeat_ns, now_ns - self._repeat_ns)
+        status = Status.OK if self._step is None or self._send(self._step) else Status.TIMEOUT
+        throttle = math.nan if self._step is None or status is not Status.OK else self._step / STEPS
+        self._sequence += 1
+        return (ThrustSample(Stamp(now_ns, now_ns, self._sequence), throttle, math.nan, status),)
+
+    def set_force_n(self, force_n: float) -> None:
+        """Ask for a force; raises `UsageError` for one that no throttle gives."""
+        full_n = self._config.full_force_n
+        if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
+            raise UsageError(
+                f"{self.name}: a force of {force_n:g} N", expected=f"0 to {full_n:g} N (thrust.full_force_n)"
+            )
+        self.set_duty(self._config.throttle_for(force_n))
+
+    def set_duty(self, duty: float) -> None:
+        """Ask for a throttle 0..1; raises `UsageError`, or `DeviceError` where the port takes nothing."""
+        if not (math.isfinite(duty) and 0.0 <= duty <= 1.0):
+            raise UsageError(f"{self.name}: a throttle of {duty:g}", expected="0 to 1")
+        self._must_be_open()
+        self._step = round(STEPS * duty)
+        self._send(self._step)
+
+    def _send(self, step: int) -> bool:
+        now_ns = self._clock.now_ns()
+        try:
+            self._port.write(b"THR%d\n" % step)
+        except PORT_ERRORS as error:
+            self._failing_ns = self._failing_ns or now_ns
+            if now_ns - self._failing_ns > nanoseconds(0.5):
+                raise DeviceTimeoutError(
+                    self.name, f"the port takes nothing ({error}): the propellers go on as told last",
+                    port=self._config.port, expected="a port that takes a line",
+                    remedy="plug it in again; secure the robot first",
+                ) from None  # fmt: skip
+            return False
+        self._failing_ns = 0
+        return True
+
+    def _must_be_open(self) -> None:
+        if self._port is None:
+            raise DeviceError(
+                self.name, "used while closed", port=self._config.port, remedy="call open() first"
+            )

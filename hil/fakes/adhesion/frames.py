@@ -1,0 +1,99 @@
+"""The frames of the emulated controller, written from the firmware's sources (`comm/comm_can.c`).
+
+Extended identifiers, `command << 8 | id`; big endian. Nothing here is shared with the driver: a test holds
+both against the same bytes.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+
+SET_COMMANDS = {0: 1e5, 1: 1e3, 2: 1e3, 3: 1.0, 4: 1e6, 10: 1e5, 11: 1e5, 12: 1e3, 13: 1e5}
+"""Commands that set something, and their resolution per unit."""
+SET_DUTY, SET_CURRENT, SET_RPM, SET_CURRENT_REL = 0, 1, 3, 10
+SHORT_BUFFER, PING, PONG, EVERYBODY = 8, 17, 18, 255
+FILL_BUFFER, PROCESS_BUFFER = 5, 7
+FW_VERSION, GET_APPCONF = 0, 17
+_ANSWER = 1
+_SIGNATURE = 0x2D5E3F77
+
+Outgoing = tuple[int, bytes]
+
+
+def command_value(command: int, data: bytes) -> float | None:
+    """What a `SET_*` command asks for; None for a frame that is too short."""
+    if len(data) < 4:
+        return None
+    return float(struct.unpack_from(">i", data)[0]) / SET_COMMANDS[command]
+
+
+def clipped(value: float, bits: int) -> int:
+    """A figure as the firmware casts it into a signed integer, kept within it."""
+    top = (1 << (bits - 1)) - 1
+    return int(min(max(round(value), -top - 1), top))
+
+
+def status_1(erpm: float, motor_a: float, duty: float) -> bytes:
+    """Message 1."""
+    return struct.pack(">ihh", clipped(erpm, 32), clipped(motor_a * 10, 16), clipped(duty * 1000, 16))
+
+
+def status_2(ah: float) -> bytes:
+    """Messages 2 and 3: drawn and returned; nothing is returned."""
+    return struct.pack(">ii", clipped(ah * 1e4, 32), 0)
+
+
+def status_4(fet_c: float, motor_c: float, input_a: float) -> bytes:
+    """Message 4."""
+    return struct.pack(
+        ">hhhh", clipped(fet_c * 10, 16), clipped(motor_c * 10, 16), clipped(input_a * 10, 16), 0
+    )
+
+
+def status_5(tachometer: float, input_v: float) -> bytes:
+    """Message 5."""
+    wrapped = (round(tachometer) + (1 << 31)) % (1 << 32) - (1 << 31)
+    return struct.pack(">ihh", wrapped, clipped(input_v * 10, 16), 0)
+
+
+def status_6() -> bytes:
+    """Message 6: nothing is connected to the analogue and pulse inputs."""
+    return bytes(8)
+
+
+def firmware_reply(version: str) -> bytes:
+    """Answer to the firmware's version: two numbers, the hardware's name, an id of 12 bytes."""
+    major, _, minor = version.partition(".")
+    return bytes((FW_VERSION, int(major), int(minor or 0))) + b"emulated\0" + bytes(range(12))
+
+
+def settings_reply(
+    controller_id: int, timeout_s: float, rates_hz: tuple[float, float], masks: tuple[int, int]
+) -> bytes:
+    """Answer to the settings: what firmware 6 begins them with."""
+    return struct.pack(
+        ">BIBIIHHBBB", GET_APPCONF, _SIGNATURE, controller_id, round(1000 * timeout_s), 0,
+        round(rates_hz[0]), round(rates_hz[1]), *masks, 2,
+    ) + bytes(64)  # fmt: skip
+
+
+def in_pieces(own_id: int, asker_id: int, payload: bytes) -> Iterator[Outgoing]:
+    """A long answer in frames, closed by its length and checksum."""
+    if len(payload) <= 6:
+        yield SHORT_BUFFER << 8 | asker_id, bytes((own_id, _ANSWER)) + payload
+        return
+    for at in range(0, len(payload), 7):
+        yield FILL_BUFFER << 8 | asker_id, bytes((at,)) + payload[at : at + 7]
+    tail = struct.pack(">BBHH", own_id, _ANSWER, len(payload), _crc16(payload))
+    yield PROCESS_BUFFER << 8 | asker_id, tail
+
+
+def _crc16(data: bytes) -> int:
+    """CRC-16 with polynomial 0x1021 from 0 (XMODEM)."""
+    crc = 0
+    for byte in data:
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc

@@ -1,0 +1,22 @@
+"""What is true of the emulated propellers; assumptions where no source is known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from hil.config.values import Within
+from hil.fakes.tether import Start
+
+
+@dataclass(frozen=True)
+class ThrustTruthOptions:
+    """How they begin, and how quickly they follow.
+
+    Attributes:
+        start: as of the emulated fan: `tethered`, `running`, `off`, or `by use`.
+        lag_s: time constant of the force.
+    """
+
+    start: Start = "by use"
+    lag_s: Annotated[float, Within(0.001, 10.0, "s")] = 0.1

@@ -1,0 +1,270 @@
+"""Watches what presses the robot on its wall: measured force against what is needed, and who measures it.
+
+The force is what the load cells say without their zeros, and what a fan of this speed gives; the smaller one
+counts, and the two are held against each other and against what the battery gives. The robot stops while
+there is still a margin to stop with: at a limit above the need, and earlier where the force is falling.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+from hil.robot.holding import Statics
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.interfaces import Blame
+from hil.vocabulary.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status
+
+_TREND_NS = nanoseconds(0.25)
+_LEAST_TREND = 6
+_FALLING_N_S = -3.0
+_AHEAD_S = 0.5
+"""A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
+_DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
+_POWER_OF_SPEED = 3.0
+LETTING_GO = ("adhesion_low", "adhesion_falling", "utilisation")
+"""Reasons to stop for which more force is what helps."""
+
+
+@dataclass(frozen=True)
+class AdhesionLimits:
+    """What the watch of one bench knows.
+
+    Attributes:
+        statics: robot and surface, as on paper.
+        reserve: the measured force exceeds the need by this share, at least.
+        utilisation: no wheel uses more of its friction.
+        nominal_thrust_n, full_thrust_n: push of the propellers where nobody reports a throttle, and at full.
+        rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
+        low_input_v, hot_fet_c: of the fan's battery and controller.
+        zero_n: of the load cells, their sum; None without cells.
+        stale_s: silence after which fan or cells are no longer trusted.
+    """
+
+    statics: Statics
+    reserve: float = 0.25
+    utilisation: float = 0.8
+    nominal_thrust_n: float = 0.0
+    full_thrust_n: float = 0.0
+    rated_n: float = math.nan
+    rated_rpm: float = math.nan
+    rated_w: float = math.nan
+    low_input_v: float = 0.0
+    hot_fet_c: float = math.inf
+    zero_n: float | None = None
+    stale_s: float = 0.25
+
+    @property
+    def has_fan(self) -> bool:
+        """Whether a fan reports its speed."""
+        return math.isfinite(self.rated_rpm)
+
+    def limit_n(self, thrust_n: float, heading_rad: float) -> float:
+        """Force below which no wheel may move."""
+        return (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+
+    def cells_n(self, sample: LoadCellSample) -> float:
+        """Force by the cells, without their zeros; NaN where one cannot be used."""
+        return float(sample.force_n[0] + sample.force_n[1]) - (self.zero_n or 0.0)
+
+    def speed_n(self, sample: AdhesionSample) -> float:
+        """Force by the fan's speed."""
+        return self.rated_n * (sample.speed_rpm / self.rated_rpm) ** 2
+
+    def power_n(self, sample: AdhesionSample) -> float:
+        """Force by what the battery gives: power goes with the cube of the speed."""
+        watts = sample.input_a * sample.input_v
+        return self.rated_n * math.pow(max(watts / self.rated_w, 0.0), 2.0 / _POWER_OF_SPEED)
+
+
+class AdhesionWatch:
+    """Follows fan, propellers and cells of one run.
+
+    Args:
+        limits: of the bench.
+        on_wall: whether the robot can fall; elsewhere nothing stops it.
+
+    Attributes:
+        heading_rad: of the body, as estimated last.
+        figures: for the robot's state: force, need, margin and what each wheel uses of its friction.
+    """
+
+    def __init__(self, limits: AdhesionLimits, *, on_wall: bool) -> None:
+        self.limits, self._on_wall = limits, on_wall
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        self.heading_rad = 0.0
+        self.figures: dict[str, float] = {}
+        self._thrust_n = self.limits.nominal_thrust_n
+        self._cells_n = self._speed_n = math.nan
+        self._cells_ns: int | None = None
+        self._fan_ns: int | None = None
+        self._began_ns: int | None = None
+        self._trend: dict[str, deque[tuple[int, float]]] = {"load cells": deque(), "fan's speed": deque()}
+        self._apart_ns: int | None = None
+        self._trouble = ""
+        self._fan: AdhesionSample | None = None
+
+    def judge(self, inputs: Inputs, events: list[Event], stop: Blame) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events` or handed to `stop`.
+
+        The force is judged with every report of the fan, 50 times a second.
+        """
+        if self._began_ns is None:
+            self._began_ns = inputs.t_ns
+        self._take(inputs, events)
+        fresh = self._fresh(inputs.t_ns, stop if self._on_wall else _ignored)
+        if not (inputs.adhesion if self.limits.has_fan else inputs.load_cells):
+            return
+        force_n = min((f for f in (self._cells_n, self._speed_n) if math.isfinite(f)), default=math.nan)
+        self._figure(force_n)
+        if not self._on_wall or not math.isfinite(force_n) or not fresh:
+            return
+        self._judge_force(force_n, stop)
+        self._compare(inputs.t_ns, stop)
+        if self._fan is not None:
+            self._judge_controller(self._fan, force_n, stop)
+
+    def _take(self, inputs: Inputs, events: list[Event]) -> None:
+        """Newest force by each measure."""
+        for sample in inputs.load_cells:
+            if sample.status[0] is Status.OK and sample.status[1] is Status.OK:
+                self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
+                self._follow("load cells", sample.stamp.t_ns, self._cells_n)
+        for fan in inputs.adhesion:
+            if fan.trouble != self._trouble:
+                self._trouble = fan.trouble
+                told = fan.trouble or "the fan is kept running as it should be again"
+                events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
+            if fan.status is Status.OK and self.limits.has_fan:
+                self._fan, self._fan_ns = fan, fan.stamp.t_ns
+                self._speed_n = self.limits.speed_n(fan)
+                self._follow("fan's speed", fan.stamp.t_ns, self._speed_n)
+        for push in inputs.thrust:
+            if push.status is Status.OK and math.isfinite(push.throttle):
+                self._thrust_n = self.limits.full_thrust_n * push.throttle**2
+
+    def _follow(self, measure: str, t_ns: int, force_n: float) -> None:
+        trend = self._trend[measure]
+        trend.append((t_ns, force_n))
+        while trend[0][0] < t_ns - _TREND_NS:
+            trend.popleft()
+
+    def _fresh(self, t_ns: int, stop: Blame) -> bool:
+        """Whether everybody who measures the force has been heard lately."""
+        fresh, stale_ns = True, nanoseconds(self.limits.stale_s)
+        watched = [("adhesion", "fan's controller", self._fan_ns)] * self.limits.has_fan
+        watched += [("load_cells", "load cells", self._cells_ns)] * (self.limits.zero_n is not None)
+        for name, noun, last_ns in watched:
+            silent_ns = t_ns - max(last_ns or 0, self._began_ns or 0)
+            if silent_ns > stale_ns:
+                fresh = False
+                stop(
+                    f"stale_{name}",
+                    f"nothing usable from the {noun} for {silent_ns / NS_PER_S:.2f} s: whether the robot is "
+                    "pressed on the wall is not known; check supply, CAN wiring and adapter",
+                )
+        return fresh
+
+    def _figure(self, force_n: float) -> None:
+        """Figures for the state."""
+        statics, heading = self.limits.statics, self.heading_rad
+        needed_n = statics.needed_n(self._thrust_n, heading)
+        self.figures = {"adhesion_n": force_n, "adhesion_needed_n": needed_n}
+        if math.isfinite(self._cells_n):
+            self.figures["adhesion_cells_n"] = self._cells_n
+        if math.isfinite(self._speed_n):
+            self.figures["adhesion_fan_n"] = self._speed_n
+        self.figures["adhesion_margin_n"] = force_n - needed_n
+        if math.isfinite(force_n):
+            used = statics.utilisation(force_n, self._thrust_n, heading)
+            self.figures |= {f"utilisation_{w}": u for w, u in zip(WHEELS, used, strict=True)}
+
+    def _judge_force(self, force_n: float, stop: Blame) -> None:
+        """The force against its limit, now and soon, and the friction that the wheels use."""
+        needed_n = self.figures["adhesion_needed_n"]
+        limit_n = (1.0 + self.limits.reserve) * needed_n
+        rates = {measure: _slope(trend) for measure, trend in self._trend.items()}
+        measure = min(rates, key=lambda name: rates[name])
+        rate_n_s = rates[measure]
+        falling = rate_n_s < _FALLING_N_S
+        left_s = (force_n - needed_n) / -rate_n_s if falling else math.inf
+        told = f"{force_n:.1f} N of adhesion"
+        if falling:
+            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {max(left_s, 0.0):.1f} s are left "
+            told += "until the robot slides"
+        if force_n < limit_n:
+            stop(
+                "adhesion_low",
+                f"{told}; {limit_n:.1f} N are the least on this surface ({needed_n:.1f} needed)",
+            )
+        elif falling and force_n + _AHEAD_S * rate_n_s < limit_n:
+            stop("adhesion_falling", f"{told}; look at fan, battery and seal")
+        most = max(self.figures[f"utilisation_{w}"] for w in WHEELS)
+        if most > self.limits.utilisation:
+            wheel = max(WHEELS, key=lambda w: self.figures[f"utilisation_{w}"])
+            stop(
+                "utilisation",
+                f"wheel {wheel} uses {100 * most:.0f} % of its friction, more than "
+                f"{100 * self.limits.utilisation:.0f} %: {told}",
+            )
+
+    def _compare(self, t_ns: int, stop: Blame) -> None:
+        """Cells against the fan's speed; its power says which of the two is believed."""
+        apart_n = self._cells_n - self._speed_n
+        if not abs(apart_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(self._speed_n)):
+            self._apart_ns = None
+            return
+        if self._apart_ns is None:
+            self._apart_ns = t_ns
+        if t_ns - self._apart_ns < _DISAGREE_NS or self._fan is None:
+            return
+        power_n = self.limits.power_n(self._fan)
+        told = f"the load cells say {self._cells_n:.1f} N, the fan's speed {self._speed_n:.1f} N"
+        if not math.isfinite(power_n):
+            told += "; its current is not reported"
+        elif abs(power_n - self._speed_n) < abs(power_n - self._cells_n):
+            told += f", its power {power_n:.1f} N: the cells lie, or air leaks under the robot"
+        else:
+            told += f", its power {power_n:.1f} N: the reported speed is wrong"
+        stop("adhesion_disagree", f"{told}; `hil run adhesion_check` at rest")
+
+    def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: Blame) -> None:
+        """Battery and heat of the fan."""
+        limits, margin_n = self.limits, force_n - self.figures["adhesion_needed_n"]
+        left = f"{margin_n:.1f} N of margin now"
+        if fan.input_v < limits.low_input_v:
+            stop(
+                "battery_low",
+                f"the fan's battery has {fan.input_v:.1f} V under load, less than {limits.low_input_v:g}: "
+                f"{left}; bring the robot down",
+            )
+        if fan.fet_c > limits.hot_fet_c:
+            stop(
+                "fan_hot",
+                f"the fan's controller is at {fan.fet_c:.0f} degC, more than {limits.hot_fet_c:g}: it will "
+                f"slow the fan down by itself; {left}",
+            )
+
+
+def _slope(trend: deque[tuple[int, float]]) -> float:
+    """Rate in N/s by least squares; 0 where there is too little to tell."""
+    n = len(trend)
+    if n < _LEAST_TREND or trend[-1][0] - trend[0][0] < _TREND_NS // 2:
+        return 0.0
+    t0_ns = trend[0][0]
+    sum_t = sum_f = sum_tt = sum_tf = 0.0
+    for t_ns, force_n in trend:
+        t_s = (t_ns - t0_ns) / NS_PER_S
+        sum_t += t_s
+        sum_f += force_n
+        sum_tt += t_s * t_s
+        sum_tf += t_s * force_n
+    return (n * sum_tf - sum_t * sum_f) / (n * sum_tt - sum_t * sum_t)
+
+
+def _ignored(reason: str, message: str) -> None:
+    """On the floor nothing falls."""

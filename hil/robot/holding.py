@@ -1,0 +1,96 @@
+"""Statics of a robot that is pressed on a surface: loads of its wheels, their friction, and what it needs.
+
+Forces in body axes; the surface's own axes have X up the wall. Tyres carry the tangential load as creeping
+tyres do, each in proportion to what presses it: a wheel's share of the friction that it has then does not
+depend on how stiff the tyres are.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+_GRAVITY_M_S2 = 9.81
+Four = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Statics:
+    """A robot on a surface.
+
+    Attributes:
+        wheel_x_m, wheel_y_m: (4,) contact points in the body.
+        mass_kg, centre_of_mass_m: as on paper; x, y, height above the surface.
+        propeller_height_m: at which the propellers push.
+        tilt_rad: 0 floor, pi/2 wall, more overhangs.
+        friction: coefficient of tyre on surface.
+    """
+
+    wheel_x_m: Four
+    wheel_y_m: Four
+    mass_kg: float
+    centre_of_mass_m: tuple[float, float, float]
+    propeller_height_m: float
+    tilt_rad: float
+    friction: float
+
+    def __post_init__(self) -> None:
+        spread = np.linalg.pinv(np.stack([np.ones(4), np.array(self.wheel_x_m), np.array(self.wheel_y_m)]))
+        object.__setattr__(self, "_spread", tuple(tuple(row) for row in spread.tolist()))
+
+    def _tangential_n(self, thrust_n: float, heading_rad: float) -> tuple[float, float, float, float]:
+        """Weight along the surface, body x and y, and the same with the propellers' push."""
+        along_n = self.mass_kg * _GRAVITY_M_S2 * math.sin(self.tilt_rad)
+        weight_x, weight_y = -along_n * math.cos(heading_rad), along_n * math.sin(heading_rad)
+        return weight_x, weight_y, weight_x + thrust_n, weight_y
+
+    def _loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
+        """(4,) by statics, below zero where a wheel would have to pull."""
+        x_m, y_m, height_m = self.centre_of_mass_m
+        weight_x, weight_y, _, _ = self._tangential_n(thrust_n, heading_rad)
+        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
+        about_y = press_n * x_m + height_m * weight_x + self.propeller_height_m * thrust_n
+        about_x = press_n * y_m + height_m * weight_y
+        spread: tuple[Four, ...] = getattr(self, "_spread")  # noqa: B009 - made in __post_init__
+        return [a * (force_n + press_n) + b * about_y + c * about_x for a, b, c, *_ in spread]
+
+    def loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
+        """Normal load of each wheel, (4,); a wheel does not pull."""
+        return [max(n, 0.0) for n in self._loads_n(force_n, thrust_n, heading_rad)]
+
+    def utilisation(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
+        """Share of its friction that each wheel uses, (4,); 1 slides, `inf` where nothing presses.
+
+        Args:
+            force_n: of the fan, towards the surface.
+            thrust_n: of the propellers, along body x.
+            heading_rad: of the body on the surface.
+        """
+        loads = self.loads_n(force_n, thrust_n, heading_rad)
+        weight_x, weight_y, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
+        x_m, y_m, _ = self.centre_of_mass_m
+        moment = x_m * weight_y - y_m * weight_x
+        s0 = sum(loads)
+        sx = sum(n * x for n, x in zip(loads, self.wheel_x_m, strict=True))
+        sy = sum(n * y for n, y in zip(loads, self.wheel_y_m, strict=True))
+        places = tuple(zip(self.wheel_x_m, self.wheel_y_m, strict=True))
+        square = sum(n * (x * x + y * y) for n, (x, y) in zip(loads, places, strict=True))
+        left = square - (sx * sx + sy * sy) / s0 if s0 > 0.0 else 0.0
+        if left <= 1e-9:
+            return [math.inf] * 4
+        turn = (moment + (sy * push_x - sx * push_y) / s0) / left
+        ux, uy = (push_x + sy * turn) / s0, (push_y - sx * turn) / s0
+        return [math.hypot(ux - turn * y, uy + turn * x) / self.friction for x, y in places]
+
+    def needed_n(self, thrust_n: float, heading_rad: float) -> float:
+        """Force of the fan below which the robot slides, or tips because a second wheel lifts off."""
+        _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
+        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
+        slides_n = math.hypot(push_x, push_y) / self.friction - press_n
+        spread: tuple[Four, ...] = getattr(self, "_spread")  # noqa: B009 - made in __post_init__
+        lift = sorted(
+            -n / row[0] for n, row in zip(self._loads_n(0.0, thrust_n, heading_rad), spread, strict=True)
+        )
+        return max(slides_n, lift[-2], 0.0)

@@ -1,0 +1,216 @@
+"""`hil adhesion`: on, off, status, watch and keep, at an emulated VESC and at a fan on the wire."""
+
+import configparser
+import json
+import math
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from kills import end_keeper, keeper_pid
+
+from hil.bench import adhesion
+from hil.bench.adhesion import keeper_spec
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.signals import Status
+
+ROOT = Path(__file__).resolve().parents[2]
+WALL = '[environment]\nsurface = "melamine"\ntilt_rad = 1.5707963\n'
+
+
+def bench_file(folder, interface, channel, controller_id, port):
+    path = folder / "bench.toml"
+    path.write_text(
+        f'schema = 1\nname = "robot"\n{WALL}[adhesion]\ninterface = "{interface}"\nchannel = "{channel}"\n'
+        f"controller_id = {controller_id}\noptions = {{ port = {port}, hop_limit = 0 }}\n"
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """Bench file of a robot of which only the fan is there, emulated by another process."""
+    folder = tmp_path_factory.mktemp("served")
+    command = [sys.executable, "-m", "hil.cli", "emulate", "--only", "adhesion"]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_STATE_HOME", str(folder / "state"))
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            where = json.loads(process.stdout.readline())["adhesion"]
+            path = bench_file(
+                folder, where["interface"], where["channel"], where["controller_id"], where.get("port", 43113)
+            )
+            yield path
+            end_keeper(keeper_spec(load_bench(str(path))))
+            process.terminate()
+
+
+@pytest.fixture
+def at_wire(wire, tmp_path):
+    """(fan, spec, bench file) of a fan that does nothing but obey."""
+    fan, spec = wire
+    path = bench_file(tmp_path, spec.interface, spec.channel, spec.controller_id, spec.options["port"])
+    assert keeper_spec(load_bench(str(path))).name == spec.name
+    return fan, spec, path
+
+
+@pytest.fixture
+def hil(capsys):
+    """Runs a command in this process; (exit code, standard output, messages)."""
+
+    def run(*words):
+        capsys.readouterr()
+        code = main([str(w) for w in words])
+        said = capsys.readouterr()
+        return code, said.out, said.err
+
+    return run
+
+
+def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
+    code, out, err = hil("adhesion", "status", "--bench", served)
+    assert (code, "no keeper" in out) == (3, True)
+    code, out, err = hil("adhesion", "on", "--bench", served, "--force", "40", "--json")
+    assert code == 0, err
+    told = json.loads(out)
+    assert told["force_n"] == pytest.approx(40.0, rel=0.06)
+    assert told["keeper"]["state"] == "keeping"
+    code, out, _ = hil("adhesion", "watch", "--bench", served, "--duration", "0.1")
+    assert (code, "keeping at duty" in out) == (0, True)
+    code, _, err = hil("adhesion", "off", "--bench", served)
+    assert (code, "--tethered" in err) == (2, True)
+    assert (
+        json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["keeper"]["state"] == "keeping"
+    )
+    code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
+    assert (code, "off (the operator" in out) == (0, True), err
+    assert json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["keeper"]["state"] == "idle"
+
+
+def test_a_force_that_no_fan_has_changes_nothing(served, hil):
+    for words, said in (
+        (("--force", "80"), "at most 60 N"),
+        (("--force", "40", "--duty", "0.5"), "one of them"),
+        (("--force", "-1"), "--force"),
+        (("--duty", "1.5"), "--duty"),
+    ):
+        code, _, err = hil("adhesion", "on", "--bench", served, *words)
+        assert (code, said in err) == (2, True), err
+
+
+@pytest.mark.parametrize("command", ["on", "off", "status", "watch", "keep"])
+def test_a_fan_in_no_process_of_its_own_and_no_fan_are_named(command, hil, tmp_path):
+    code, _, err = hil("adhesion", command, "--bench", "emulated")
+    assert code == 2
+    assert "serve it with `hil emulate`" in err
+    path = tmp_path / "bench.toml"
+    path.write_text(f'schema = 1\nname = "bare"\n{WALL}[imu]\nport = "/dev/null"\n')
+    code, _, err = hil("adhesion", command, "--bench", path)
+    assert (code, "bare: no fan; expected a table [adhesion]" in err) == (2, True)
+
+
+def test_a_fan_that_is_not_there_is_named_and_none_is_started(at_wire, hil):
+    fan, _, path = at_wire
+    fan.reports = False
+    code, _, err = hil("adhesion", "on", "--bench", path)
+    assert code == 3, err
+    assert "controller 7" in err
+    assert fan.duty == 0.0
+
+
+def test_keep_is_a_keeper_in_the_foreground_that_no_signal_ends(at_wire, hil):
+    _, spec, path = at_wire
+    command = [sys.executable, "-m", "hil.cli", "adhesion", "keep", "--bench", str(path)]
+    pipe = subprocess.PIPE
+    with subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True) as process:
+        try:
+            assert json.loads(process.stdout.readline()) == {"pid": process.pid}
+            assert keeper_pid(spec) == process.pid
+            process.send_signal(signal.SIGTERM)
+            said = (process.stderr.readline() for _ in range(3))
+            assert any("SIGTERM is not heeded" in line for line in said)
+            code, out, _ = hil("adhesion", "status", "--bench", path)
+            assert (code, f"process {process.pid}" in out) == (0, True)
+            code, _, err = hil("adhesion", "keep", "--bench", path)
+            assert (code, "has a keeper already" in err) == (2, True)
+        finally:
+            process.kill()
+
+
+def test_the_service_is_started_by_a_command_that_there_is():
+    unit = configparser.ConfigParser(strict=False, interpolation=None)
+    unit.optionxform = str
+    unit.read(ROOT / "examples" / "hil-adhesion.service")
+    words = unit["Service"]["ExecStart"].split()
+    assert words[1:4] == ["adhesion", "keep", "--bench"]
+    assert unit["Unit"]["RefuseManualStop"] == "yes"
+    assert (unit["Service"]["Restart"], unit["Service"]["SendSIGKILL"]) == ("always", "no")
+
+
+class Seen:
+    """A device of which somebody has written down what it says."""
+
+    def __init__(self, *samples):
+        self._samples = samples
+
+    def open(self):
+        pass
+
+    def close(self):
+        pass
+
+    def read(self):
+        return self._samples
+
+
+def robot(monkeypatch, *, up, cells_n, rpm):
+    """What IMU, load cells and fan of a robot say."""
+    ok = Status.OK
+    devices = {
+        "imu": Seen(SimpleNamespace(status=ok, gravity_m_s2=9.81 * np.array(up))),
+        "load_cells": Seen(SimpleNamespace(status=(ok, ok), force_n=np.array([cells_n / 2, cells_n / 2]))),
+        "adhesion": Seen(SimpleNamespace(status=ok, speed_rpm=rpm)),
+    }
+    monkeypatch.setattr(adhesion, "make_rig", lambda config, clock, connections: devices)
+    monkeypatch.setattr(adhesion, "_WATCH_S", 0.05)
+    return load_bench("emulated").model_copy(
+        update={name: load_bench("emulated").devices()[name].model_copy(update={"backend": "real"})
+                for name in devices}
+    )  # fmt: skip
+
+
+LEVEL, ON_THE_WALL, TILTED = (0.0, 0.0, 1.0), (1.0, 0.0, 0.0), (0.3, 0.0, 0.954)
+
+
+def test_a_level_robot_with_nothing_pressed_is_off_the_wall(monkeypatch):
+    why = adhesion.seen_off_the_wall(robot(monkeypatch, up=LEVEL, cells_n=2.0, rpm=30_000.0))
+    assert why == "seen off the wall: tilted by 0 deg, load cells 2.0 N"
+
+
+@pytest.mark.parametrize(
+    ("up", "cells_n", "told"),
+    [
+        (ON_THE_WALL, 45.0, "tilted by 90 deg, load cells 45.0 N"),
+        (ON_THE_WALL, 0.0, "tilted by 90 deg, load cells 0.0 N"),
+        (LEVEL, 45.0, "tilted by 0 deg, load cells 45.0 N"),
+        (TILTED, 0.0, "tilted by 17 deg"),
+        ((0.0, 0.0, -1.0), 0.0, "tilted by 180 deg"),
+        (LEVEL, math.nan, "load cells nan N"),
+        (LEVEL, -30.0, "load cells -30.0 N"),
+    ],
+)
+def test_one_witness_that_says_it_may_hang_is_enough_to_refuse(monkeypatch, up, cells_n, told):
+    with pytest.raises(UsageError, match=rf"may hang by its fan: .*{told}.*9.0 N.*--tethered"):
+        adhesion.seen_off_the_wall(robot(monkeypatch, up=up, cells_n=cells_n, rpm=30_000.0))
+
+
+def test_without_witnesses_only_the_operator_can_say_it(monkeypatch):
+    config = robot(monkeypatch, up=LEVEL, cells_n=0.0, rpm=30_000.0)
+    emulated = config.imu.model_copy(update={"backend": "emulated"})
+    with pytest.raises(UsageError, match=r"no imu of the robot.*--tethered"):
+        adhesion.seen_off_the_wall(config.model_copy(update={"imu": emulated}))

@@ -1,0 +1,153 @@
+"""Wall runs in real time, killed: robot, bench and keeper in a process each."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import dist
+from pathlib import Path
+
+import can
+import tomli_w
+from kills import keeper_pid, new_keeper, wait_until
+
+from hil.bench.adhesion import keeper_spec
+from hil.config.loading import load_bench
+from hil.vocabulary.kinds import Connection, kinds
+
+FOLDER = Path(__file__).parent
+_SET_COMMANDS = range(5)
+
+
+@dataclass(frozen=True)
+class WallKill:
+    """One trial: the longest gap between commands; whether the robot hung still a moment later."""
+
+    gap_s: float
+    held: bool
+
+
+class Robot:
+    """The emulated robot: where its devices are, and the truth about it."""
+
+    def __init__(self, process):
+        self._process = process
+        self.endpoints = json.loads(process.stdout.readline())
+
+    def truth(self):
+        self._process.stdin.write("\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+    def bench_file(self, folder):
+        """A bench file in which all its devices are real."""
+        config, tables = load_bench("emulated"), {}
+        for name, table in config.devices().items():
+            kind = kinds()[name]
+            model, endpoint = kind.model(table.model), self.endpoints[kind.shown_as]
+            if model.reach is None:
+                values = {key: value for key, value in endpoint.items() if key in model.config.model_fields}
+            else:
+                values = model.reach(endpoint)
+            values = values.values if isinstance(values, Connection) else values
+            tables[name] = table.model_copy(update={**values, "backend": "real"})
+        real = config.model_copy(update=tables)
+        tree = real.model_dump(mode="json", by_alias=True, exclude_none=True, exclude_unset=True)
+        tree["environment"]["start_pose"] = [0.0, 0.0, 0.0]
+        tree.pop("emulation", None)
+        path = folder / "robot.toml"
+        path.write_text(tomli_w.dumps(tree))
+        return path
+
+
+@contextmanager
+def robot_on_the_wall(seed):
+    """An emulated robot in a process of its own."""
+    command = [sys.executable, str(FOLDER / "wall_robot.py"), str(seed)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield Robot(process)
+        process.stdin.close()
+
+
+@contextmanager
+def bench_driving(path):
+    """A bench that drives on the wall, in a process of its own."""
+    command = [sys.executable, str(FOLDER / "wall_bench.py"), str(path)]
+    log = path.with_name("bench.log")
+    with log.open("w") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said) as process:
+        try:
+            assert process.stdout.readline() == b"driving\n", log.read_text()
+            yield process
+        finally:
+            process.kill()
+
+
+class Commands:
+    """When commands for the fan were on the bus, by the kernel's clock."""
+
+    def __init__(self, path):
+        spec = keeper_spec(load_bench(str(path)))
+        self._id = spec.controller_id
+        self._bus = can.Bus(interface=spec.interface, channel=spec.channel, **spec.options)
+
+    def longest_gap_s(self, duration_s):
+        """Longest time between two commands from now on."""
+        while self._bus.recv(0) is not None:
+            pass
+        end_s, times = time.time() + duration_s, []
+        while time.time() < end_s:
+            message = self._bus.recv(0.02)
+            if message is None or message.arbitration_id & 0xFF != self._id:
+                continue
+            if message.arbitration_id >> 8 in _SET_COMMANDS:
+                times.append(message.timestamp)
+        pairs = zip(times, [*times[1:], end_s], strict=True)
+        return max((after - before for before, after in pairs), default=duration_s)
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self._bus.shutdown()
+
+
+def killed(robot, commands, pid, rng):
+    """Kill a process at a random moment and look at the bus and at the robot."""
+    time.sleep(rng.uniform(0.0, 3.0))
+    timer = threading.Timer(0.2, os.kill, (pid, signal.SIGKILL))
+    timer.start()
+    gap_s = commands.longest_gap_s(1.2)
+    timer.join()
+    return gap_s, robot.truth()
+
+
+def benches_killed(robot, path, count, seed):
+    """Benches killed while they drive, each followed by another that takes the robot over."""
+    rng, found = random.Random(seed), []
+    with Commands(path) as commands:
+        for _ in range(count):
+            with bench_driving(path) as process:
+                gap_s, before = killed(robot, commands, process.pid, rng)
+            time.sleep(0.5)
+            after = robot.truth()
+            still = dist(before["pose"][:2], after["pose"][:2]) < 5e-4
+            found.append(WallKill(gap_s, still and not after["fallen"]))
+    return found
+
+
+def keepers_killed(robot, path, count, seed):
+    """Keepers killed while one bench drives on."""
+    spec = keeper_spec(load_bench(str(path)))
+    rng, found, last = random.Random(seed), [], None
+    with Commands(path) as commands, bench_driving(path):
+        for _ in range(count):
+            last = wait_until(lambda last=last: new_keeper(spec, last), "a new keeper")
+            gap_s, truth = killed(robot, commands, last, rng)
+            found.append(WallKill(gap_s, not truth["fallen"] and keeper_pid(spec) != last))
+    return found

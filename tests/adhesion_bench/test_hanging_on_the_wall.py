@@ -1,0 +1,207 @@
+"""A robot that hangs by its fan: how it is pressed on the wall, what stops it, and with how much left."""
+
+import math
+import re
+
+import numpy as np
+import pytest
+
+import hil
+from hil.bench.settings import adhesion_limits, thrust_wanted_n
+from hil.config.loading import load_bench
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import DeviceError, SafetyStop
+
+CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
+COLD = {"emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
+AT_REST_RAD_S = 0.05
+
+
+def climb(*faults, seed=1, overrides=None, feedback="odometry"):
+    """Climb until something stops the robot: the stop, and (time, force, fastest wheel) of every cycle."""
+    seen, stop = [], None
+    with hil.open_bench("emulated", seed=seed, faults=faults, overrides=overrides) as bench:
+        try:
+            bench.drive(CLIMB, feedback=feedback, on_cycle=lambda record: seen.append(look(bench)))
+        except SafetyStop as error:
+            stop = error
+            for _ in range(60):
+                seen.append(look(bench))
+                bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+        truth = bench.truth()
+    return stop, seen, truth
+
+
+def look(bench):
+    truth = bench.truth()
+    return truth.t_ns / 1e9, truth.adhesion_n, float(np.abs(truth.joint_velocity_rad_s[:4]).max())
+
+
+def true_need_n(bench_seed):
+    """Force at which this world's robot slides: closed form with its own parameters."""
+    with hil.open_bench("emulated", seed=bench_seed) as bench:
+        p = bench.world.plant.parameters
+        return (p.mass_kg * 9.81 - p.thrust_n) / p.contact.friction
+
+
+def force_when_at_rest(seen, since_s):
+    """Force when the wheels had come to rest after the fault."""
+    return next(force for t_s, force, rate in seen if t_s > since_s + 0.05 and rate < AT_REST_RAD_S)
+
+
+@pytest.mark.parametrize(
+    "seed", [*range(1, 4), *(pytest.param(s, marks=pytest.mark.long) for s in range(4, 21))]
+)
+def test_falling_adhesion_stops_the_wheels_with_a_fifth_of_the_margin_left(seed):
+    """Force falls along a line to nothing within 2 s, whatever the fan does: a seal that goes."""
+    stop, seen, _ = climb("plant:adhesion_loss@2,factor=0,over_s=2", seed=seed)
+    needed_n, whole_n = true_need_n(seed), seen[0][1]
+    assert stop is not None
+    assert stop.reason in ("adhesion_falling", "adhesion_low", "utilisation")
+    assert "s are left" in str(stop)
+    margin = (force_when_at_rest(seen, 2.0) - needed_n) / (whole_n - needed_n)
+    assert margin >= 0.2
+
+
+def test_a_fan_that_loses_its_power_stops_the_robot_with_the_time_that_is_left():
+    stop, seen, _ = climb("adhesion:adhesion_loss@2,factor=0,over_s=2")
+    assert stop is not None
+    assert stop.reason in ("adhesion_falling", "adhesion_low", "utilisation", "adhesion_disagree")
+    assert force_when_at_rest(seen, 2.0) > 26.0
+
+
+def test_a_force_that_stays_over_its_limit_stops_nothing_and_holds():
+    stop, _, truth = climb("plant:adhesion_loss@1,factor=0.93,over_s=2")
+    assert stop is None
+    assert not truth.fallen
+
+
+@pytest.mark.parametrize(
+    ("spec", "reasons", "told"),
+    [
+        ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
+        ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells lie"),
+        ("load_cells:jump@2,force_n=-8", ("adhesion_disagree", "adhesion_falling"), "load cells"),
+        ("load_cells:wrong@2,factor=1.3", ("adhesion_disagree",), "the cells lie"),
+        ("load_cells:wrong@1,drift_n_s=4", ("adhesion_disagree",), "the cells lie"),
+        ("load_cells:off@2", ("stale_load_cells",), "nothing usable from the load cells"),
+        ("adhesion:wrong@2,factor=1.3", ("adhesion_disagree",), "the reported speed is wrong"),
+        ("adhesion:stuck@2", ("stale_adhesion",), "nothing usable from the fan's controller"),
+        ("adhesion:slow@2,factor=50", ("stale_adhesion",), "nothing usable from the fan's controller"),
+    ],
+)
+def test_who_lies_about_the_force_is_found_against_the_others(spec, reasons, told):
+    stop, seen, truth = climb(spec)
+    assert stop is not None
+    assert stop.reason in reasons
+    assert told in str(stop)
+    assert seen[-1][2] < AT_REST_RAD_S
+    assert not truth.fallen
+
+
+def test_a_small_leak_of_the_cells_own_drift_stops_nothing():
+    stop, _, _ = climb(overrides={"emulation.load_cells.drift_n_per_min": 0.1})
+    assert stop is None
+
+
+@pytest.mark.parametrize(
+    ("overrides", "reason", "told"),
+    [
+        ({"emulation.adhesion.ambient_c": 60.0}, "fan_hot", r"at 8\d degC, more than 80.*N of margin now"),
+        ({"adhesion.low_input_v": 23.0}, "battery_low", r"has 22.\d V under load.*N of margin now"),
+    ],
+)
+def test_a_hot_controller_and_a_low_battery_stop_the_robot(overrides, reason, told):
+    stop, _, _ = climb(overrides=overrides)
+    assert stop.reason == reason
+    assert re.search(told, str(stop))
+
+
+def test_a_bus_that_is_gone_stops_the_robot_and_says_what_the_time_out_does():
+    with hil.open_bench("emulated", seed=1, faults=["adhesion:unplug@2"]) as bench:
+        with pytest.raises((SafetyStop, DeviceError), match=r"fan's controller|lets go of the motor"):
+            bench.drive(CLIMB)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 300_000_000)
+        assert np.abs(bench.truth().joint_velocity_rad_s[:4]).max() < AT_REST_RAD_S
+
+
+def test_the_fan_is_started_and_waited_for_before_torque_comes_on():
+    with hil.open_bench("emulated", seed=1, overrides=COLD) as bench:
+        assert bench.world.plant._by_hand is False, "the servos have torque now"
+        assert 1.0 < bench.clock.now_ns() / 1e9 < 8.0
+        needed_n = adhesion_limits(bench.config).limit_n(thrust_wanted_n(bench.config), 0.0)
+        assert bench.truth().adhesion_n > needed_n
+        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        assert not bench.truth().fallen
+    assert motion.records[-1].state.diagnostics["adhesion_margin_n"] > 15.0
+    assert bench.held.state == "HELD"
+
+
+@pytest.mark.parametrize(
+    "fault",
+    ["adhesion:adhesion_loss@0,factor=0.3", "plant:adhesion_loss@0,factor=0.4", "adhesion:bus_off@0.6"],
+)
+def test_no_torque_and_no_motion_before_the_force_is_there(fault):
+    bench = hil.open_bench("emulated", seed=1, overrides=COLD, faults=[fault])
+    with pytest.raises((SafetyStop, DeviceError)) as caught:
+        bench.__enter__()
+    told = str(caught.value)
+    assert "N are the least on this surface" in told or "adhesion" in told
+    assert bench.world.plant._by_hand, "nobody gave the servos torque"
+
+
+def test_the_state_carries_force_margin_and_what_each_wheel_uses():
+    with hil.open_bench("emulated", seed=1) as bench:
+        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        truth = bench.truth()
+    figures = motion.records[-1].state.diagnostics
+    assert figures["adhesion_n"] == pytest.approx(truth.adhesion_n, rel=0.03)
+    assert figures["adhesion_needed_n"] == pytest.approx(0.3 * 3.25 * 9.81 / 0.45, rel=0.01)
+    used = [figures[f"utilisation_{w}"] for w in ("FL", "BL", "BR", "FR")]
+    assert 0.35 < min(used) < max(used) < 0.65
+
+
+def test_too_much_friction_in_use_stops_the_robot_before_it_slides():
+    tight = {"safety.utilisation_limit": 0.45}
+    stop, _, truth = climb(overrides=tight)
+    assert stop.reason == "utilisation"
+    assert "of its friction" in str(stop)
+    assert not truth.fallen
+
+
+def test_a_bench_without_these_devices_behaves_as_it_always_did():
+    without = dict.fromkeys(("adhesion", "thrust", "load_cells"))
+    with hil.open_bench("emulated", seed=1, overrides=without) as bench:
+        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+    assert not [k for k in motion.records[-1].state.diagnostics if k.startswith(("adhesion", "utilisation"))]
+
+
+def test_the_end_of_a_run_leaves_the_fan_running():
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.observe(0.5, feedback="odometry")
+        world = bench.world
+    assert world.plant.truth().adhesion_n > 40.0
+
+
+def test_on_the_floor_nothing_waits_for_a_fan():
+    floor = {"environment.surface": "floor", "environment.tilt_rad": 0.0, **COLD}
+    with hil.open_bench("emulated", seed=1, overrides=floor) as bench:
+        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+    assert math.isfinite(motion.records[-1].state.pose_body_in_wall[0])
+
+
+@pytest.mark.parametrize(
+    ("keys", "told"),
+    [
+        ({"adhesion.force_n": -5}, "adhesion.force_n"),
+        ({"adhesion.controller_id": 300}, "adhesion.controller_id"),
+        ({"adhesion.timeout_s": -1}, "adhesion.timeout_s"),
+        ({"load_cells.signals": ["Cell1"]}, "load_cells.signals"),
+        ({"emulation.adhesion.start": "flying"}, "emulation.adhesion.start"),
+        ({"emulation.adhesion.pack_v": -3}, "emulation.adhesion.pack_v"),
+    ],
+)
+def test_what_cannot_be_meant_is_named_by_its_key(keys, told):
+    with pytest.raises(hil.vocabulary.errors.ConfigError, match=told):
+        hil.open_bench("emulated", overrides=keys)
+    assert load_bench("emulated").adhesion.controller_id == 1
