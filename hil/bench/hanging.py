@@ -16,6 +16,7 @@ from hil.vocabulary.signals import Status
 _STEP_NS = nanoseconds(0.01)
 _PATIENCE_NS = nanoseconds(12.0)
 _STEADY_NS = nanoseconds(0.1)
+_TETHERED_SHARE = 0.9
 _NO_SAMPLE_NS = nanoseconds(1.0)
 
 
@@ -70,6 +71,8 @@ class Hanging:
 
     def _wait(self, limits: AdhesionLimits, thrust_n: float) -> None:
         limit_n = limits.limit_n(thrust_n, self._config.environment.start_pose[2])
+        if self._config.safety.tethered:
+            limit_n = min(limit_n, _TETHERED_SHARE * force_wanted_n(self._config))
         steady_ns: int | None = None
         end_ns = self._clock.now_ns() + _PATIENCE_NS
         while (now_ns := self._clock.now_ns()) < end_ns:

@@ -62,7 +62,8 @@ class AdhesionLimits:
 
     def limit_n(self, thrust_n: float, heading_rad: float) -> float:
         """Force below which no wheel may move."""
-        return (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+        needed_n = (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+        return max(needed_n, self.statics.force_for_n(self.utilisation, thrust_n, heading_rad))
 
     def cells_n(self, sample: LoadCellSample) -> float:
         """Force by the cells, without their zeros; NaN where one cannot be used."""
@@ -83,15 +84,15 @@ class AdhesionWatch:
 
     Args:
         limits: of the bench.
-        on_wall: whether the robot can fall; elsewhere nothing stops it.
+        can_fall: whether it hangs on a wall without a tether; elsewhere nothing stops it.
 
     Attributes:
         heading_rad: of the body, as estimated last.
         figures: for the robot's state: force, need, margin and what each wheel uses of its friction.
     """
 
-    def __init__(self, limits: AdhesionLimits, *, on_wall: bool) -> None:
-        self.limits, self._on_wall = limits, on_wall
+    def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
+        self.limits, self._can_fall = limits, can_fall
         self.reset()
 
     def reset(self) -> None:
@@ -116,12 +117,12 @@ class AdhesionWatch:
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
         self._take(inputs, events)
-        fresh = self._fresh(inputs.t_ns, stop if self._on_wall else _ignored)
+        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else _ignored)
         if not (inputs.adhesion if self.limits.has_fan else inputs.load_cells):
             return
         force_n = min((f for f in (self._cells_n, self._speed_n) if math.isfinite(f)), default=math.nan)
         self._figure(force_n)
-        if not self._on_wall or not math.isfinite(force_n) or not fresh:
+        if not self._can_fall or not math.isfinite(force_n) or not fresh:
             return
         self._judge_force(force_n, stop)
         self._compare(inputs.t_ns, stop)
@@ -267,4 +268,4 @@ def _slope(trend: deque[tuple[int, float]]) -> float:
 
 
 def _ignored(reason: str, message: str) -> None:
-    """On the floor nothing falls."""
+    """On the floor, or on a tether, nothing falls."""
