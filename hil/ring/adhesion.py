@@ -215,8 +215,7 @@ class AdhesionWatch:
 
     def _compare(self, t_ns: int, stop: Blame) -> None:
         """Cells against the fan's speed; its power says which of the two is believed."""
-        apart_n = self._cells_n - self._speed_n
-        if not abs(apart_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(self._speed_n)):
+        if not apart(self._cells_n, self._speed_n):
             self._apart_ns = None
             return
         if self._apart_ns is None:
@@ -249,6 +248,11 @@ class AdhesionWatch:
                 f"the fan's controller is at {fan.fet_c:.0f} degC, more than {limits.hot_fet_c:g}: it will "
                 f"slow the fan down by itself; {left}",
             )
+
+
+def apart(cells_n: float, speed_n: float) -> bool:
+    """Whether two measures of one force contradict each other; False where one is NaN."""
+    return abs(cells_n - speed_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(speed_n))
 
 
 def _slope(trend: deque[tuple[int, float]]) -> float:
