@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
+from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
@@ -96,6 +97,7 @@ class Bench(Blueprint):
         self._stack.callback(self.rig.close)
         try:
             self.pressed = Hanging(self.config, self.rig, self.clock).hold()
+            self._sinks += by_need(self.config, self.rig)
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
         except BaseException:

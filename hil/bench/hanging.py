@@ -43,7 +43,7 @@ class Hanging:
             What was measured, in words; empty where nothing was done.
 
         Raises:
-            SafetyStop: `adhesion_low`: the force stays below the limit of this surface; `adhesion_disagree`:
+            SafetyStop: `adhesion`: the force stays below the limit of this surface; `adhesion_disagree`:
                 those who measure it contradict each other. Nothing has moved, and the fan goes on.
             DeviceError: a device fails.
         """
@@ -106,7 +106,7 @@ class Hanging:
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
         told = self._told() or "nothing measured"
         raise SafetyStop(
-            "adhesion_low",
+            "adhesion",
             f"the robot is not pressed on the wall: {told}; {limit_n:.1f} N are the least on this surface. "
             "Nothing has moved; look at fan, battery, seal and load cells (`hil doctor`)",
         )

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 _EVERY_NS = nanoseconds(0.1)
 _MOST = 4096
 CAPTION = (
-    "The smaller of what load cells and fan's speed say, what holds the robot at its heading, and the "
-    "friction that the most loaded wheel uses. Benches that were opened one after the other follow each other."
+    "The smaller of what load cells and fan say, what holds the robot at its heading, and the friction that "
+    "the most loaded wheel uses. Benches that were opened one after the other follow each other."
 )
 
 Row = tuple[float, float, float, float]

@@ -23,7 +23,7 @@ _AHEAD_S = 0.5
 """A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
-LETTING_GO = ("adhesion_low", "adhesion_falling", "utilisation")
+LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
 
 
@@ -199,11 +199,11 @@ class AdhesionWatch:
             told += "until the robot slides"
         if force_n < limit_n:
             stop(
-                "adhesion_low",
+                "adhesion",
                 f"{told}; {limit_n:.1f} N are the least on this surface ({needed_n:.1f} needed)",
             )
         elif falling and force_n + _AHEAD_S * rate_n_s < limit_n:
-            stop("adhesion_falling", f"{told}; look at fan, battery and seal")
+            stop("adhesion", f"{told}; look at fan, battery and seal")
         most = max(self.figures[f"utilisation_{w}"] for w in WHEELS)
         if most > self.limits.utilisation:
             wheel = max(WHEELS, key=lambda w: self.figures[f"utilisation_{w}"])
