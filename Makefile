@@ -38,7 +38,8 @@ endif
 
 demo: $(BIN)/.installed
 	rm -rf out/demo
-	$(BIN)/hil run wall_tracking --seed 1 --out out/demo
+	$(BIN)/hil run wall_tracking --seed 1 --out out/demo --set bench.emulation.adhesion.start=tethered \
+	--set bench.emulation.thrust.start=tethered
 	$(BIN)/hil replay $(CLIMB).mcap --verify
 	$(BIN)/hil replay $(CLIMB).mcap --page out/demo/replay.html --rerun $(CLIMB).rrd
 	@echo "report:           out/demo/report.html   (estimators on the same recording: out/demo/replay.html)"

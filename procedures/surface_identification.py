@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.tracking import stand
@@ -49,7 +50,7 @@ class Parameters(BaseModel):
         return self
 
 
-def measurements(p: Parameters) -> Iterable[Measurement]:
+def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:
     """What identifies a surface, and how well it must be known."""
     for name, what in (("slip", "lines up and down"), ("sag", "lines to the left and right")):
         yield Measurement(
@@ -75,6 +76,11 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         yield Measurement(
             "hold_uncertainty", "deg", high=1.0, rationale="half of the last step of the search"
         )
+        if adhesion_limits(config) is not None:
+            yield Measurement(
+                "friction", "1", low=0.05, high=2.0,
+                rationale="of tyres on surface: used of the measured force where the robot began to slide",
+            )  # fmt: skip
 
 
 def motions(p: Parameters, start: Any) -> dict[str, Trajectory]:
@@ -144,25 +150,26 @@ def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float
 
 
 def hold_angle(ctx: Context, p: Parameters, sense: float) -> list[float | None]:
-    """Bisect the heading between standing and sliding; returns both ends of the last step, deg.
+    """Bisect the heading between standing and sliding; returns both ends of the last step, and the force.
 
-    The second is None where the robot still stood at the largest heading, the first where it slid at
-    the smallest.
+    In deg. The second is None where the robot still stood at the largest heading, the first where it slid at
+    the smallest; the measured force of the fan (N) is None where nobody measures it.
     """
     low, high = p.hold_from_deg, p.hold_to_deg
-    if not stands(ctx, sense * low):
-        return [None, low]
-    if stands(ctx, sense * high):
-        return [high, None]
+    stood, force_n = stands(ctx, sense * low)
+    if not stood:
+        return [None, low, force_n]
+    if stands(ctx, sense * high)[0]:
+        return [high, None, force_n]
     while high - low > p.hold_step_deg:
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if stands(ctx, sense * middle) else (low, middle)
+        low, high = (middle, high) if stands(ctx, sense * middle)[0] else (low, middle)
         ctx.progress("hold", 1, 1)
-    return [low, high]
+    return [low, high, force_n]
 
 
-def stands(ctx: Context, heading_deg: float) -> bool:
-    """Whether the robot, set on the wall under this heading with its wheels locked, stays there."""
+def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
+    """Whether the robot, set on the wall at this heading with locked wheels, stays; and the fan's force."""
     x_m, y_m, _ = ctx.source.config.environment.start_pose
     pose = (x_m, y_m, math.radians(heading_deg))
     bench = ctx.reopen(
@@ -172,9 +179,10 @@ def stands(ctx: Context, heading_deg: float) -> bool:
     )
     bench.rig.actuators().enable()
     try:
-        return held(bench.observe(1.5, feedback="odometry", start_pose=pose))
+        motion = bench.observe(1.5, feedback="odometry", start_pose=pose)
     except SafetyStop:
-        return False
+        return False, None
+    return held(motion), motion.records[-1].state.diagnostics.get("adhesion_n")
 
 
 def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, list[float | None]]) -> None:
@@ -210,15 +218,24 @@ def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, 
 
 def _hold(ctx: Context, holds: dict[str, list[float | None]]) -> None:
     widths = []
-    for side, (stood, slid) in holds.items():
+    for side, (stood, slid, _) in holds.items():
         ctx.measure(f"hold_angle_{side}", math.nan if stood is None else stood)
         widths.append(math.nan if stood is None or slid is None else 0.5 * (slid - stood))
         if slid is None:
             ctx.note(f"To the {side} it still stood at {stood:g} deg, the largest heading that was tried.")
     ctx.measure("hold_uncertainty", max(widths))
+    config = ctx.source.config
+    limits = adhesion_limits(config)
+    if limits is not None:
+        used = [
+            limits.statics.friction_used(force_n, thrust_wanted_n(config), math.radians(0.5 * (stood + slid)))
+            for stood, slid, force_n in holds.values()
+            if stood is not None and slid is not None and force_n is not None
+        ]
+        ctx.measure("friction", float(np.mean(used)) if used else math.nan)
     ctx.table(
         "Hold", ["to the", "stood at (deg)", "slid at (deg)"],
-        [[side, *("–" if v is None else f"{v:.2f}" for v in ends)] for side, ends in holds.items()],
+        [[side, *("–" if v is None else f"{v:.2f}" for v in ends[:2])] for side, ends in holds.items()],
         "Wheels locked, torque on; standing is less than 2 mm in 1.5 s. Thrust turns with the robot and then "
         "carries less of its weight.",
     )  # fmt: skip

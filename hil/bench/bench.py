@@ -10,6 +10,7 @@ from types import TracebackType
 import numpy as np
 
 from hil.bench.blueprint import Blueprint
+from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.settings import real_time
@@ -48,6 +49,8 @@ class Bench(Blueprint):
         world: the emulated world where it lives in this process, else None.
         statistics: punctuality of the latest run.
         real_time: what the operating system was asked for; None in virtual time.
+        pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
+            empty where nobody measures it.
         held: how the robot was left; known from `close` on, None where no device was opened.
     """
 
@@ -71,6 +74,7 @@ class Bench(Blueprint):
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
         self.held: Held | None = None
+        self.pressed = ""
         self._hold = HoldWatch(
             rig,
             clock,
@@ -92,7 +96,8 @@ class Bench(Blueprint):
             raise
         self._stack.callback(self.rig.close)
         try:
-            Hanging(self.config, self.rig, self.clock).hold()
+            self.pressed = Hanging(self.config, self.rig, self.clock).hold()
+            self._sinks += by_need(self.config, self.rig)
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
         except BaseException:

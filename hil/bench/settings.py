@@ -93,7 +93,8 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
 def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
     """What watches the robot's hold on its surface; None for a bench without fan and load cells."""
     limits = adhesion_limits(config)
-    return None if limits is None else AdhesionWatch(limits, on_wall=config.environment.on_wall)
+    falls = config.environment.on_wall and not config.safety.tethered
+    return None if limits is None else AdhesionWatch(limits, can_fall=falls)
 
 
 def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:

@@ -21,8 +21,8 @@ class AdhesionConfig(DeviceConfig):
     Attributes:
         force_n: what it is asked for on a wall; `robot.edf_force_n` when left out.
         highest_force_n: more is never asked for.
-        by_need: ask for what posture, surface and tilt need, with `safety.adhesion_margin` on top, not for
-            `force_n`.
+        by_need: while the robot is driven, ask for a tenth more than the limit at which it would be stopped,
+            by posture, surface and tilt, instead of for `force_n`.
         rated_force_n, rated_rpm: force at a speed; it goes with the square of the speed. `hil run
             adhesion_check` finds it.
         rated_input_a, rated_input_v: current from the battery at that speed, and its voltage then.

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
+from hil.procedure.hold_history import CAPTION, HoldHistory
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
@@ -74,6 +75,7 @@ class Context(Notebook):
         self._on_recording_failure: OnFailure = on_recording_failure
         self._recorders: list[RunRecorder] = []
         self._recorder: RunRecorder | None = None
+        self._hold_history = HoldHistory()
         self._seen: set[str] = set()
         self._bench: Bench | None = None
         self.held: Held | None = None
@@ -123,9 +125,12 @@ class Context(Notebook):
         try:
             self._record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
+            bench.add_sink(self._hold_history)
             with self._interrupts.deferred():
                 bench.__enter__()
                 self._bench = bench
+            if bench.pressed and bench.pressed not in self.findings.notes and not again:
+                self.note(bench.pressed)
         except BaseException:
             bench.close()
             self.held = bench.held
@@ -145,6 +150,12 @@ class Context(Notebook):
                 if self._recorder is not None and self._recorder.shortfall:
                     name, why = self._recorder.path.name, self._recorder.shortfall
                     self._note_lost(f"{name} is not complete: {why}")
+
+    def show_hold(self) -> None:
+        """Leave a figure of how firmly the robot was pressed on its wall, where that was measured."""
+        figure = self._hold_history.figure()
+        if figure is not None:
+            self.figure(figure, "Adhesion", CAPTION)
 
     def unrecorded(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing from its recordings; None if it need not."""

@@ -23,7 +23,7 @@ Device = Annotated[str, AfterValidator(_known)]
 
 
 def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
-    """Bench overrides that leave out all other devices.
+    """Bench overrides that leave out all other devices, but for those that the robot's hold depends on.
 
     Raises:
         ConfigError: the bench lacks one that is wanted.
@@ -35,4 +35,4 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
             f"this run looks at {', '.join(lacking)}, which the bench {config.name!r} lacks",
             remedy="add the section(s) to the bench file, or say --set devices=... without them",
         )
-    return {name: None for name in kinds() if name not in wanted}
+    return {name: None for name, kind in kinds().items() if not (name in wanted or kind.holds or kind.guards)}

@@ -23,7 +23,7 @@ _AHEAD_S = 0.5
 """A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
-LETTING_GO = ("adhesion_low", "adhesion_falling", "utilisation")
+LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
 
 
@@ -62,7 +62,8 @@ class AdhesionLimits:
 
     def limit_n(self, thrust_n: float, heading_rad: float) -> float:
         """Force below which no wheel may move."""
-        return (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+        needed_n = (1.0 + self.reserve) * self.statics.needed_n(thrust_n, heading_rad)
+        return max(needed_n, self.statics.force_for_n(self.utilisation, thrust_n, heading_rad))
 
     def cells_n(self, sample: LoadCellSample) -> float:
         """Force by the cells, without their zeros; NaN where one cannot be used."""
@@ -83,15 +84,15 @@ class AdhesionWatch:
 
     Args:
         limits: of the bench.
-        on_wall: whether the robot can fall; elsewhere nothing stops it.
+        can_fall: whether it hangs on a wall without a tether; elsewhere nothing stops it.
 
     Attributes:
         heading_rad: of the body, as estimated last.
         figures: for the robot's state: force, need, margin and what each wheel uses of its friction.
     """
 
-    def __init__(self, limits: AdhesionLimits, *, on_wall: bool) -> None:
-        self.limits, self._on_wall = limits, on_wall
+    def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
+        self.limits, self._can_fall = limits, can_fall
         self.reset()
 
     def reset(self) -> None:
@@ -116,12 +117,12 @@ class AdhesionWatch:
         if self._began_ns is None:
             self._began_ns = inputs.t_ns
         self._take(inputs, events)
-        fresh = self._fresh(inputs.t_ns, stop if self._on_wall else _ignored)
+        fresh = self._fresh(inputs.t_ns, stop if self._can_fall else _ignored)
         if not (inputs.adhesion if self.limits.has_fan else inputs.load_cells):
             return
         force_n = min((f for f in (self._cells_n, self._speed_n) if math.isfinite(f)), default=math.nan)
         self._figure(force_n)
-        if not self._on_wall or not math.isfinite(force_n) or not fresh:
+        if not self._can_fall or not math.isfinite(force_n) or not fresh:
             return
         self._judge_force(force_n, stop)
         self._compare(inputs.t_ns, stop)
@@ -198,11 +199,11 @@ class AdhesionWatch:
             told += "until the robot slides"
         if force_n < limit_n:
             stop(
-                "adhesion_low",
+                "adhesion",
                 f"{told}; {limit_n:.1f} N are the least on this surface ({needed_n:.1f} needed)",
             )
         elif falling and force_n + _AHEAD_S * rate_n_s < limit_n:
-            stop("adhesion_falling", f"{told}; look at fan, battery and seal")
+            stop("adhesion", f"{told}; look at fan, battery and seal")
         most = max(self.figures[f"utilisation_{w}"] for w in WHEELS)
         if most > self.limits.utilisation:
             wheel = max(WHEELS, key=lambda w: self.figures[f"utilisation_{w}"])
@@ -214,8 +215,7 @@ class AdhesionWatch:
 
     def _compare(self, t_ns: int, stop: Blame) -> None:
         """Cells against the fan's speed; its power says which of the two is believed."""
-        apart_n = self._cells_n - self._speed_n
-        if not abs(apart_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(self._speed_n)):
+        if not apart(self._cells_n, self._speed_n):
             self._apart_ns = None
             return
         if self._apart_ns is None:
@@ -250,6 +250,11 @@ class AdhesionWatch:
             )
 
 
+def apart(cells_n: float, speed_n: float) -> bool:
+    """Whether two measures of one force contradict each other; False where one is NaN."""
+    return abs(cells_n - speed_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(speed_n))
+
+
 def _slope(trend: deque[tuple[int, float]]) -> float:
     """Rate in N/s by least squares; 0 where there is too little to tell."""
     n = len(trend)
@@ -267,4 +272,4 @@ def _slope(trend: deque[tuple[int, float]]) -> float:
 
 
 def _ignored(reason: str, message: str) -> None:
-    """On the floor nothing falls."""
+    """On the floor, or on a tether, nothing falls."""

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 _GRAVITY_M_S2 = 9.81
+_ROUNDS = 8
 Four = tuple[float, float, float, float]
 
 
@@ -84,6 +85,12 @@ class Statics:
         ux, uy = (push_x + sy * turn) / s0, (push_y - sx * turn) / s0
         return [math.hypot(ux - turn * y, uy + turn * x) / self.friction for x, y in places]
 
+    def friction_used(self, force_n: float, thrust_n: float, heading_rad: float) -> float:
+        """Tangential over normal force of the whole robot: the friction of a surface where it just slides."""
+        _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
+        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
+        return math.hypot(push_x, push_y) / (force_n + press_n)
+
     def needed_n(self, thrust_n: float, heading_rad: float) -> float:
         """Force of the fan below which the robot slides, or tips because a second wheel lifts off."""
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
@@ -94,3 +101,10 @@ class Statics:
             -n / row[0] for n, row in zip(self._loads_n(0.0, thrust_n, heading_rad), spread, strict=True)
         )
         return max(slides_n, lift[-2], 0.0)
+
+    def force_for_n(self, utilisation: float, thrust_n: float, heading_rad: float) -> float:
+        """Force of the fan at which the most loaded wheel uses this share of its friction."""
+        force_n = max(self.needed_n(thrust_n, heading_rad), 1.0)
+        for _ in range(_ROUNDS):
+            force_n *= max(self.utilisation(force_n, thrust_n, heading_rad)) / utilisation
+        return force_n

@@ -187,6 +187,8 @@ class DeviceKind:
         actuates: whether it does something to the robot: a moving kind is opened last and closed first.
         holds: whether what it does keeps the robot on its surface (`hil.vocabulary.interfaces.Holding`): it
             is opened first, closed last, and a stop leaves it alone.
+        guards: whether what it says tells how firmly the robot is held: a run that leaves devices out keeps
+            it, as it keeps those that hold.
         aliases: further names that people give it.
         endpoint: its name in what `hil emulate` prints, where that is not its own.
         labels: names of the channels, where `status` has several.
@@ -214,6 +216,7 @@ class DeviceKind:
     models: tuple[DeviceModel, ...]
     actuates: bool = False
     holds: bool = False
+    guards: bool = False
     aliases: tuple[str, ...] = ()
     endpoint: str = ""
     labels: tuple[str, ...] = ()

@@ -45,7 +45,7 @@ def assert_held(bench):
     ("fault", "reason"),
     [
         ("plant:adhesion_loss@1.5", "adhesion"),
-        ("plant:adhesion_loss@1.5,factor=0.42", "sensors_disagree"),  # slides under rolling wheels
+        ("plant:adhesion_loss@1.5,factor=0.42", "adhesion"),
         ("servos:stuck@2.5", "blocked"),
     ],
 )
@@ -54,6 +54,14 @@ def test_a_fault_under_way_stops_and_holds(fault, reason):
         with pytest.raises(SafetyStop) as stop:
             drive(bench)
         assert stop.value.reason == reason
+        assert_held(bench)
+
+
+def test_a_robot_that_slides_under_rolling_wheels_is_stopped_where_nobody_measures_its_adhesion():
+    with open_wall(("plant:adhesion_loss@1.5,factor=0.42",), adhesion=None, load_cells=None) as bench:
+        with pytest.raises(SafetyStop) as stop:
+            drive(bench)
+        assert stop.value.reason == "sensors_disagree"
         assert_held(bench)
 
 

@@ -15,6 +15,7 @@ from hil.procedure.scripts import load_procedure, shipped_names
 from hil.vocabulary.clock import MonotonicClock
 
 SHORT = {
+    "adhesion_check": {"levels": 3, "dwell_s": 0.5, "slide": False},
     "bring_up": {"watch_s": 2.0, "devices": "servos,mocap"},
     "grid_scan": {"lanes": 2, "lane_length_m": 0.1, "hold_s": 0.5},
     "imu_calibration": {"rest_s": 5.0, "headings": 4, "dwell_s": 0.5, "learn_s": 4.0},

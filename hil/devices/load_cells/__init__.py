@@ -34,6 +34,7 @@ KIND = DeviceKind(
     noun="load cells",
     sample=LoadCellSample,
     models=(HX711_CAN, HX711_LINE),
+    guards=True,
     aliases=("cells",),
     labels=CELLS,
     stale_s=lambda safety, own: safety.adhesion_stale_s,

@@ -16,7 +16,7 @@ _EVERY_NS = nanoseconds(0.2)
 _SETTLING_NS = nanoseconds(1.5)
 _TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
 _MOTOR_OVER_INPUT = 1.25
-_NEAR = 0.05
+_NEAR = 0.15
 
 
 class Trim:
@@ -40,7 +40,8 @@ class Trim:
         self.point = self._first(input_v if math.isfinite(input_v) else _NOMINAL_V)
         running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
         if now is not None and running and self.point.quantity == "duty":
-            self.point = SetPoint("duty", now.duty)
+            duty = now.duty * speed_rpm / now.speed_rpm
+            self.point = SetPoint("duty", min(duty, config.keeper()["highest"]["duty"]))
 
     def _first(self, input_v: float) -> SetPoint:
         """A first guess from the ratings."""
