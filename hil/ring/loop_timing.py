@@ -20,12 +20,16 @@ class Distribution:
     def __init__(self) -> None:
         self._counts = np.zeros(_BINS, dtype=np.int64)
         self._total_ns = self.worst_ns = self.count = 0
+        self._last_ns = self._last_bin = 0
 
     def add(self, value_ns: int) -> None:
-        """Count one duration; below 1 ns counts as 1 ns."""
-        self._counts[min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)] += 1
+        """Count one duration; below 1 ns counts as 1 ns. In virtual time most are those of the cycle before."""
+        if value_ns != self._last_ns:
+            self._last_ns = value_ns
+            self._last_bin = min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)
+            self.worst_ns = max(self.worst_ns, value_ns)
+        self._counts[self._last_bin] += 1
         self._total_ns += value_ns
-        self.worst_ns = max(self.worst_ns, value_ns)
         self.count += 1
 
     @property

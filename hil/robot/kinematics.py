@@ -16,6 +16,7 @@ SI units; wheel order FL, BL, BR, FR; leading axes of wheel arrays are batch axe
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import numpy as np
@@ -100,8 +101,14 @@ class WheelGeometry:
         return np.concatenate([self.x_m, self.y_m, self.radius_m, self.steering_zero_rad])
 
     def projection(self) -> Array:
-        """P, shape (8, 3): rows (v_x, v_y) of wheels 1..4 in turn."""
-        return projection(self.x_m, self.y_m)
+        """P, shape (8, 3), read only: rows (v_x, v_y) of wheels 1..4 in turn."""
+        return self._projection
+
+    @cached_property
+    def _projection(self) -> Array:
+        found = projection(self.x_m, self.y_m)
+        found.setflags(write=False)
+        return found
 
 
 def projection(x_m: ArrayLike, y_m: ArrayLike) -> Array:
