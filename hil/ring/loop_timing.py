@@ -23,7 +23,7 @@ class Distribution:
         self._last_ns = self._last_bin = 0
 
     def add(self, value_ns: int) -> None:
-        """Count one duration; below 1 ns counts as 1 ns. In virtual time most are those of the cycle before."""
+        """Count one duration; below 1 ns counts as 1 ns. In virtual time most are as the one before."""
         if value_ns != self._last_ns:
             self._last_ns = value_ns
             self._last_bin = min(int(math.log(max(1, value_ns)) / _BIN), _BINS - 1)
