@@ -7,7 +7,6 @@ its own counts, direction and turns.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
 
 from hil.config.servo_models import Register, ServoModel
 from hil.config.servo_models.codes import (
@@ -22,6 +21,7 @@ from hil.config.servo_models.codes import (
 from hil.fakes.plant_api import Plant
 from hil.fakes.servos import protocol
 from hil.fakes.servos.axis import Axis
+from hil.fakes.servos.goal_place import GoalPlace, goal_place
 from hil.fakes.servos.memory import GOALS, ControlTable, WriteRefused
 from hil.fakes.servos.options import ServoBusOptions
 
@@ -29,16 +29,6 @@ _TORQUE_ON_BY_GOAL = 8
 _POSITION_GAINS = ("position_p_gain", "position_i_gain", "position_d_gain")
 _VELOCITY_GAINS = ("velocity_p_gain", "velocity_i_gain")
 _BACKUP_FIRMWARE = 45
-
-
-class _Goal(NamedTuple):
-    """A range of addresses that is nothing but one goal, as things stand, and what was written there last."""
-
-    address: int
-    data: bytes
-    register: Register
-    low: int
-    high: int
 
 
 class Servo:
@@ -69,7 +59,7 @@ class Servo:
     ) -> None:
         self.joint, self._options, self._model, self._changed = joint, options, model, changed
         self.table = ControlTable(model)
-        self._goal: _Goal | None = None
+        self._goal: GoalPlace | None = None
         drive = joint < 4
         for name, raw in {
             "model_number": options.model_of(joint),
@@ -189,11 +179,11 @@ class Servo:
             self._goal = None
             for register, raw in values:
                 self._store(register, raw)
-            if len(values) == 1 and values[0][0].name in GOALS and self.axis.torque:
-                self._goal = self._place(address, data, values[0][0])
+            if self.axis.torque:
+                self._goal = goal_place(self.table, self.axis.mode, plan, address, data)
         return protocol.OK
 
-    def _rewrite(self, goal: _Goal, data: bytes) -> bool:
+    def _rewrite(self, goal: GoalPlace, data: bytes) -> bool:
         """Write a goal where one was written last; False where it is to be looked at closely."""
         if data == goal.data and not self.axis.trajectory.ongoing:
             return True
@@ -204,17 +194,6 @@ class Servo:
         self.table.put(goal.register.name, raw)
         self.axis.pursue(goal.register.name, raw)
         return True
-
-    def _place(self, address: int, data: bytes, register: Register) -> _Goal | None:
-        """What is to be known about the range of a goal that has just been written."""
-        bounds = self.table.bounds(register)
-        if bounds is None:
-            return None
-        low, high = bounds
-        if register.name == "goal_position" and self.axis.mode == POSITION:
-            get = self.table.get
-            low, high = max(low, get("min_position_limit")), min(high, get("max_position_limit"))
-        return _Goal(address, data, register, low, high)
 
     def register_write(self, address: int, data: bytes) -> int:
         """Keep a write for the action that will follow; the error number."""

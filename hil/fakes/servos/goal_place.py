@@ -1,0 +1,46 @@
+"""Where goals are written cycle after cycle: looked at closely once, then known until a change."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from hil.config.servo_models import Register
+from hil.config.servo_models.codes import POSITION
+from hil.fakes.servos.memory import GOALS, ControlTable, Plan
+
+
+class GoalPlace(NamedTuple):
+    """A range of addresses that is nothing but one goal, as things stand.
+
+    Attributes:
+        address: where it begins.
+        data: what was written there last.
+        register: the goal.
+        low, high: raw counts between which it is taken.
+    """
+
+    address: int
+    data: bytes
+    register: Register
+    low: int
+    high: int
+
+
+def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: bytes) -> GoalPlace | None:
+    """What is to be known about a range that has just been written; None where it is not one goal.
+
+    Args:
+        table: of the servo; torque is on.
+        mode: operating mode in force.
+        plan: registers of the range.
+        address: where the range begins.
+        data: what has been written.
+    """
+    (register, _), *more = plan
+    bounds = None if more or register.name not in GOALS else table.bounds(register)
+    if bounds is None:
+        return None
+    low, high = bounds
+    if register.name == "goal_position" and mode == POSITION:
+        low, high = max(low, table.get("min_position_limit")), min(high, table.get("max_position_limit"))
+    return GoalPlace(address, data, register, low, high)
