@@ -26,7 +26,7 @@ def in_the_old_form(config):
     """A configuration of today as version 0.1 would have written it."""
     tree = dict(config)
     environment = tree.pop("environment")
-    environment.pop("friction")
+    environment.pop("friction", None)
     tree["surface"] = "floor" if environment["tilt_rad"] == 0.0 else "wall"
     return {**tree, "emulation": {**tree["emulation"], **environment}}
 
