@@ -15,7 +15,7 @@ from pathlib import Path
 
 import can
 import tomli_w
-from kills import keeper_pid, new_keeper, wait_until
+from kills import both, keeper_pid, wait_until
 
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
@@ -144,10 +144,10 @@ def benches_killed(robot, path, count, seed):
 def keepers_killed(robot, path, count, seed):
     """Keepers killed while one bench drives on."""
     spec = keeper_spec(load_bench(str(path)))
-    rng, found, last = random.Random(seed), [], None
+    rng, found = random.Random(seed), []
     with Commands(path) as commands, bench_driving(path):
         for _ in range(count):
-            last = wait_until(lambda last=last: new_keeper(spec, last), "a new keeper")
-            gap_s, truth = killed(robot, commands, last, rng)
-            found.append(WallKill(gap_s, not truth["fallen"] and keeper_pid(spec) != last))
+            _, keeper = wait_until(lambda: both(spec), "an understudy")
+            gap_s, truth = killed(robot, commands, keeper, rng)
+            found.append(WallKill(gap_s, not truth["fallen"] and keeper_pid(spec) not in (None, keeper)))
     return found
