@@ -94,7 +94,9 @@ def show_status(bench: str, as_json: bool) -> int:
     else:
         since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
         click.echo(f"{spec.name}: {adhesion.described(status)}")
-        click.echo(f"kept by process {status['pid']} since {since}; log: {status['log'] or 'of its service'}")
+        behind = f"process {status['understudy']}" if status["understudy"] else "none"
+        click.echo(f"kept by process {status['pid']} since {since}, understudy: {behind}")
+        click.echo(f"log: {status['log'] or 'that of its service'}")
     return EXIT_DEVICE if status is None else EXIT_PASS
 
 

@@ -50,39 +50,37 @@ class AdhesionConfig(DeviceConfig):
         return self.rated_rpm * math.sqrt(force_n / self.rated_force_n)
 
 
-class VescConfig(AdhesionConfig):
-    """A VESC motor controller on CAN.
+class MotorConfig(AdhesionConfig):
+    """A fan whose motor controller is on CAN.
 
     Attributes:
         interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
         options: further keyword arguments of the python-can interface (`host`, `port`, ...).
-        controller_id: as set in VESC Tool (App Settings, General).
-        own_id: under which this program asks; no controller may have it.
         command: what the controller is told: `duty`, `current` or `rpm`.
-        pole_pairs: of the motor; electrical over mechanical speed.
         rpm_per_v: of the motor: speed per volt, unloaded.
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
-            Tool; the doctor reads what it truly is.
+            Tool; the doctor reads what it truly is, where the controller tells.
         ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
         open_timeout_s: longest wait for its first report.
         fail_after_s: uninterrupted silence that raises.
     """
 
-    model: Literal["vesc"] = "vesc"
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
     bitrate: int = Field(500_000, gt=0, le=1_000_000)
     options: dict[str, bool | int | float | str] = Field(default_factory=dict)
-    controller_id: int = Field(1, ge=0, le=254)
-    own_id: int = Field(254, ge=0, le=254)
     command: Literal["duty", "current", "rpm"] = "duty"
-    pole_pairs: int = Field(3, ge=1, le=50)
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
     timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
     ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
     ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
     open_timeout_s: float = Field(1.0, gt=0, le=30)
     fail_after_s: Patience = 1.0
+
+    @property
+    def counts_per_turn(self) -> int:
+        """What the controller counts as speed for each turn of the fan in a minute."""
+        return 1
 
     def keeper(self) -> dict[str, Any]:
         """What the process that keeps the fan running is told (`hil.drivers.adhesion.keeper.spec.Spec`)."""
@@ -92,13 +90,36 @@ class VescConfig(AdhesionConfig):
             "channel": self.channel,
             "bitrate": self.bitrate,
             "options": dict(self.options),
-            "controller_id": self.controller_id,
             "timeout_s": self.timeout_s,
             "ramp_up_s": self.ramp_up_s,
             "ramp_down_s": self.ramp_down_s,
             "highest": {
                 "duty": _HIGHEST_DUTY,
                 "current_a": 4.0 * self.rated_input_a,
-                "erpm": self.pole_pairs * fastest_rpm,
+                "erpm": self.counts_per_turn * fastest_rpm,
             },
         }
+
+
+class VescConfig(MotorConfig):
+    """A VESC motor controller with its own protocol.
+
+    Attributes:
+        controller_id: as set in VESC Tool (App Settings, General).
+        own_id: under which this program asks; no controller may have it.
+        pole_pairs: of the motor; electrical over mechanical speed.
+    """
+
+    model: Literal["vesc"] = "vesc"
+    controller_id: int = Field(1, ge=0, le=254)
+    own_id: int = Field(254, ge=0, le=254)
+    pole_pairs: int = Field(3, ge=1, le=50)
+
+    @property
+    def counts_per_turn(self) -> int:
+        """Electrical turns."""
+        return self.pole_pairs
+
+    def keeper(self) -> dict[str, Any]:
+        """As of any motor controller."""
+        return {**super().keeper(), "controller_id": self.controller_id}

@@ -81,25 +81,37 @@ def bench_killed(fan, spec, count, seed):
     return kills
 
 
-def keeper_killed(fan, spec, count, seed):
-    """Keepers killed under one bench, each after it has taken over from the bench again."""
-    rng, kills, last = random.Random(seed), [], None
+def keepers_killed(fan, spec, count, seed):
+    """Keeper and understudy killed at once under one bench, after it has had a new pair started."""
+    rng, kills, last = random.Random(seed), [], []
     with bench(spec):
         reached(fan)
         for _ in range(count):
-            last = wait_until(lambda last=last: new_keeper(spec, last), "a new keeper")
-            kills.append(killed(fan, [last], rng))
+            last = wait_until(lambda last=last: new_pair(spec, last), "a new keeper with an understudy")
+            kills.append(killed(fan, last, rng))
     return kills
 
 
-def both_killed(fan, spec, count, seed):
-    """Both killed at once: seconds from there to the moment when the controller lets go, for each trial."""
+def new_pair(spec, last):
+    """Process ids of understudy and keeper when neither is one of the last."""
+    pids = both(spec)
+    return [] if set(pids) & set(last) else pids
+
+
+def both(spec):
+    """Process ids of understudy and keeper; empty before there are both."""
+    pids = keeping_pids(spec)
+    return pids if len(pids) == 2 else []
+
+
+def all_killed(fan, spec, count, seed):
+    """Bench, keeper and understudy killed at once: seconds until the controller lets go, for each trial."""
     rng, released_s = random.Random(seed), []
     for _ in range(count):
         with bench(spec) as process:
             reached(fan)
             time.sleep(rng.uniform(0.1, 0.6))
-            pids = [keeper_pid(spec), process.pid]
+            pids = [process.pid, *wait_until(lambda: both(spec), "an understudy")]
             since_s = time.time()
             for pid in pids:
                 os.kill(pid, signal.SIGKILL)
@@ -110,24 +122,38 @@ def both_killed(fan, spec, count, seed):
 
 
 def end_keeper(spec):
-    """End the keeper of a trial's fan the only way there is."""
-    pid = keeper_pid(spec)
-    assert pid != os.getpid()
-    if pid is not None:
-        with suppress(ProcessLookupError):
-            os.kill(pid, signal.SIGKILL)
+    """End whoever keeps a trial's fan, or would: the only way there is."""
+    for _ in range(100):
+        for pid in keeping_pids(spec):
+            assert pid != os.getpid()
+            with suppress(ProcessLookupError):
+                os.kill(pid, signal.SIGKILL)
+        time.sleep(0.05)
+        if keeper_pid(spec) is None:
+            return
+    raise AssertionError("the fan has a keeper again and again")
+
+
+def keeping_pids(spec):
+    """Process ids of a fan's keeper and of its understudy, as far as there are any."""
+    connection = client.connect(spec)
+    if connection is None:
+        return []
+    with connection:
+        status = client.ask(connection, {"do": "status"}, spec)
+    return [pid for pid in (status["understudy"], status["pid"]) if pid is not None]
+
+
+def keeper_alone_killed(fan, spec, count, seed):
+    """Keepers killed while no bench is there: each understudy goes on, and gets one of its own."""
+    rng, kills = random.Random(seed), []
+    with bench(spec):
+        reached(fan)
+    for _ in range(count):
+        _, keeper = wait_until(lambda: both(spec), "an understudy")
+        kills.append(killed(fan, [keeper], rng))
+    return kills
 
 
 def reached(fan):
     wait_until(lambda: abs(fan.duty - HELD_DUTY) < 1e-6, f"duty {HELD_DUTY}")
-
-
-def new_keeper(spec, last):
-    """Process id of a keeper that keeps the fan and is not the last one."""
-    connection = client.connect(spec)
-    if connection is None:
-        return None
-    with connection:
-        pid = client.peer(connection)[0]
-        kept = client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
-    return pid if kept and pid != last else None

@@ -5,7 +5,17 @@ import signal
 import time
 
 import pytest
-from kills import HELD_DUTY, bench, bench_killed, both_killed, keeper_killed, keeper_pid, wait_until
+from kills import (
+    HELD_DUTY,
+    all_killed,
+    bench,
+    bench_killed,
+    both,
+    keeper_alone_killed,
+    keeper_pid,
+    keepers_killed,
+    wait_until,
+)
 
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
@@ -25,17 +35,26 @@ def test_a_killed_bench_leaves_the_fan_as_it_was(wire, count):
 
 
 @pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
-def test_a_killed_keeper_is_stood_in_for_and_replaced(wire, count):
+def test_a_bench_stands_in_for_keeper_and_understudy_and_replaces_them(wire, count):
     fan, spec = wire
-    kills = keeper_killed(fan, spec, count, seed=2)
+    kills = keepers_killed(fan, spec, count, seed=2)
     assert len(kills) == count
     assert max(kill.gap_s for kill in kills) <= MOST_S
     assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
 
 
-def test_both_killed_and_the_controller_lets_go_after_its_time_out(wire):
+@pytest.mark.parametrize("count", [FEW, pytest.param(MANY, marks=pytest.mark.long)])
+def test_a_keeper_killed_while_no_bench_is_there_has_an_understudy(wire, count):
     fan, spec = wire
-    (released_s,) = both_killed(fan, spec, 1, seed=3)
+    kills = keeper_alone_killed(fan, spec, count, seed=4)
+    assert len(kills) == count
+    assert max(kill.gap_s for kill in kills) <= MOST_S
+    assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
+
+
+def test_all_killed_and_the_controller_lets_go_after_its_time_out(wire):
+    fan, spec = wire
+    (released_s,) = all_killed(fan, spec, 1, seed=3)
     assert spec.timeout_s - spec.period_s - 0.05 <= released_s <= spec.timeout_s + 0.5
 
 
@@ -48,7 +67,8 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     kept.set(SetPoint("duty", HELD_DUTY))
     wait_until(lambda: fan.duty == HELD_DUTY, "the set-point")
     since_s = time.time()
-    os.kill(keeper_pid(spec), signal.SIGKILL)
+    for pid in wait_until(lambda: both(spec), "an understudy"):
+        os.kill(pid, signal.SIGKILL)
     wait_until(kept.trouble, "the loss to be told")
     assert "the bench commands the fan itself" in kept.trouble()
     kept.close()

@@ -10,6 +10,7 @@ import sys
 import time
 
 import pytest
+from kills import end_keeper
 
 from hil.drivers.adhesion.keeper import client, door
 from hil.drivers.adhesion.keeper.core import SetPoint
@@ -199,8 +200,8 @@ def test_it_ends_with_an_emulated_fan(wire):
 
 
 def test_nothing_is_left_where_it_listened(keeper):
-    _, spec, connection = keeper
-    os.kill(client.peer(connection)[0], signal.SIGKILL)
-    assert eventually(lambda: is_unkept(spec))
+    _, spec, _ = keeper
+    end_keeper(spec)
+    assert is_unkept(spec)
     with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as free:
         free.bind(door.address(spec))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hil.config.adhesion import VescConfig
+from hil.config.adhesion import MotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import AdhesionSample, Status
@@ -33,7 +33,7 @@ class Trim:
     """
 
     def __init__(
-        self, config: VescConfig, speed_rpm: float, input_v: float, now: AdhesionSample | None
+        self, config: MotorConfig, speed_rpm: float, input_v: float, now: AdhesionSample | None
     ) -> None:
         self._config, self._wanted_rpm = config, speed_rpm
         self._next_ns: int | None = None
@@ -47,7 +47,7 @@ class Trim:
         """A first guess from the ratings."""
         config, highest = self._config, self._config.keeper()["highest"]
         if config.command == "rpm":
-            return SetPoint("erpm", config.pole_pairs * self._wanted_rpm)
+            return SetPoint("erpm", config.counts_per_turn * self._wanted_rpm)
         if config.command == "current":
             share = (self._wanted_rpm / config.rated_rpm) ** 2
             return SetPoint("current_a", share * _MOTOR_OVER_INPUT * config.rated_input_a)

@@ -10,7 +10,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from hil.config.adhesion import VescConfig
+from hil.config.adhesion import MotorConfig
 from hil.fakes.adhesion.options import AdhesionTruthOptions
 from hil.vocabulary.clock import NS_PER_S
 
@@ -44,7 +44,7 @@ class Fan:
         weakness: share of its power that the motor has lost.
     """
 
-    def __init__(self, config: VescConfig, options: AdhesionTruthOptions, gain: float) -> None:
+    def __init__(self, config: MotorConfig, options: AdhesionTruthOptions, gain: float) -> None:
         self._config, self._options, self._gain = config, options, gain
         self._t_ns = 0
         self._used_ah = 0.0

@@ -38,6 +38,7 @@ _LOOK_NS = nanoseconds(0.025)
 _PATIENCE = 0.25
 """Share of the controller's time-out after which a keeper that is silent counts as dead."""
 _AGAIN_NS = nanoseconds(2.0)
+_UNDERSTUDY_NS = nanoseconds(0.2)
 _LIKE = 0.02
 """Share of the highest set-point by which a new keeper may differ from the bench that steps back."""
 _HAND_OVER_S = 10.0
@@ -211,8 +212,7 @@ class KeptByProcess(Kept):
             except OSError:
                 packet = b""
             if not packet:
-                link.socket.close()
-                self._link = None
+                self._lose(link, t_ns)
                 return
             asked, link.asked, link.answered_ns = link.asked, None, t_ns
             try:
@@ -237,8 +237,13 @@ class KeptByProcess(Kept):
         try:
             link.socket.send(json.dumps(link.asked).encode())
         except OSError:
-            link.socket.close()
-            self._link = None
+            self._lose(link, self._clock.now_ns())
+
+    def _lose(self, link: _Link, t_ns: int) -> None:
+        """The keeper has hung up; its understudy has a moment before another is started."""
+        link.socket.close()
+        self._link = None
+        self._next_try_ns = max(self._next_try_ns, t_ns + _UNDERSTUDY_NS)
 
     def _stand_in(self, t_ns: int, why: str) -> None:
         """Send what the keeper has sent, from this very look on."""
@@ -279,20 +284,20 @@ class KeptByProcess(Kept):
         self._say("the fan's keeper has taken over again")
 
     def _look_for_another(self, t_ns: int) -> None:
-        """Find a keeper that somebody else has started, or start one."""
-        if self._starting is not None:
-            said = self._starting.said(0.0)
-            if said is None:
-                return
-            self._starting = None
-            if "pid" not in said:
-                self._say(f"{DEVICE}: a new keeper did not start: {said.get('error')}")
-        elif t_ns < self._next_try_ns:
-            return
+        """Find the understudy, or a keeper that somebody else has started; or start one."""
         found = connect(self._spec)
         if found is not None:
             found.setblocking(False)
             self._link, self._status = _Link(found, t_ns, t_ns), {"state": "idle"}
+            if self._starting is not None:
+                self._starting.leave()
+                self._starting = None
+        elif self._starting is not None:
+            said = self._starting.said(0.0)
+            if said is not None:
+                self._starting = None
+                if "pid" not in said:
+                    self._say(f"{DEVICE}: a new keeper did not start: {said.get('error')}")
         elif t_ns >= self._next_try_ns:
             self._starting = Starting(self._spec, emulator=self._emulator)
             self._next_try_ns = t_ns + _AGAIN_NS

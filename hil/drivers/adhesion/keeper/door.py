@@ -50,8 +50,12 @@ def trusted(uid: int) -> bool:
     return uid in (0, os.getuid())
 
 
+class TakenError(DeviceError):
+    """The fan has a keeper already."""
+
+
 class Door:
-    """The keeper's end; raises `DeviceError` when the fan has a keeper already."""
+    """The keeper's end; raises `TakenError` when the fan has a keeper already."""
 
     def __init__(self, spec: Spec) -> None:
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -59,7 +63,7 @@ class Door:
             self._listener.bind(address(spec))
         except OSError as error:
             self._listener.close()
-            raise DeviceError(
+            raise TakenError(
                 DEVICE, f"the fan has a keeper already ({error.strerror})", port=spec.name
             ) from None
         self._listener.listen(_MOST_CLIENTS)

@@ -1,21 +1,18 @@
 """The keeper's process: started apart from everything, deaf to signals, ended only by an `off` that is done.
 
-    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--emulator PID] [--log FILE]
+    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--emulator PID] [--log FILE]
 
-The first line on stdout says whether it works: its process id, or the error. Then it is silent.
+The first line on stdout says whether it works: its process id, or the error. Then it is silent. A keeper of
+a running fan starts a second one as its understudy.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
-import ctypes
-import gc
 import json
 import os
-import resource
 import select
-import signal
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -23,21 +20,19 @@ from pathlib import Path
 from typing import Any
 
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
+from hil.drivers.adhesion.keeper.client import KEEPER, Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.door import Door
+from hil.drivers.adhesion.keeper.door import Door, TakenError
 from hil.drivers.adhesion.keeper.log import Log
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.vocabulary.clock import NS_PER_S, nanoseconds, sleep_punctually
+from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
+from hil.drivers.adhesion.keeper.understudy import Understudies, stand_beside
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
 _IDLE_NS = nanoseconds(30.0)
 _REPEAT_NS = nanoseconds(60.0)
-_NICE, _FIFO_PRIORITY = -15, 20
-_OOM_SCORES = (-1000, -500)
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
-_MEANT_TO_END = ("SIGHUP", "SIGINT", "SIGTERM", "SIGQUIT")
-_OTHERS = ("SIGPIPE", "SIGALRM", "SIGUSR1", "SIGUSR2", "SIGTSTP", "SIGTTIN", "SIGTTOU", "SIGXCPU", "SIGXFSZ",
-           "SIGVTALRM", "SIGPROF", "SIGPWR", "SIGIO")  # fmt: skip
+_NAME_FREE_S = 0.002
 
 
 class Process:
@@ -63,6 +58,20 @@ class Process:
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
         self._asked, self._asked_ns = ("", ""), 0
+        command = [*KEEPER, spec.to_json(), "--understudy"]
+        command += [] if log.path is None else ["--log", str(log.path)]
+        command += [] if emulator is None else ["--emulator", str(emulator)]
+        self._understudies = Understudies(command)
+
+    def go_on_from(self, latest: Status) -> None:
+        """Send what a keeper has sent whose last status is known."""
+        if latest.get("sent") is None or latest.get("target") is None:
+            return
+        now_ns = time.monotonic_ns()
+        self._keeper.resume(now_ns, SetPoint(*latest["sent"]), SetPoint(*latest["target"]))
+        if latest["state"] == "ending":
+            self._keeper.end(now_ns)
+        self._log.say(f"the keeper, process {latest['pid']}, is gone; its understudy goes on")
 
     def run(self) -> None:
         """Keep the fan. Returns when it is nobody's, and nobody has asked for anything for a while."""
@@ -75,6 +84,8 @@ class Process:
             next_ns = max(next_ns, now_ns - period_ns // 2) + period_ns
             with self._whatever_happens():
                 self._beat.beat(now_ns)
+                if self._keeper.sent is not None:
+                    self._understudies.see_to_one(now_ns)
             if self._unneeded(now_ns):
                 return
 
@@ -127,7 +138,10 @@ class Process:
                 )
             self._log.say(f"off, asked for by {who}, confirmed: {why[:200]}")
             self._keeper.end(now_ns)
-        elif do != "status":
+        elif do == "status":
+            if asked.get("as") == "understudy":
+                self._understudies.heard(asked.get("pid"))
+        else:
             raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off")
         return self._status(now_ns)
 
@@ -142,57 +156,14 @@ class Process:
         return {
             **self._beat.status(now_ns),
             "pid": os.getpid(),
+            "understudy": self._understudies.pid if self._understudies.present(now_ns) else None,
             "since": self._began,
             "log": str(self._log.path or ""),
         }
 
-    def heed(self, number: int, _frame: object) -> None:
-        """Note a signal that is meant to end a program, and go on."""
-        self._log.say(f"{signal.Signals(number).name} is not heeded: `hil adhesion off` stops the fan")
-
 
 def _has_ended(pidfd: int) -> bool:
     return bool(select.select([pidfd], [], [], 0)[0])
-
-
-def detach() -> None:
-    """Leave the process group, session and parent: what ends those ends nothing here."""
-    if os.fork():
-        os._exit(0)
-    os.setsid()
-    if os.fork():
-        os._exit(0)
-    os.chdir("/")
-
-
-def harden() -> str:
-    """Go first, stay in memory, be the last to be killed for want of it; what was not permitted, in words."""
-    refused = []
-    sleep_punctually()
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_FIFO_PRIORITY))
-    except OSError:
-        refused.append("real-time priority")
-        with contextlib.suppress(OSError):
-            os.nice(_NICE)
-    for score in _OOM_SCORES:
-        with contextlib.suppress(OSError):
-            Path("/proc/self/oom_score_adj").write_text(str(score))
-            break
-    else:
-        refused.append("protection when memory runs out")
-    if not _locked_in_memory():
-        refused.append("locked memory")
-    gc.collect()
-    gc.freeze()
-    return ", ".join(refused)
-
-
-def _locked_in_memory() -> bool:
-    """Lock what there is; later allocations only where no limit could make one fail."""
-    unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
-    flags = _MCL_CURRENT | (_MCL_FUTURE if unlimited else 0)
-    return bool(ctypes.CDLL(None, use_errno=True).mlockall(flags) == 0)
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -200,6 +171,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="keeper", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("spec", help="the fan, as Spec.to_json writes it")
     parser.add_argument("--stay", action="store_true", help="in the foreground, also without a fan to keep")
+    parser.add_argument("--understudy", action="store_true", help="wait beside the keeper there is")
     parser.add_argument("--emulator", type=int, help="end together with this process")
     parser.add_argument("--log", type=Path, help="log file; stderr when not given")
     given = parser.parse_args(argv)
@@ -208,15 +180,14 @@ def main(argv: list[str] | None = None) -> int:
     try:
         spec = Spec.from_json(given.spec)
         log = Log(given.log)
-        process = Process(spec, log, stay=given.stay, emulator=given.emulator)
+        be_deaf(log.say)
+        refused = harden()
+        process = _opened(spec, log, given)
     except (HilError, OSError) as error:
         _tell({"error": str(error)})
         return error.exit_code if isinstance(error, HilError) else EXIT_DEVICE
-    for name in _MEANT_TO_END:
-        signal.signal(getattr(signal, name), process.heed)
-    for name in _OTHERS:
-        signal.signal(getattr(signal, name), signal.SIG_IGN)
-    refused = harden()
+    if process is None:
+        return 0
     log.say(f"keeper of {spec.name}, process {os.getpid()}" + f"; not permitted: {refused}" * bool(refused))
     _tell({"pid": os.getpid()})
     if given.log is not None:
@@ -225,6 +196,27 @@ def main(argv: list[str] | None = None) -> int:
     process.close()
     log.close()
     return 0
+
+
+def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
+    """A keeper that has its fan, in an understudy once the other is gone; None where nobody needs it."""
+    latest: Status = {}
+    while True:
+        try:
+            process = Process(spec, log, stay=given.stay, emulator=given.emulator)
+        except TakenError:
+            if not (given.stay or given.understudy):
+                raise
+        else:
+            process.go_on_from(latest)
+            return process
+        found = stand_beside(spec)
+        if not found:  # it is just going, and its name with it
+            time.sleep(_NAME_FREE_S)
+            continue
+        latest = found
+        if latest["state"] == "idle" and not given.stay:
+            return None
 
 
 def _tell(said: Mapping[str, object]) -> None:

@@ -1,0 +1,81 @@
+"""The keeper's understudy: a second process that knows what the first sends, and goes on when that is gone.
+
+It asks for the keeper's status all the time, over the same socket as everybody. The kernel hangs up for a
+process that dies, so it knows within microseconds, whatever else this computer does.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import time
+from collections.abc import Sequence
+
+from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper.door import MOST_BYTES
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import nanoseconds
+
+_ASK_S = 0.025
+_AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)
+
+
+def stand_beside(spec: Spec) -> client.Status:
+    """Wait until the keeper of a fan is gone; its last status: none where there is none that answers."""
+    connection = client.connect(spec)
+    if connection is None:
+        return {}
+    request = json.dumps({"do": "status", "as": "understudy", "pid": os.getpid()}).encode()
+    latest: client.Status = {}
+    with connection:
+        connection.settimeout(None)  # a keeper that hangs has not let go of the fan's name
+        while True:
+            try:
+                connection.send(request)
+                packet = connection.recv(MOST_BYTES)
+                if packet and not select.select([connection], [], [], _ASK_S)[0]:
+                    latest = json.loads(packet)
+                    continue
+                return json.loads(packet) if packet else latest
+            except OSError:
+                return latest
+
+
+class Understudies:
+    """Sees to it that a keeper has an understudy.
+
+    Args:
+        command: starts one.
+
+    Attributes:
+        pid: of the latest that has asked.
+    """
+
+    def __init__(self, command: Sequence[str]) -> None:
+        self._command = tuple(command)
+        self._starting: subprocess.Popen[bytes] | None = None
+        self._asked_ns: int | None = None
+        self._due_ns = 0
+        self.pid: int | None = None
+
+    def heard(self, pid: object) -> None:
+        """One has asked for the status."""
+        self._asked_ns, self.pid = time.monotonic_ns(), pid if isinstance(pid, int) else None
+
+    def present(self, now_ns: int) -> bool:
+        """Whether there is one now."""
+        return self._asked_ns is not None and now_ns - self._asked_ns < _ABSENT_NS
+
+    def see_to_one(self, now_ns: int) -> None:
+        """Start one where there is none; never waits for it."""
+        if now_ns < self._due_ns or self.present(now_ns):
+            return
+        self._due_ns = now_ns + _AGAIN_NS
+        if self._starting is not None:
+            self._starting.poll()
+        nowhere = subprocess.DEVNULL
+        self._starting = subprocess.Popen(
+            self._command, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
+        )

@@ -1,0 +1,212 @@
+"""A fan behind a motor controller on CAN: a force as what the controller is told, and its reports as samples.
+
+Commands are not sent from here. A keeper sends them, which goes on when this program ends; it is told of
+another set-point only. Reports are read from the bus, whoever commands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from typing import Generic, NamedTuple, TypeVar
+
+import can
+
+from hil.config.adhesion import MotorConfig
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.trim import Trim
+from hil.drivers.can_link import CanLink
+from hil.drivers.stuck import StuckTest
+from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, HilError, UsageError
+from hil.vocabulary.interfaces import Holding
+from hil.vocabulary.signals import AdhesionSample, Stamp, Status
+
+_FASTEST = 3.0
+"""Times the rated speed: no fan turns so fast."""
+_STUCK_S = 0.5
+_RUNNING_RPM = 1000.0
+
+C = TypeVar("C", bound=MotorConfig)
+
+
+class Figures(NamedTuple):
+    """What a report says of the fan, NaN where it does not: as in `AdhesionSample`."""
+
+    speed_rpm: float
+    duty: float
+    motor_a: float
+    input_a: float
+    input_v: float
+    fet_c: float
+    motor_c: float
+
+
+class MotorFan(Holding[AdhesionSample], Generic[C]):
+    """One fan.
+
+    Args:
+        config: bus, id, ratings.
+        clock: the bench clock.
+        keep: makes who keeps the fan running, of (spec, clock).
+        name: device name in errors.
+    """
+
+    def __init__(
+        self,
+        config: C,
+        clock: Clock,
+        keep: Callable[[Spec, Clock], Kept],
+        name: str = "adhesion",
+    ) -> None:
+        self.name, self._config, self._clock = name, config, clock
+        self._link = CanLink(name, config, clock)
+        self._keep = keep
+        self._kept: Kept | None = None
+        self._identity: dict[str, str] = {}
+        self._fail_ns = nanoseconds(config.fail_after_s)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._sequence = 0
+        self._good_ns = self._clock.now_ns()
+        self._latest_ns = -1
+        self._stuck = StuckTest(_STUCK_S)
+        self._trim: Trim | None = None
+        self._latest: AdhesionSample | None = None
+
+    def open(self) -> None:
+        """Find the controller, read how it is set, and see to it that somebody keeps the fan.
+
+        Nothing is commanded; a fan that runs goes on as it runs.
+
+        Raises:
+            ConfigError: a time-out that cannot be meant.
+            DeviceError: it is not there, not alone, tells nothing, or would let go of the robot.
+        """
+        self.close()
+        spec = Spec(**self._config.keeper())
+        self._link.open()
+        try:
+            identity = self._greet(spec)
+            self._kept = self._keep(spec, self._clock)
+            self._kept.open()
+        except BaseException:
+            self.close()
+            raise
+        self._forget()
+        self._identity = identity
+
+    def close(self) -> None:
+        """Let go of the bus; the fan goes on. Idempotent; never raises."""
+        self._identity = {}
+        kept, self._kept = self._kept, None
+        if kept is not None:
+            kept.close()
+        self._link.close()
+
+    def identity(self) -> Mapping[str, str]:
+        """Model, bus, controller and firmware; empty while closed."""
+        return self._identity
+
+    def read(self) -> tuple[AdhesionSample, ...]:
+        """One sample for each report of speed.
+
+        Raises:
+            DeviceTimeoutError: the controller has been silent for `fail_after_s`.
+        """
+        kept = self._must_be_open()
+        now_ns = self._clock.now_ns()
+        trouble = kept.trouble()
+        samples = tuple(s for t_ns, m in self._link.take() for s in self._taken(t_ns, m, now_ns, trouble))
+        if samples:
+            self._good_ns = now_ns
+            self._latest = samples[-1]
+            self._link.error = ""
+            if self._trim is not None and (point := self._trim.better(samples[-1])) is not None:
+                kept.set(point)
+        elif now_ns - self._good_ns > self._fail_ns:
+            raise self._silent(now_ns)
+        return samples
+
+    def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
+        """A report as a sample; `raw` is what never stays the same while a fan runs."""
+        status = Status.OK
+        too_fast = abs(figures.speed_rpm) > _FASTEST * self._config.rated_rpm
+        if too_fast or abs(figures.duty) > 1.05:
+            status = Status.IMPLAUSIBLE
+        elif self._stuck.stuck(raw, t_ns) and abs(figures.speed_rpm) > _RUNNING_RPM:
+            status = Status.FROZEN
+        self._sequence += 1
+        if status is not Status.OK:
+            figures = figures._replace(speed_rpm=math.nan, duty=math.nan, motor_a=math.nan)
+        stamp = Stamp(t_ns, now_ns, self._sequence)
+        return AdhesionSample(stamp, **figures._asdict(), status=status, trouble=trouble)
+
+    def set_force_n(self, force_n: float) -> None:
+        """Ask for a force; the speed that gives it is kept up whatever the battery does.
+
+        Raises:
+            UsageError: not a force that the fan may give; nothing is sent.
+        """
+        highest_n = self._config.highest_force_n
+        if not (math.isfinite(force_n) and 0.0 < force_n <= highest_n):
+            raise UsageError(
+                f"{self.name}: a force of {force_n:g} N",
+                expected=f"above 0, at most {highest_n:g} N (adhesion.highest_force_n)",
+                remedy="`hil adhesion off` lets the fan come to rest",
+            )
+        kept = self._must_be_open()
+        trim = Trim(self._config, self._config.speed_for_rpm(force_n), self._input_v(), self._latest)
+        kept.set(trim.point)
+        self._trim = trim
+
+    def set_duty(self, duty: float) -> None:
+        """Ask for a duty as it is; raises `UsageError`."""
+        if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
+            raise UsageError(
+                f"{self.name}: a duty of {duty:g}", expected="above 0, at most 1",
+                remedy="`hil adhesion off` lets the fan come to rest",
+            )  # fmt: skip
+        kept = self._must_be_open()
+        kept.set(SetPoint("duty", duty))
+        self._trim = None
+
+    def brace(self) -> None:
+        """Ask for the highest force that is allowed; never raises."""
+        with contextlib.suppress(HilError):
+            self.set_force_n(self._config.highest_force_n)
+
+    @abstractmethod
+    def _greet(self, spec: Spec) -> dict[str, str]:
+        """Find the controller on the open bus, look whether it may be trusted; its identity."""
+
+    @abstractmethod
+    def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
+        """The samples that a frame completes."""
+
+    @abstractmethod
+    def _input_v(self) -> float:
+        """Battery voltage as it was reported last; NaN where it was not."""
+
+    def _must_be_open(self) -> Kept:
+        if self._kept is None:
+            raise DeviceError(
+                self.name, "used while closed", port=self._link.port, remedy="call open() first"
+            )
+        return self._kept
+
+    def _silent(self, now_ns: int) -> DeviceTimeoutError:
+        silent_s = (now_ns - self._good_ns) / NS_PER_S
+        return DeviceTimeoutError(
+            self.name,
+            f"no report of the fan's controller for {silent_s:.1f} s{self._link.told()}: once no command "
+            f"reaches it for {self._config.timeout_s:g} s it lets go of the motor. Secure the robot",
+            port=self._link.port,
+            expected="status message 1",
+            remedy="plug the CAN adapter in again; check wiring, supply and bit rate",
+        )
