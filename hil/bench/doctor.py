@@ -6,6 +6,7 @@ at the loop rate for a while. The findings are data; `hil doctor` prints them.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,10 +14,12 @@ from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
+from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
 from hil.devices.looks import Watched, samples_look
 from hil.drivers.serial_url import latency_timer
-from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.blame import OURS, asked
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.finding import Finding, Level
 from hil.vocabulary.interfaces import Device
@@ -73,7 +76,7 @@ def _examine_one(bench: Bench, kind: str, watch_s: float, sysfs: Path) -> Iterat
         own = [f for f in getattr(device, "diagnose", tuple)() if f.check not in _SHOWN_BY_SAMPLES]
         told += own
         yield from own
-        _watch(bench, device, _SETTLE_S)
+        _watch(bench, device, _SETTLE_S, [])
         for finding in _looks(bench, kind, device, watch_s):
             yield _slowness_first(told, finding)
     except HilError as error:
@@ -85,11 +88,17 @@ def _examine_one(bench: Bench, kind: str, watch_s: float, sysfs: Path) -> Iterat
 def _looks(bench: Bench, name: str, device: Any, watch_s: float) -> Iterator[Finding]:
     """What kind and model have to say of a device after it was read for a while."""
     kind, model, config = kinds()[name], model_of(bench.config, name), bench.config.devices()[name]
-    samples = _watch(bench, device, watch_s)
+    waits_s: list[float] = []
+    samples = _watch(bench, device, watch_s, waits_s)
     watched = Watched(kind, config, device, samples, watch_s, bench.clock, bench.config.loop.rate_hz)
-    yield from (kind.look or samples_look("check cable, supply and settings"))(watched)
+    if model.package != OURS:
+        yield from broken_promises(watched, waits_s)
+    package = model.package if kind.package == OURS else kind.package
+    look = kind.look or samples_look("check cable, supply and settings")
+    yield from asked(name, package, "its look or rate_hz", lambda: list(look(watched)))
     if model.look is not None:
-        yield from model.look(watched)
+        own = model.look
+        yield from asked(name, model.package, "its look", lambda: list(own(watched)))
 
 
 def _failure(device: Device, check: str, error: HilError) -> Finding:
@@ -104,13 +113,15 @@ def _slowness_first(told: list[Finding], finding: Finding) -> Finding:
     return replace(finding, remedy=f"{slow[-1]}; then look again")
 
 
-def _watch(bench: Bench, device: Any, watch_s: float) -> list[Any]:
-    """Everything read from a device at the loop rate."""
+def _watch(bench: Bench, device: Any, watch_s: float, waits_s: list[float]) -> list[Any]:
+    """Everything read from a device at the loop rate; `waits_s` receives how long each read took."""
     samples: list[Any] = []
     period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
     next_ns = bench.clock.now_ns()
     for _ in range(round(watch_s * bench.config.loop.rate_hz)):
+        began_ns, began_s = bench.clock.now_ns(), time.perf_counter()
         samples += device.read()
+        waits_s.append(max((bench.clock.now_ns() - began_ns) / NS_PER_S, time.perf_counter() - began_s))
         next_ns += period_ns
         bench.clock.sleep_until_ns(next_ns)
     return samples
@@ -119,7 +130,8 @@ def _watch(bench: Bench, device: Any, watch_s: float) -> list[Any]:
 def _latency_timer(bench: Bench, name: str, sysfs: Path) -> Iterator[Finding]:
     """USB serial adapters as delivered wait 16 ms for more before they pass on what they hold."""
     config = bench.config.devices()[name]
-    timer = latency_timer(getattr(config, "port", "none://"), sysfs)
+    port = getattr(config, "port", None)
+    timer = latency_timer(port, sysfs) if isinstance(port, str) else None
     if timer is None or config.backend == "emulated":
         return
     try:

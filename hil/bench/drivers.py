@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
+from hil.bench.guard import guarded
 from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
 from hil.ring.rig import Rig
@@ -31,7 +32,8 @@ def make_rig(config: BenchConfig, clock: Clock, connections: Mapping[str, Connec
     def driver(name: str, table: DeviceConfig) -> Device:
         found = connections.get(name, Connection())
         at = table.model_copy(update=dict(found.values))
-        return model_of(config, name).driver(at, clock, **found.parts)
+        model = model_of(config, name)
+        return guarded(kinds()[name], model, lambda: model.driver(at, clock, **found.parts))
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.repeating import repeating_robot
@@ -21,11 +21,14 @@ from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
+from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
 from hil.vocabulary.kinds import Connection, kinds
 
 _NUMBERS = itertools.count(1)
+_EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
+R = TypeVar("R")
 
 
 @dataclass
@@ -119,8 +122,22 @@ def emulated(
         )
     given = config.imperfections(kind)
     setting = Setting(kind, config.devices()[kind], given, world, name, standard_ports)
-    device: EmulatedDevice = model.emulate(setting)
+    device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, setting)
+    if device is None:
+        raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
     return device
+
+
+def _reached(config: BenchConfig, kind: str, name: str, reach: Callable[[], R | None]) -> R:
+    """What `connect` or `serve` of an emulated device gives."""
+    model = model_of(config, kind)
+    found = asked(kind, model.package, f"{name}() of the emulated device", reach)
+    if found is None:
+        message = f"model {model.name} has no wire face: serve() of the emulated device gave None"
+        if name == "connect":
+            message = f"connect() of the emulated device of model {model.name} gave None"
+        raise PackageError(kind, model.package, message, expected=_EMULATED)
+    return found
 
 
 def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str] = ()) -> Connected:
@@ -135,7 +152,7 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
         for kind in config.emulated():
             if not only or kind in only:
                 device = emulated(config, world, kind, f"{kinds()[kind].shown_as}-{number}")
-                connected.connections[kind] = device.connect()
+                connected.connections[kind] = _reached(config, kind, "connect", device.connect)
         world.faults.check()
     except HilError:
         connected.close()
@@ -224,7 +241,8 @@ def open_emulation(
     try:
         for name in names:
             shown = kinds()[name].shown_as
-            faces[shown] = emulated(config, world, name, shown, standard_ports=standard_ports).serve()
+            device = emulated(config, world, name, shown, standard_ports=standard_ports)
+            faces[shown] = _reached(config, name, "serve", device.serve)
     except HilError:
         for face in faces.values():
             face.close()

@@ -27,6 +27,7 @@ from hil.ring.supervisor import Checks, SafetyLimits
 from hil.robot.holding import Statics
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
+from hil.vocabulary.blame import asked
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import kinds
@@ -61,7 +62,10 @@ def safety_limits(config: BenchConfig) -> SafetyLimits:
     """Supervisor limits of a configuration."""
     values = {key: value for key, value in config.safety.model_dump().items() if key in _SUPERVISED}
     servos = config.of(ServosConfig)
-    limits_s = {name: kinds()[name].stale_s(config.safety, own) for name, own in config.devices().items()}
+    limits_s: dict[str, float | None] = {}
+    for name, own in config.devices().items():
+        kind = kinds()[name]
+        limits_s[name] = asked(name, kind.package, "stale_s", kind.stale_s, config.safety, own)
     return SafetyLimits(
         **values,
         stale_s={name: limit_s for name, limit_s in limits_s.items() if limit_s is not None},

@@ -35,13 +35,15 @@ def command(
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3.
     """
-    from hil.bench import open_bench
+    from itertools import chain
+
     from hil.bench.doctor import examine
+    from hil.bench.what_opens import open_what_can_be
 
     findings = []
-    opened = open_bench(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
-    width = max((9, *map(len, opened.config.devices())))
-    for finding in examine(opened, watch_s=watch_s):
+    opened, left_out = open_what_can_be(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
+    width = max((9, *map(len, opened.config.devices()), *(len(f.device) for f in left_out)))
+    for finding in chain(left_out, examine(opened, watch_s=watch_s)):
         findings.append(finding)
         if not as_json:
             mark, colour = _MARKS[finding.level]

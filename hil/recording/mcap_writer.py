@@ -62,7 +62,7 @@ class McapRecorder(Sink):
         self.dropped = self.lost = 0
         self.failure = ""
         self._capacity = capacity
-        self._closed = self._broken = False
+        self._closed = self._broken = self._malformed = False
         self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
         try:
             self._recording = RecordingFile(self.path, header)
@@ -88,10 +88,11 @@ class McapRecorder(Sink):
         """What the loop is stopped with once a cycle is not kept; None before, and where it may go on."""
         if self.on_failure == "go-on" or not self.shortfall:
             return None
+        remedy = "make room or record elsewhere" if not self._malformed else "mend what the error names"
         return RecordingError(
             str(self.path),
             f"recording failed ({self.shortfall}); the robot was stopped, what came before can be read",
-            remedy="make room or record elsewhere; --on-recording-failure go-on drives on unrecorded",
+            remedy=f"{remedy}; --on-recording-failure go-on drives on unrecorded",
         )
 
     @property
@@ -140,6 +141,7 @@ class McapRecorder(Sink):
             raise
         except Exception as error:  # whatever a malformed record leads to must not leave the recorder
             self.lost += kind == "cycle"
+            self._malformed = True
             self.failure = f"a record could not be encoded ({error!r})"
 
     def _give_up(self, error: OSError) -> None:

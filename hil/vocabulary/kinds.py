@@ -283,7 +283,7 @@ def _loaded(entry: EntryPoint) -> tuple[DeviceKind | DeviceModel, ...]:
     origin = _origin(entry)
     try:
         item = entry.load()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ConfigError(
             f"device package {origin}: {entry.value} cannot be loaded ({type(error).__name__}: {error})",
             expected="a DeviceKind or a DeviceModel of hil.vocabulary.kinds",

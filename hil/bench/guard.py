@@ -1,0 +1,196 @@
+"""The boundary to the drivers of other packages: what they raise and return is checked and named here.
+
+Drivers of this project are not wrapped. One of another package may raise anything and return anything;
+behind a `Guarded` it raises `DeviceError`s that name the device and its package, and its samples are what
+its kind says they are, so that the loop stops the robot and the recorder is not blamed.
+"""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import logging
+import typing
+from collections.abc import Callable, Mapping
+from typing import Any, NoReturn
+
+import numpy as np
+
+from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
+from hil.vocabulary.blame import OURS, PackageError, blamed, told
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Device
+from hil.vocabulary.kinds import DeviceKind, DeviceModel
+from hil.vocabulary.signals import Stamp, Status
+
+LOG = logging.getLogger(__name__)
+
+MOST_SAMPLES = 10_000
+"""That one read may give: a second of the fastest device, many times over."""
+_INT64 = range(-(2**63), 2**63)
+_PLAIN: Mapping[Any, tuple[type[Any], ...]] = {
+    float: (float, int, np.floating, np.integer),
+    int: (int, np.integer),
+    bool: (bool, np.bool_),
+    str: (str,),
+    Status: (Status,),
+}
+
+Wrong = Callable[[Any], str]
+
+
+def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> Device:
+    """The driver that `make` makes; behind a `Guarded` where another package brings it."""
+    return make() if model.package == OURS else Guarded(kind, model, make)
+
+
+class Guarded:
+    """A driver of another package.
+
+    Args:
+        kind: of the device.
+        model: what brings the driver.
+        make: makes it; where that fails, `open` says so, and other devices can still be examined.
+
+    Attributes:
+        name: the driver's own, or the kind's where it has none.
+    """
+
+    def __init__(self, kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> None:
+        self._kind, self._package = kind, model.package
+        self._driver: Any = None
+        self._failure: HilError | None = None
+        try:
+            with self._blamed("its constructor"):
+                self._driver = make()
+        except HilError as error:
+            self._failure = error
+        name = getattr(self._driver, "name", None)
+        self.name = name if isinstance(name, str) and name else kind.name
+        self._checks = _checks(kind.sample)
+
+    def _blamed(self, what: str) -> Any:
+        return blamed(self._kind.name, self._package, what)
+
+    def _blame(self, message: str, expected: str) -> NoReturn:
+        raise PackageError(self._kind.name, self._package, message, expected=expected)
+
+    def open(self) -> None:
+        """Open the driver; raises why there is none."""
+        if self._failure is not None:
+            raise self._failure
+        with self._blamed("open()"):
+            self._driver.open()
+
+    def close(self) -> None:
+        """Close the driver. Never raises."""
+        if self._driver is None:
+            return
+        try:
+            self._driver.close()
+        except (Exception, SystemExit) as error:
+            LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
+
+    def identity(self) -> Mapping[str, str]:
+        """What the driver says it found."""
+        if self._driver is None:
+            return {}
+        with self._blamed("identity()"):
+            found: Any = self._driver.identity()
+        if not isinstance(found, Mapping):
+            self._blame(f"identity() gave {_short(found)}", "texts by name, for example {'model': 'X1'}")
+        return {str(key): str(value) for key, value in found.items()}
+
+    def read(self) -> tuple[Any, ...]:
+        """Samples of the driver, each of which is what the kind says.
+
+        Raises:
+            DeviceError: the driver's own, or one that says what is wrong with its samples.
+        """
+        with self._blamed("read()"):
+            given: Any = self._driver.read()
+        wanted = f"a tuple of {self._kind.sample.__name__}, oldest first"
+        try:
+            each = iter(given)
+        except TypeError:
+            self._blame(f"read() gave {_short(given)}", wanted)
+        with self._blamed("read()"):
+            samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
+        if len(samples) > MOST_SAMPLES:
+            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
+                        "what has arrived since the last call")  # fmt: skip
+        for sample in samples:
+            if not isinstance(sample, self._kind.sample):
+                self._blame(f"read() gave a {type(sample).__name__}: {_short(sample)}", wanted)
+            for field, expected, wrong in self._checks:
+                found = wrong(getattr(sample, field))
+                if found:
+                    self._blame(f"read() gave {self._kind.sample.__name__}.{field} {found}", expected)
+        return samples
+
+    def __getattr__(self, name: str) -> Any:
+        """Whatever else the driver has; its functions are blamed as the others are."""
+        if name.startswith("_") or self._driver is None:
+            raise AttributeError(name)
+        found = getattr(self._driver, name)
+        if not callable(found):
+            return found
+
+        @functools.wraps(found)
+        def call(*given: Any, **named: Any) -> Any:
+            with self._blamed(f"{name}()"):
+                return found(*given, **named)
+
+        return call
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:60]}..."
+
+
+def _checks(sample: type[Any]) -> list[tuple[str, str, Wrong]]:
+    """Of each field that can be judged: its name, what is expected there, and what is wrong with a value."""
+    shapes = SHAPES.get(sample.__name__, {})
+    found: list[tuple[str, str, Wrong]] = []
+    for field, hint in typing.get_type_hints(sample).items():
+        if field == "stamp":
+            found.append((field, "a Stamp of whole ns: Stamp(t_ns: int, host_ns: int, seq: int)", _of_stamp))
+        elif field == "status" and hint is not Status:
+            found.append((field, "a tuple of Status, one for each channel", _of_status))
+        elif hint == Array:
+            shape = shapes.get(field)
+            told_shape = f" of shape {shape}" if shape else ""
+            expected = f"a numpy array of float64, float32, int64 or bool{told_shape}"
+            found.append((field, expected, functools.partial(_of_array, shape)))
+        elif hint in _PLAIN:
+            found.append((field, f"a {hint.__name__}", functools.partial(_of_plain, _PLAIN[hint])))
+    return found
+
+
+def _of_stamp(value: Any) -> str:
+    if not isinstance(value, Stamp):
+        return _short(value)
+    for name in ("t_ns", "host_ns", "seq", "device_ns"):
+        number = getattr(value, name)
+        if (type(number) is not int or number not in _INT64) and (number is not None or name != "device_ns"):
+            return f"with {name} {_short(number)}"
+    return ""
+
+
+def _of_status(value: Any) -> str:
+    good = isinstance(value, tuple) and all(isinstance(state, Status) for state in value)
+    return "" if good else _short(value)
+
+
+def _of_array(shape: tuple[int, ...] | None, value: Any) -> str:
+    if not isinstance(value, np.ndarray):
+        return _short(value)
+    if value.dtype not in DTYPES.values() or value.ndim > MAX_DIMENSIONS:
+        return f"of {value.dtype} with {value.ndim} dimensions"
+    return "" if shape is None or value.shape == shape else f"of shape {value.shape}"
+
+
+def _of_plain(types: tuple[type[Any], ...], value: Any) -> str:
+    return "" if isinstance(value, types) else _short(value)

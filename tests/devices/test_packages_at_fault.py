@@ -1,0 +1,194 @@
+"""A package whose code fails while it is in use is named, with its device and what to do: exit 3."""
+
+import pytest
+
+PACKAGE = """
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hil.config.device import DeviceConfig
+from hil.devices.emulated import Wired
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
+from hil.vocabulary.signals import Stamp, Status
+
+
+@dataclass(frozen=True)
+class Sample:
+    stamp: Stamp
+    value: float
+    status: Status = Status.OK
+
+
+class Config(DeviceConfig):
+    model: Literal["one"] = "one"
+    port: int = 47000
+
+
+class Driver(Sensor):
+    name = "thing"
+
+    def __init__(self, config, clock):
+        self.clock, self.is_open, self.seq = clock, False, 0
+
+    def open(self):
+        self.is_open = True
+
+    def close(self):
+        self.is_open = False
+
+    def identity(self):
+        return {"model": "one"} if self.is_open else {}
+
+    def sample(self, value=1.0, ahead_ns=0):
+        self.seq += 1
+        t_ns = self.clock.now_ns()
+        return Sample(Stamp(t_ns + ahead_ns, t_ns, self.seq), value)
+
+    def read(self):
+        return (self.sample(),)
+
+
+def emulate(setting):
+    return Wired(lambda: Connection(), lambda: None)
+
+
+def thing(driver=Driver, emulate=emulate, **more):
+    model = DeviceModel(kind="thing", name="one", title="a thing", config=Config, driver=driver, emulate=emulate)
+    return DeviceKind(name="thing", noun="thing", sample=Sample, models=(model,), **more)
+
+
+def fail(*given):
+    raise RuntimeError("boom")
+
+
+def endless(driver):
+    while True:
+        yield driver.sample()
+"""
+TABLES = """
+schema = 1
+name = "lab"
+
+[thing]
+backend = "emulated"
+
+[imu]
+backend = "emulated"
+"""
+DRIVE = """
+from hil.procedure import procedure
+
+
+@procedure(name="look", needs=("thing",))
+def run(ctx):
+    with ctx.step("look"):
+        ctx.bench.observe(0.1)
+"""
+
+
+@pytest.fixture
+def bench(tmp_path):
+    (tmp_path / "bench.toml").write_text(TABLES)
+    (tmp_path / "look.py").write_text(DRIVE)
+
+
+def driver(body):
+    return f"class Bad(Driver):\n    {body}\n\n\nITEM = thing(Bad)\n"
+
+
+FAILING = {
+    "a constructor": (driver("__init__ = fail"), "its constructor raised RuntimeError: boom"),
+    "open": (driver("open = fail"), "open() raised RuntimeError: boom"),
+    "open for the system": (
+        driver("def open(self): raise OSError(5, 'gone')"), "open() raised OSError: [Errno 5] gone",
+    ),
+    "an end of the process": (driver("def read(self): sys.exit(7)"), "read() raised SystemExit: 7"),
+    "nothing": (driver("def read(self): return None"), "read() gave None"),
+    "a number": (driver("def read(self): return 5"), "read() gave 5"),
+    "other samples": (driver("def read(self): return ((1, 2),)"), "read() gave a tuple: (1, 2)"),
+    "samples without end": (driver("def read(self): return endless(self)"), "more than 10000 samples"),
+    "a stamp of None": (
+        driver("def read(self): return (Sample(Stamp(None, 0, 0), 1.0),)"),
+        "read() gave Sample.stamp with t_ns None",
+    ),
+    "a stamp in seconds": (
+        driver("def read(self): return (Sample(Stamp(1.5, 0, 0), 1.0),)"),
+        "read() gave Sample.stamp with t_ns 1.5",
+    ),
+    "a value of another type": (
+        driver("def read(self): return (replace(self.sample(), value=None),)"), "gave Sample.value None",
+    ),
+    "emulate": ("ITEM = thing(emulate=fail)\n", "emulate raised RuntimeError: boom"),
+}  # fmt: skip
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", FAILING)
+def test_the_doctor_names_the_package_and_goes_on(case, package, hil):
+    source, told = FAILING[case]
+    folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == 3, done.said
+    (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL thing")]
+    assert "thing (hil-evil 6.6): " in failure
+    assert told in failure
+    assert "mend hil-evil" in done.out
+    assert "ok   imu" in done.out
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", FAILING)
+def test_a_run_names_the_package(case, package, hil):
+    source, told = FAILING[case]
+    folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert "thing (hil-evil 6.6): " in done.out + done.said
+    assert told in done.out + done.said
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("part", ["identity", "look", "rate_hz"])
+def test_the_doctor_names_what_else_of_a_package_fails(part, package, hil):
+    source = driver("identity = fail") if part == "identity" else f"ITEM = thing({part}=fail)\n"
+    folder = package("hil-evil", PACKAGE + source, "ITEM", version="6.6")
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == 3, done.said
+    assert "FAIL thing" in done.out
+    assert "thing (hil-evil 6.6): " in done.out
+    assert "ok   imu" in done.out
+
+
+PROMISES = {
+    "a hole that is not told": ("return (self.sample(math.nan),)", "NaN or infinity in value", 3),
+    "a stamp of the future": ("return (self.sample(ahead_ns=10**10),)", "up to 10 s in the future", 3),
+    "a read that waits": ("time.sleep(0.02); return (self.sample(),)", "read() takes 2", 0),
+    "none": ("return (self.sample(),)", "ok   thing", 0),
+}
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", PROMISES)
+def test_the_doctor_tells_of_broken_promises(case, package, hil):
+    """A port that is a number is a port, too: of the network."""
+    body, told, code = PROMISES[case]
+    folder = package("hil-evil", PACKAGE + driver(f"def read(self): {body}"), "ITEM", version="6.6")
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == code, done.out + done.said
+    assert told in done.out
+    assert ("numbers" in done.out, "stamps" in done.out, "reads:" in done.out) == (
+        "hole" in case, "future" in case, "waits" in case,
+    )  # fmt: skip
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_model_without_a_wire_says_so(package, hil):
+    folder = package("hil-evil", PACKAGE + "ITEM = thing()\n", "ITEM", version="6.6")
+    done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
+    assert done.code == 3, done.said
+    assert "thing (hil-evil 6.6): model one has no wire face" in done.said
