@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -21,10 +21,10 @@ from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
 from hil.fakes.timeline import read_faults
 from hil.fakes.world import World, random_stream
-from hil.vocabulary.blame import PackageError, asked
+from hil.vocabulary.blame import OURS, PackageError, asked
 from hil.vocabulary.clock import Clock, MonotonicClock
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, HilError, UsageError
-from hil.vocabulary.kinds import Connection, kinds
+from hil.vocabulary.kinds import Connection, added, kinds
 
 _NUMBERS = itertools.count(1)
 _EMULATED = "an EmulatedDevice: connect() gives a Connection, serve() a Face"
@@ -122,6 +122,8 @@ def emulated(
         )
     given = config.imperfections(kind)
     setting = Setting(kind, config.devices()[kind], given, world, name, standard_ports)
+    if model.package != OURS and model.imperfections is not None:
+        setting.options(asked(kind, model.package, "imperfections", model.imperfections))
     device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, setting)
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
@@ -167,13 +169,19 @@ def planned_faults(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[F
         UsageError, ConfigError: a spec or a file that cannot be read.
         FaultNotSupportedError: every device is real.
     """
-    faults = read_faults((*config.emulation.faults, *given))
+    faults = tuple(map(_by_kind, read_faults((*config.emulation.faults, *given))))
     if faults and not config.emulated():
         raise FaultNotSupportedError(
             f"fault {describe(faults[0])}: every device of {config.name} is real",
             remedy="use --emulate for the devices that faults are meant for",
         )
     return faults
+
+
+def _by_kind(fault: Fault) -> Fault:
+    """A fault that names a kind of another package by an alias, by the kind's name."""
+    named = next((kind.name for kind in added() if fault.device in kind.aliases), fault.device)
+    return replace(fault, device=named)
 
 
 def check_faults(

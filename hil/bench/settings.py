@@ -53,8 +53,8 @@ def motion_limits(config: BenchConfig) -> MotionLimits:
         wheel_speed_m_s=control.wheel_speed_m_s,
         wheel_acceleration_m_s2=control.acceleration_m_s2,
         heading_limit_rad=heading_limit_rad if config.environment.on_wall else None,
-        x_range_m=safety.x_range_m,
-        y_range_m=safety.y_range_m,
+        x_range_m=config.environment.x_range_m,
+        y_range_m=config.environment.y_range_m,
     )
 
 

@@ -1,4 +1,4 @@
-"""A bench for the doctor: without the devices whose packages cannot even build them, each of which is told."""
+"""A bench for the doctor: without the devices that their packages cannot even build, each of which is told."""
 
 from __future__ import annotations
 
@@ -34,4 +34,5 @@ def open_what_can_be(
             left_out.append(
                 Finding(error.kind, "open", "failure", error.message, error.expected, error.remedy)
             )
-            rest = rest.model_copy(update={error.kind: None})
+            emulation = rest.emulation.model_copy(update={error.kind: {}})
+            rest = rest.model_copy(update={error.kind: None, "emulation": emulation})

@@ -22,8 +22,9 @@ def command(
     """Write one row per wheel sample; a damaged recording gives what it has and exit code 2.
 
     RECORDING is one of ours, or a bag of another robot with --topics: wheels and ground truth, no estimate.
+    The newest sample of every device that another package adds is in columns of its name.
     """
-    from hil.recording.export import COLUMNS, write_table
+    from hil.recording.export import write_table
     from hil.recording.mcap_reader import read_cycles
 
     chosen = kind or ("parquet" if out is not None and out.suffix == ".parquet" else "csv")
@@ -36,13 +37,13 @@ def command(
         from hil.recording.rosbag import read_bag, read_topic_map
 
         records = list(to_run(read_bag(recording, read_topic_map(topics))).records)
-    rows = write_table(records, target, chosen)
+    rows, columns = write_table(records, target, chosen)
     for problem in problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
     if as_json:
         result = {
             "recording": str(recording), "out": str(target), "format": chosen, "cycles": len(records),
-            "rows": rows, "columns": list(COLUMNS), "problems": problems,
+            "rows": rows, "columns": list(columns), "problems": problems,
         }  # fmt: skip
         click.echo(json.dumps(result))
     else:

@@ -10,6 +10,7 @@ from hil.config.environment import SURFACES
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
+from hil.vocabulary.kinds import added
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -28,6 +29,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_servos(config)
     yield from _of_the_environment(config)
     yield from _of_the_emulation(config)
+    yield from _of_imperfections(config)
     if config.environment.on_wall:
         yield from _of_a_wall(config)
 
@@ -40,6 +42,13 @@ def _of_the_environment(config: BenchConfig) -> Iterator[Problem]:
             f"'floor' with tilt_rad = {environment.tilt_rad:g}: nothing holds a robot on a steep floor; a "
             "floor has tilt_rad = 0, a wall is melamine, concrete, ...",
         )
+    for k, (axis, area) in enumerate((("x", environment.x_range_m), ("y", environment.y_range_m))):
+        at_m = environment.start_pose[k]
+        if config.placed and area is not None and not area[0] <= at_m <= area[1]:
+            yield (
+                "environment.start_pose",
+                f"{axis} = {at_m:g} m is outside {axis}_range_m = [{area[0]:g}, {area[1]:g}]",
+            )
     if environment.surface not in SURFACES and config.emulated():
         yield (
             "environment.surface",
@@ -59,6 +68,13 @@ def _of_the_emulation(config: BenchConfig) -> Iterator[Problem]:
                 f"emulation.{name}",
                 f"{value!r} is of the plant 'mujoco'; add plant = 'mujoco' or remove it",
             )
+
+
+def _of_imperfections(config: BenchConfig) -> Iterator[Problem]:
+    present = config.devices()
+    for kind in added():
+        if kind.name not in present and config.imperfections(kind.name):
+            yield f"emulation.{kind.name}", f"the bench has no [{kind.name}] that could be emulated"
 
 
 def _of_motion(config: BenchConfig) -> Iterator[Problem]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from hil.config.values import Within
 
@@ -19,6 +19,7 @@ LEAST_FRICTION = 0.45
 SURFACES = tuple(FRICTION)
 """Surfaces that can be emulated; a real robot may stand on anything."""
 
+Range = tuple[float, float]
 Metres = Annotated[float, Within(-1000.0, 1000.0, "m in the wall frame")]
 Heading = Annotated[float, Within(-1000.0, 1000.0, "rad in the wall frame")]
 
@@ -36,6 +37,8 @@ class EnvironmentConfig(BaseModel):
         start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.
             Where a real one stands is measured by motion capture, else given with `--start`, else this if it
             is written in the file.
+        x_range_m, y_range_m: the usable area in the wall frame; a start pose outside it is refused, and so are
+            references that leave it. Without them there is no bound.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -44,6 +47,15 @@ class EnvironmentConfig(BaseModel):
     tilt_rad: Annotated[float, Within(0.0, 3.1416, "0 floor, pi/2 wall, pi ceiling")] = math.pi / 2.0
     friction: Annotated[float, Within(0.05, 2.0, "rubber on anything")] | None = None
     start_pose: tuple[Metres, Metres, Heading] = (0.0, 0.0, 0.0)
+    x_range_m: Range | None = None
+    y_range_m: Range | None = None
+
+    @field_validator("x_range_m", "y_range_m")
+    @classmethod
+    def _ordered(cls, value: Range | None) -> Range | None:
+        if value is not None and not value[0] < value[1]:
+            raise ValueError(f"the surface ends at {value[1]:g} m before it begins at {value[0]:g} m")
+        return value
 
     @property
     def known_friction(self) -> float:

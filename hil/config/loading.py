@@ -15,7 +15,7 @@ from pydantic import BaseModel, ValidationError
 
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
-from hil.config.older import lifted, told_where_now
+from hil.config.older import area_twice, lifted, told_where_now
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml, toml_tables
@@ -130,7 +130,7 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
 
 def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
     """Model of a parsed file; raises `ConfigError` with all problems."""
-    problems = list(told_where_now(tree))
+    problems = [*told_where_now(tree), *area_twice(tree)]
     present = lifted(tree)
     config: BenchConfig | None
     try:

@@ -25,11 +25,36 @@ def told_where_now(tree: Mapping[str, Any]) -> Iterator[str]:
             yield f"{dotted}: {where} (found {values[key]!r})"
 
 
+_AREA = ("x_range_m", "y_range_m")
+
+
+def area_twice(tree: Mapping[str, Any]) -> Iterator[str]:
+    """Of every limit of the usable area that is given at its place and at its older one, `[safety]`."""
+    safety, environment = tree.get("safety"), tree.get("environment")
+    if isinstance(safety, Mapping) and isinstance(environment, Mapping):
+        for key in _AREA:
+            if key in safety and key in environment:
+                yield f"safety.{key}: environment.{key} is given, too; it belongs there: remove this one"
+
+
+def _area_lifted(tree: Mapping[str, Any]) -> dict[str, Any]:
+    """With the usable area in `[environment]`, where it was in `[safety]`; what is there already stays."""
+    safety, environment = tree.get("safety"), tree.get("environment", {})
+    if not isinstance(safety, Mapping) or not isinstance(environment, Mapping):
+        return dict(tree)
+    area = {key: safety[key] for key in _AREA if key in safety}
+    if not area:
+        return dict(tree)
+    rest = {key: value for key, value in safety.items() if key not in area}
+    return {**tree, "safety": rest, "environment": {**area, **environment}}
+
+
 def lifted(tree: Mapping[str, Any]) -> dict[str, Any]:
     """A configuration with its old keys where they belong now; what is there already stays.
 
     Where the old keys contradict each other, what the robot was guarded by counts: the top-level `surface`.
     """
+    tree = _area_lifted(tree)
     emulation, environment = tree.get("emulation", {}), tree.get("environment", {})
     if not any(True for _ in told_where_now(tree)) or not isinstance(environment, Mapping):
         return dict(tree)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,10 +12,12 @@ from hil.config.loading import explained
 from hil.config.older import lifted
 from hil.config.values import RECORDED
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.kinds import kinds
+from hil.vocabulary.kinds import DeviceKind, DeviceModel, kinds
 
 
-def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
+def recorded_bench(
+    tree: Mapping[str, Any], origin: str, packages: Mapping[str, Any] | None = None
+) -> BenchConfig:
     """The configuration that a recording carries.
 
     Bounds and contradictions are for what is going to be driven; this has been driven.
@@ -23,6 +25,7 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
     Args:
         tree: of its header.
         origin: what to name where it cannot be read.
+        packages: that the recording was made with, by `KIND` or `KIND.MODEL`.
 
     Raises:
         ConfigError: listing every problem with its dotted path.
@@ -31,7 +34,28 @@ def recorded_bench(tree: Mapping[str, Any], origin: str) -> BenchConfig:
         return bench_model().model_validate(_without_absent(lifted(tree)), context=RECORDED)
     except ValidationError as error:
         problems = explained(error)
-    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+    other = _other_versions(packages or {})
+    if other:
+        problems.append(f"perhaps because of other versions: {other}")
+    raise ConfigError(
+        f"{origin}: {len(problems)} problem(s)", problems=tuple(problems),
+        remedy="install the recorded versions, or give today's bench file with --bench" if other else "",
+    )  # fmt: skip
+
+
+def _other_versions(packages: Mapping[str, Any]) -> str:
+    """What a recording was made with and what is installed instead."""
+    found: dict[str, None] = {}
+    for name, recorded in packages.items():
+        kind, _, model = name.partition(".")
+        here = kinds().get(kind)
+        parts: Iterable[DeviceKind | DeviceModel] = ()
+        if here is not None:
+            parts = [m for m in here.models if m.name == model] if model else [here]
+        for part in parts:
+            if part.package != recorded:
+                found[f"recorded with {recorded}, installed is {part.package}"] = None
+    return "; ".join(found)
 
 
 def _without_absent(tree: dict[str, Any]) -> dict[str, Any]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.values import HeadingLimit, WheelRate, Within
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
-Range = tuple[float, float]
 
 
 class Strict(BaseModel):
@@ -35,7 +34,7 @@ class LoopConfig(Strict):
 
 
 class SafetyConfig(Strict):
-    """When the supervisor stops the robot, and where it may be sent.
+    """When the supervisor stops the robot.
 
     Attributes:
         servo_stale_s, imu_stale_s, tracker_stale_s: age after which a device counts as silent.
@@ -50,7 +49,6 @@ class SafetyConfig(Strict):
             the robot; below that no wheel moves.
         adhesion_stale_s: age after which fan or load cells count as silent; the robot then stops.
         utilisation_limit: share of its friction that no wheel may exceed.
-        x_range_m, y_range_m: usable surface; references that leave it are refused.
     """
 
     servo_stale_s: Annotated[float, Within(0.01, 2.0, "wheels go on turning meanwhile")] = 0.1
@@ -72,15 +70,6 @@ class SafetyConfig(Strict):
         0.25
     )
     utilisation_limit: Annotated[float, Within(0.1, 0.95, "at 1 the wheel slides")] = 0.8
-    x_range_m: Range | None = None
-    y_range_m: Range | None = None
-
-    @field_validator("x_range_m", "y_range_m")
-    @classmethod
-    def _ordered(cls, value: Range | None) -> Range | None:
-        if value is not None and not value[0] < value[1]:
-            raise ValueError(f"the surface ends at {value[1]:g} m before it begins at {value[0]:g} m")
-        return value
 
 
 class AlignmentConfig(Strict):

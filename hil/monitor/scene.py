@@ -84,7 +84,7 @@ class Scene:
                 )
         return cls(
             geometry, config.robot, config.environment, looks,
-            config.safety.x_range_m, config.safety.y_range_m,
+            config.environment.x_range_m, config.environment.y_range_m,
             tuple(
                 Mounted(name, device.mount_position_m, device.mount_rotation_wxyz)
                 for name, device in config.devices().items()

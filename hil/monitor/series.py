@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,10 +10,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, wrap
-from hil.vocabulary.kinds import Figures, kinds
-from hil.vocabulary.signals import CycleRecord, Status
+from hil.vocabulary.kinds import DeviceKind, Figures, kinds
+from hil.vocabulary.signals import CycleRecord, Inputs, Status
+
+LOG = logging.getLogger(__name__)
 
 _GROUPS = {
     "nis_mean": "estimator/mean_nis",
@@ -62,6 +66,7 @@ class SeriesCollector:
         self._rows: dict[str, list[tuple[float, int, Figures]]] = {}
         self._seen_ns: dict[str, int] = {}
         self._slow_s = -math.inf
+        self._failed: set[str] = set()
 
     def seconds(self, record: CycleRecord) -> float:
         """Time of a cycle since the first one, s."""
@@ -102,7 +107,7 @@ class SeriesCollector:
     def _figures(self, record: CycleRecord) -> Iterator[tuple[str, Figures]]:
         inputs, state = record.inputs, record.state
         for kind in kinds().values():
-            yield from kind.figures(inputs)
+            yield from self._of_kind(kind, inputs)
         yield "state/twist", _named(("v_x_m_s", "v_y_m_s", "omega_rad_s"), state.twist_body)
         heading = {"estimate": float(state.pose_body_in_wall[2])}
         if record.reference is not None:
@@ -114,6 +119,17 @@ class SeriesCollector:
         yield from _diagnostics(record)
         if record.timing_ns:
             yield "loop", {name: value_ns / 1e6 for name, value_ns in record.timing_ns.items()}
+
+    def _of_kind(self, kind: DeviceKind, inputs: Inputs) -> Sequence[tuple[str, Figures]]:
+        """A kind's figures; those of a package that fails are left out from then on, and it is named once."""
+        if kind.name in self._failed:
+            return ()
+        try:
+            return asked(kind.name, kind.package, "figures", lambda: tuple(kind.figures(inputs)))
+        except PackageError as error:
+            self._failed.add(kind.name)
+            LOG.warning("%s", error)
+            return ()
 
     def _ages(self, record: CycleRecord) -> Figures:
         """Age of every device's newest sample, ms."""

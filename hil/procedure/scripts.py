@@ -13,6 +13,7 @@ from types import ModuleType
 import hil
 from hil.procedure.declaration import Procedure
 from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
+from hil.vocabulary.kinds import kinds
 
 SHIPPED = "hil.procedures"
 SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
@@ -68,6 +69,7 @@ def _near(target: str) -> str:
 def _from_file(path: Path) -> ModuleType:
     if path.resolve().parent == SHIPPED_FOLDER:
         return _shipped(path.stem)
+    kinds()  # a device package that cannot be used is not the script's fault
     try:
         return _load(f"hil_script_{path.stem}", path)
     except HilError as error:

@@ -175,11 +175,11 @@ def check_packages(named: Mapping[str, Any]) -> None:
     missing = {name: str(package) for name, package in named.items() if not _is_known(name)}
     if missing:
         told = ", ".join(f"{name} ({package})" for name, package in missing.items())
-        packages = dict.fromkeys(package.split()[0] for package in missing.values() if package.split())
+        packages = dict.fromkeys(package for package in missing.values() if package.split())
         raise ConfigError(
             f"the recording holds samples of devices that nothing here knows: {told}",
             expected="the package that adds each",
-            remedy="pip install " + " ".join(packages),
+            remedy=f"install {', '.join(packages)} from where you got it",
         )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
+from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
 from hil.vocabulary.clock import NS_PER_S
@@ -90,8 +91,21 @@ def _cycle_columns(record: CycleRecord) -> list[float]:
     ]  # fmt: skip
 
 
-def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> int:
-    """Write the table and return its number of rows; floats survive exactly in both formats.
+def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
+    """Columns and rows of `tabulate`, and behind them those of the kinds that other packages add."""
+    names, values = added_columns(records)
+    table = tabulate(records)
+    if not names:
+        return COLUMNS, table
+    cycle = np.repeat(np.arange(len(records)), [len(r.measurements.wheels) for r in records])
+    return (*COLUMNS, *names), np.column_stack([table, values[cycle]])
+
+
+def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[int, tuple[str, ...]]:
+    """Write the table; floats survive exactly in both formats.
+
+    Returns:
+        Its number of rows, and its columns.
 
     Args:
         records: cycles in order.
@@ -102,23 +116,23 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> int:
         DataError: the file cannot be written.
         UsageError: unknown kind, or Parquet without its extra.
     """
-    table = tabulate(records)
+    columns, table = with_added(records)
     try:
         if kind == "csv":
             with path.open("w", encoding="utf-8", newline="") as file:
                 writer = csv.writer(file)
-                writer.writerow(COLUMNS)
+                writer.writerow(columns)
                 writer.writerows(["" if math.isnan(v) else repr(v) for v in row] for row in table.tolist())
         elif kind == "parquet":
-            _write_parquet(table, path)
+            _write_parquet(columns, table, path)
         else:
             raise UsageError(f"format {kind!r}", expected="csv or parquet")
     except OSError as error:
         raise DataError(str(path), f"cannot be written ({error})") from None
-    return len(table)
+    return len(table), columns
 
 
-def _write_parquet(table: Array, path: Path) -> None:
+def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
     try:
         import pyarrow
         import pyarrow.parquet
@@ -126,7 +140,7 @@ def _write_parquet(table: Array, path: Path) -> None:
         raise UsageError(
             "Parquet needs pyarrow, which is not installed", remedy=how_to_install("parquet")
         ) from None
-    columns = {name: table[:, i] for i, name in enumerate(COLUMNS)}
+    columns = {name: table[:, i] for i, name in enumerate(names)}
     pyarrow.parquet.write_table(pyarrow.table(columns), str(path))
 
 

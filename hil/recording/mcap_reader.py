@@ -47,6 +47,7 @@ class RecordingReader:
 
     Attributes:
         header: what the writer was given.
+        packages: name and version of the package of what others add, by `KIND` or `KIND.MODEL`.
         problems: what could not be read so far; complete once the iteration has ended.
 
     Raises:
@@ -56,6 +57,7 @@ class RecordingReader:
     def __init__(self, path: str | Path) -> None:
         self.path = Path(path)
         self.problems: list[str] = []
+        self.packages: dict[str, Any] = {}
         self.header, self._decoder = self._open()
         self.problems += self._decoder.notes
 
@@ -87,7 +89,8 @@ class RecordingReader:
     def _described(self, at: int, metadata: Mapping[str, str]) -> tuple[dict[str, Any], CycleDecoder]:
         """What the record at byte `at` says of the header and of how cycles are stored."""
         try:
-            check_packages(json_object(metadata.get(PACKAGES, "{}")))
+            self.packages = json_object(metadata.get(PACKAGES, "{}"))
+            check_packages(self.packages)
             header = json_object(metadata["header"])
             return header, CycleDecoder(json_object(metadata["layout"]))
         except ConfigError as error:

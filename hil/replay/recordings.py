@@ -18,7 +18,7 @@ from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.recording.foreign import to_run
-from hil.recording.mcap_reader import read_header
+from hil.recording.mcap_reader import RecordingReader
 from hil.recording.rosbag import read_bag, read_topic_map
 from hil.recording.runs import RecordedRun, read_runs
 from hil.recording.sources import read_recordings
@@ -90,11 +90,12 @@ def open_recording(
         config = load_bench(bench or _FOREIGN_BENCH)
         found = _read_foreign(path, topics, nominal_of(config))
         return OpenedRecording(path, _bench(config, None, calibration, {}), {}, True, [], found)
-    header = read_header(path)
+    reader = RecordingReader(path)
+    header = reader.header
     if bench is not None:
         config = load_bench(bench)
     elif isinstance(header.get("config"), dict):
-        config = recorded_bench(header["config"], f"configuration in {path}")
+        config = recorded_bench(header["config"], f"configuration in {path}", reader.packages)
     else:
         raise DataError(
             str(path), "does not carry the configuration of its bench", remedy="give it with --bench"

@@ -24,6 +24,7 @@ from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Device
+from hil.vocabulary.kind_names import NAME_RULE, after_clash, is_name
 from hil.vocabulary.signals import KINDS, Inputs
 
 GROUP = "hil.devices"
@@ -301,18 +302,19 @@ def _loaded(entry: EntryPoint) -> tuple[DeviceKind | DeviceModel, ...]:
 
 def _add_kind(found: dict[str, DeviceKind], kind: DeviceKind, origin: str) -> None:
     """Add a kind that a package brings; raises `ConfigError` for one that is there already or cannot work."""
+    if not all(map(is_name, (kind.name, *kind.aliases))) or not kind.models:
+        also = f" and aliases {kind.aliases!r}" if kind.aliases else ""
+        raise ConfigError(
+            f"device package {origin}: kind {kind.name!r}{also} with {len(kind.models)} models",
+            expected=f"a name of {NAME_RULE}, and at least one model",
+        )
     taken = {name: k for k in found.values() for name in (k.name, *k.aliases)}
     for name in (kind.name, *kind.aliases):
         if name in taken:
             raise ConfigError(
                 f"device package {origin}: the kind {name} is there already ({taken[name].package})",
-                remedy="uninstall one of the two packages",
+                remedy=after_clash(taken[name].package, "kind"),
             )
-    if not kind.name.isidentifier() or not kind.models:
-        raise ConfigError(
-            f"device package {origin}: kind {kind.name!r} with {len(kind.models)} models",
-            expected="a name of letters, digits and _, and at least one model",
-        )
     if kind.actuates and not kind.holds:
         raise ConfigError(
             f"device package {origin}: the kind {kind.name} says that it moves the robot",
@@ -348,7 +350,7 @@ def _add_model(found: dict[str, DeviceKind], model: DeviceModel, origin: str) ->
         raise ConfigError(
             f"device package {origin}: there is a model {model.name} of {kind.name} already "
             f"({known[model.name].package})",
-            remedy="uninstall one of the two packages, or give the model another name",
+            remedy=after_clash(known[model.name].package, "model"),
         )
     if not callable(model.driver):
         raise ConfigError(

@@ -111,7 +111,7 @@ def test_a_fault_timeline_acts_like_the_specs(tmp_path):
 
 
 def test_what_the_limits_cannot_follow_is_refused_before_anything_moves():
-    with hil.open_bench("emulated", seed=1, overrides={"safety.x_range_m": [-1.0, 1.0]}) as bench:
+    with hil.open_bench("emulated", seed=1, overrides={"environment.x_range_m": [-1.0, 1.0]}) as bench:
         before = bench.clock.now_ns()
         with pytest.raises(TrajectoryError, match="x"):
             bench.drive(line((0.0, 0.0, 0.0), (1.5, 0.0, 0.0), duration_s=30.0))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hil.pytest_plugin.contract import bench, pytest_generate_tests  # noqa: F401
+from hil.pytest_plugin.contract import closed_bench, pytest_generate_tests  # noqa: F401
 from hil.vocabulary.signals import ServoSetpoint
 
 pytestmark = pytest.mark.moves
@@ -11,6 +11,12 @@ OVERRIDES = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02}
 """At the wire this computer's load must not count as a servo's silence: the contract is about behaviour."""
 
 PATIENCE_S = 1.0
+
+
+@pytest.fixture
+def bench(closed_bench):
+    """The suite's, whose devices the tests open."""
+    return closed_bench
 
 
 def pause(bench, duration_s):

@@ -54,7 +54,7 @@ def test_what_no_robot_can_do_is_refused(path):
         ("safety.adhesion_limit_m_s2", 0.0, "no fall would be noticed"),
         ("safety.tracker_stale_s", 3600.0, "within"),
         ("loop.rate_hz", 10.0, "trip between cycles"),
-        ("safety.x_range_m", [1.0, -1.0], "before it begins"),
+        ("environment.x_range_m", [1.0, -1.0], "before it begins"),
     ],
 )
 def test_a_limit_says_what_it_would_take(path, value, told):

@@ -7,7 +7,7 @@ import pytest
 import hil
 from hil.bench.settings import motion_limits, safety_limits
 from hil.config.environment import SURFACES
-from hil.config.loading import load_bench
+from hil.config.loading import load_bench, validate
 from hil.fakes.plant import surfaces
 from hil.vocabulary.errors import ConfigError
 
@@ -79,3 +79,23 @@ def test_an_override_of_an_old_key_is_refused_too():
     with pytest.raises(ConfigError, match=r"emulation\.surface: it is environment\.surface now"):
         load_bench("emulated", overrides={"emulation.surface": "patchy"})
     assert load_bench("emulated").environment.tilt_rad == math.pi / 2.0
+
+
+@pytest.mark.parametrize("table", ["safety", "environment"])
+def test_the_usable_area_is_read_where_it_belongs_and_where_it_was(table):
+    tree = {"schema": 1, "name": "lab", table: {"x_range_m": [-1.0, 2.0]}}
+    assert validate(tree, "b").environment.x_range_m == (-1.0, 2.0)
+
+
+def test_an_area_given_twice_is_refused():
+    tree = {"schema": 1, "name": "lab", "safety": {"x_range_m": [0, 1]}, "environment": {"x_range_m": [0, 2]}}
+    with pytest.raises(ConfigError, match=r"safety\.x_range_m: environment\.x_range_m is given, too"):
+        validate(tree, "b")
+
+
+def test_a_start_outside_the_usable_area_is_refused():
+    tree = {"schema": 1, "name": "lab", "environment": {"y_range_m": [0, 2], "start_pose": [0.0, 3.0, 0.0]}}
+    with pytest.raises(
+        ConfigError, match=r"environment\.start_pose: y = 3 m is outside y_range_m = \[0, 2\]"
+    ):
+        validate(tree, "b")

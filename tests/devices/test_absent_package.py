@@ -1,5 +1,6 @@
 """Recordings and the packages of their devices: the one that is missing is named."""
 
+import csv
 import shutil
 import subprocess
 import sys
@@ -74,7 +75,11 @@ def test_a_recording_repeats_is_exported_and_drawn_with_its_package(climb, range
     assert hil("replay", recording, "--verify", packages=[rangefinder]).code == 0
     done = hil("export", recording, "--out", "table.csv", packages=[rangefinder])
     assert done.code == 0, done.said
-    assert len((tmp_path / "table.csv").read_text().splitlines()) > 200
+    with (tmp_path / "table.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) > 200
+    assert 0.1 < float(rows[-1]["rangefinder_distance_m"]) < 3.0
+    assert 0.0 <= float(rows[-1]["t"]) - float(rows[-1]["rangefinder_t"]) < 0.1
     assert "/range" in topics(recording)
 
 
@@ -99,7 +104,7 @@ def test_without_the_package_every_command_names_it(words, climb, hil, tmp_path)
     done = hil(*(word.format(recording) for word in words))
     assert done.code == 2, done.out + done.said
     assert "rangefinder (hil-rangefinder 0.1.0)" in done.said
-    assert "pip install hil-rangefinder" in done.said
+    assert "install hil-rangefinder 0.1.0 from where you got it" in done.said
     assert not {path.name for path in tmp_path.iterdir()} - {recording.name, "replay.toml"}
 
 
@@ -125,10 +130,24 @@ def test_a_recording_of_a_model_that_is_absent_names_its_package(package, stand,
     done = hil("replay", recording, "--verify")
     assert done.code == 2
     assert "imu.twin (hil-twin 1.0)" in done.said
-    assert "pip install hil-twin" in done.said
+    assert "install hil-twin 1.0 from where you got it" in done.said
 
 
 @pytest.mark.parametrize("installed", [True, False])
 def test_a_recording_from_before_packages_repeats(installed, rangefinder, hil):
     done = hil("replay", OLD, "--verify", "--run", 0, packages=[rangefinder] if installed else [])
     assert done.code == 0, done.out + done.said
+
+
+def test_a_package_that_renamed_a_key_is_named_with_both_versions(package, stand, hil, tmp_path):
+    source = TWIN.replace('= "twin"\n', '= "twin"\n    old_key: float = 1.0\n', 1)
+    (tmp_path / "bench.toml").write_text(TABLES + 'model = "twin"\nold_key = 2.0\n')
+    folder = package("hil-twin", source, "MODEL")
+    assert hil("run", "stand.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
+    shutil.rmtree(folder)
+    sys.modules.pop("hil_twin", None)
+    newer = package("hil-twin", source.replace("old_key", "new_key"), "MODEL", version="2.0")
+    done = hil("replay", tmp_path / "out" / "recording.mcap", packages=[newer])
+    assert done.code == 2
+    assert "imu.old_key: unknown key" in done.said
+    assert "recorded with hil-twin 1.0, installed is hil-twin 2.0" in done.said

@@ -58,3 +58,104 @@ def test_kinds_that_are_not_meant_are_left_out(pytester, monkeypatch):
     tests = [line for line in result.outlines if "::" in line]
     assert tests
     assert all("tracker" in line for line in tests)
+
+
+CELLS = """
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from hil.config.device import DeviceConfig
+from hil.devices.emulated import Wired
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
+from hil.vocabulary.signals import Stamp, Status
+
+
+@dataclass(frozen=True)
+class Cells:
+    stamp: Stamp
+    volt_v: Array
+    temperature_c: Array
+    switched: Array
+    status: tuple[Status, ...]
+
+
+class Config(DeviceConfig):
+    model: Literal["one"] = "one"
+
+
+class Driver(Sensor):
+    name = "cells"
+
+    def __init__(self, config, clock):
+        self.clock, self.is_open, self.seq = clock, False, 0
+
+    def open(self):
+        self.is_open = True
+
+    def close(self):
+        self.is_open = False
+
+    def identity(self):
+        return {"model": "one"} if self.is_open else {}
+
+    def read(self):
+        if not self.is_open:
+            raise DeviceError("cells", "is closed")
+        self.seq += 1
+        good = self.seq % 10 > 0
+        states = (Status.OK, Status.OK, Status.OK if good else Status.TIMEOUT)
+        volts = np.array([3.7, 3.7, 3.7 if good else FALSE])
+        t_ns = self.clock.now_ns()
+        stamp, switched = Stamp(t_ns, t_ns, self.seq), np.array([True, False])
+        return (Cells(stamp, volts, np.full((2, 2), 25.0), switched, states),)
+
+
+MODEL = DeviceModel(
+    kind="cells", name="one", title="cells", config=Config, driver=Driver,
+    emulate=lambda setting: Wired(lambda: Connection(), lambda: None),
+)
+KIND = DeviceKind(name="cells", noun="battery", sample=Cells, models=(MODEL,), labels=("a", "b", "c"))
+"""
+BESIDE = """
+import pytest
+
+from hil.pytest_plugin.contract import *
+
+KINDS = ("cells",)
+
+
+@pytest.mark.needs("cells", "imu")
+@pytest.mark.fault("imu", "off", at=0.1)
+def test_of_my_own(bench):
+    records = bench.observe(0.5).records
+    assert records[-1].inputs.of("cells")
+    assert not records[-1].inputs.of("imu")
+"""
+
+
+def suite(package, pytester, monkeypatch, missing):
+    folder = package("hil-cells", CELLS.replace("FALSE", missing), "KIND")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, folder))))
+    tables = 'schema = 1\nname = "lab"\n\n[cells]\nbackend = "emulated"\n\n[imu]\nbackend = "emulated"\n'
+    pytester.makefile(".toml", bench=tables)
+    pytester.makeini("[pytest]\nhil_bench = bench.toml\n")
+    pytester.makepyfile(test_contract=BESIDE)
+    return pytester.runpytest_subprocess("-k", "virtual or of_my_own")
+
+
+def test_a_device_of_several_channels_passes_and_tests_of_ones_own_stand_beside(
+    package, pytester, monkeypatch
+):
+    """An array with another shape than the channels' is judged by all of them; a bench of its own is open."""
+    suite(package, pytester, monkeypatch, "np.nan").assert_outcomes(passed=11, deselected=10)
+
+
+def test_a_number_of_a_channel_that_did_not_answer_is_found(package, pytester, monkeypatch):
+    result = suite(package, pytester, monkeypatch, "0.0")
+    failed = {line.split("::")[1].split("[")[0] for line in result.outlines if line.startswith("FAILED")}
+    assert failed == {"test_no_data_is_never_a_number"}

@@ -58,7 +58,8 @@ def emulate(setting):
 
 
 def thing(driver=Driver, emulate=emulate, **more):
-    model = DeviceModel(kind="thing", name="one", title="a thing", config=Config, driver=driver, emulate=emulate)
+    named = {"kind": "thing", "name": "one", "title": "a thing"}
+    model = DeviceModel(**named, config=Config, driver=driver, emulate=emulate)
     return DeviceKind(name="thing", noun="thing", sample=Sample, models=(model,), **more)
 
 
@@ -192,3 +193,46 @@ def test_a_model_without_a_wire_says_so(package, hil):
     done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
     assert done.code == 3, done.said
     assert "thing (hil-evil 6.6): model one has no wire face" in done.said
+
+
+@pytest.mark.usefixtures("bench")
+def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_path, caplog):
+    folder = package("hil-evil", PACKAGE + "ITEM = thing(figures=fail)\n", "ITEM", version="6.6")
+    assert hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
+    done = hil("replay", tmp_path / "out" / "recording.mcap", "--rerun", "x.rrd", packages=[folder])
+    assert done.code == 0, done.said
+    assert caplog.text.count("thing (hil-evil 6.6): figures raised RuntimeError: boom") == 1
+    assert (tmp_path / "x.rrd").stat().st_size > 0
+
+
+@pytest.mark.parametrize(
+    ("tables", "told"),
+    [
+        (f"{TABLES}\n[emulation.thing]\nwrong = 1.0\n", "emulation.thing.wrong: unknown"),
+        (
+            TABLES.replace("[thing]", "[mocap]") + "\n[emulation.thing]\nx = 1.0\n",
+            "emulation.thing: the bench has no",
+        ),
+    ],
+)
+def test_imperfections_are_checked_though_the_package_does_not_look(tables, told, package, hil, tmp_path):
+    (tmp_path / "bench.toml").write_text(tables)
+    source = PACKAGE.replace("driver=driver, emulate", "driver=driver, imperfections=lambda: Truth, emulate")
+    truth = "@dataclass(frozen=True)\nclass Truth:\n    x: float = 0.0\n\n\nITEM = thing()\n"
+    done = hil("doctor", "--bench", "bench.toml", packages=[package("hil-evil", source + truth, "ITEM")])
+    assert done.code == 2
+    assert told in done.said
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_fault_may_name_a_kind_by_its_alias(package, hil):
+    chip = """
+def declaring(setting):
+    setting.world.faults.declare("thing", {"off": ()})
+    return emulate(setting)
+
+
+ITEM = thing(emulate=declaring, aliases=("gadget",))
+"""
+    words = ("doctor", "--bench", "bench.toml", "--watch", "0.1", "--fault", "gadget:off")
+    assert hil(*words, packages=[package("hil-evil", PACKAGE + chip, "ITEM")]).code == 0

@@ -73,7 +73,7 @@ REFUSED = {
     "something else": ("ITEM = 3\n", ("hil-new 1.0", "is a int", "a DeviceKind or a DeviceModel")),
     "a kind that the bench has": (
         changed('replace(THING, name="imu", models=(replace(ONE, kind="imu"),))'),
-        ("hil-new 1.0", "the kind imu is there already (hil)"),
+        ("hil-new 1.0", "the kind imu is there already (hil)", "give the kind another name"),
     ),
     "an alias of a kind": (
         changed('replace(THING, aliases=("can",))'), ("hil-new 1.0", "the kind can is there already (hil)"),
@@ -90,7 +90,7 @@ REFUSED = {
         ("hil-new 1.0", "is of the kind imuu, which there is not", "did you mean imu?"),
     ),
     "a model that there is": (
-        changed("BNO055"), ("hil-new 1.0", "there is a model bno055 of imu already (hil)", "another name"),
+        changed("BNO055"), ("hil-new 1.0", "a model bno055 of imu already (hil)", "give the model another"),
     ),
     "two models of one name": (
         changed("replace(THING, models=(ONE, ONE))"),
@@ -101,6 +101,13 @@ REFUSED = {
     ),
     "a kind without models": (changed("replace(THING, models=())"), ("'thing' with 0 models",)),
     "a name that is none": (changed('replace(THING, name="a thing")'), ("'a thing' with 1 models",)),
+    **{
+        f"the name {name!r}": (changed(f"replace(THING, name={name!r})"), (f"kind {name!r} with 1 models",))
+        for name in ("all", "plant", "Thing", "d\u00fcse", "_thing", "class", None)
+    },
+    "an end of the process": (
+        "import sys\nsys.exit(7)\n", ("hil-new 1.0", "cannot be loaded (SystemExit: 7)", "uninstall hil-new"),
+    ),
     "a table without its name": (
         changed("replace(ONE, config=DeviceConfig, kind='imu')"), ("no key for its own name", "Literal"),
     ),
@@ -138,7 +145,19 @@ def test_two_packages_with_one_kind_are_both_named(package, bench, hil):
         done = hil(*command, packages=folders)
         assert done.code == 2
         assert "device package hil-two 1.0: the kind thing is there already (hil-one 1.0)" in done.said
-        assert "uninstall one of the two packages" in done.said
+        assert "uninstall one of the two packages, or give the kind another name" in done.said
+
+
+def test_a_broken_package_is_not_blamed_on_the_procedure(package, bench, hil, tmp_path):
+    bench("servos")
+    (tmp_path / "mine.py").write_text(
+        "from hil.procedure import procedure\n\n\n"
+        "@procedure(name='mine', needs=('servos',))\ndef run(ctx):\n    pass\n"
+    )
+    folder = package("hil-new", "import no_such_library\n", "ITEM")
+    done = hil("run", "mine.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 2
+    assert done.said.startswith("hil: device package hil-new 1.0: ")
 
 
 def test_two_packages_with_one_model_are_both_named(package, bench, hil):

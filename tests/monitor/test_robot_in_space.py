@@ -128,7 +128,7 @@ def test_wheels_of_a_silent_servo_stay_as_they_were(tmp_path):
 def climbed(tmp_path_factory) -> tuple[Drawn, list[CycleRecord]]:
     """A short climb in the emulated world, recorded, and drawn from the recording."""
     folder = tmp_path_factory.mktemp("climb")
-    overrides = {"emulation.randomise_truth": False, "safety.x_range_m": [-0.5, 2.0]}
+    overrides = {"emulation.randomise_truth": False, "environment.x_range_m": [-0.5, 2.0]}
     with hil.open_bench("emulated", seed=3, overrides=overrides) as bench:
         scene = Scene.of(bench.config, bench.geometry)
         bench.add_sink(McapRecorder(folder / "run.mcap", bench.header(), lossless=True))

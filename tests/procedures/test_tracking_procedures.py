@@ -88,7 +88,7 @@ def test_a_fault_that_makes_it_impossible_fails_it(name, parameters, fault, tmp_
     ],
 )
 def test_what_cannot_be_followed_is_refused_before_the_bench_is_opened(name, parameters, quantity, tmp_path):
-    edges = {"safety.x_range_m": [-1.0, 2.0], "safety.y_range_m": [-1.0, 0.45]}
+    edges = {"environment.x_range_m": [-1.0, 2.0], "environment.y_range_m": [-1.0, 0.45]}
     result = run(name, tmp_path / "run", overrides=edges, **parameters)
     assert result.error is not None
     assert quantity in result.error.message

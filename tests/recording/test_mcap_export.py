@@ -73,8 +73,8 @@ def test_no_records_give_an_empty_table():
 
 def test_csv_and_parquet_hold_the_same_bits(tmp_path):
     records = [driving_record(k) for k in range(40)]
-    assert write_table(records, tmp_path / "t.csv", "csv") == 40
-    assert write_table(records, tmp_path / "t.parquet", "parquet") == 40
+    assert write_table(records, tmp_path / "t.csv", "csv") == (40, COLUMNS)
+    assert write_table(records, tmp_path / "t.parquet", "parquet") == (40, COLUMNS)
     from_csv = np.genfromtxt(tmp_path / "t.csv", delimiter=",", names=True)
     from_parquet = pyarrow.parquet.read_table(tmp_path / "t.parquet")
     assert tuple(from_parquet.column_names) == COLUMNS
