@@ -1,4 +1,4 @@
-"""A bench for the doctor: without the devices that their packages cannot even build, each of which is told."""
+"""A bench for the doctor: without the devices that their packages cannot even build; each is told."""
 
 from __future__ import annotations
 

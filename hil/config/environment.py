@@ -37,8 +37,8 @@ class EnvironmentConfig(BaseModel):
         start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.
             Where a real one stands is measured by motion capture, else given with `--start`, else this if it
             is written in the file.
-        x_range_m, y_range_m: the usable area in the wall frame; a start pose outside it is refused, and so are
-            references that leave it. Without them there is no bound.
+        x_range_m, y_range_m: the usable area in the wall frame; a start pose outside it is refused, and
+            so are references that leave it. Without them there is no bound.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
