@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from two_worlds.bodies import FLOOR, PERIOD_NS, WORLDS, robot, stand, turn
+from two_worlds.bodies import FLOOR, PERIOD_NS, robot, stand, turn
 from two_worlds.results import Row
 
 from hil.calibration.calibrate import Calibration, calibrate
@@ -22,6 +22,7 @@ from hil.robot.kinematics import WheelGeometry, projection
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 from hil.vocabulary.geometry import Array
 
+WORLDS = ("creep", "holding", "own")
 MODELS = ("exact", "dry-friction", "creep")
 _COUNT_RAD = 2.0 * np.pi / 4096.0
 _FITTED = 3
@@ -29,8 +30,8 @@ _FITTED = 3
 
 def keys(robots: int) -> Iterator[Row]:
     """All robots in all worlds."""
-    for seed in range(robots):
-        for world in WORLDS:
+    for world in WORLDS:
+        for seed in range(robots):
             yield {"world": world, "seed": seed}
 
 

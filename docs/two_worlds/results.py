@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-FOLDER = Path("out/two-worlds")
+FOLDER = Path(__file__).parent / "figures"
 Row = dict[str, Any]
 
 

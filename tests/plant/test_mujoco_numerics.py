@@ -75,7 +75,8 @@ def test_halving_the_step_gives_the_same_path():
     assert np.abs(ends[0] - ends[1])[:2].max() <= 1e-4
 
 
-def test_a_simulation_that_diverges_is_an_error_of_the_plant_and_no_verdict():
+def test_a_simulation_that_diverges_is_an_error_of_the_plant_and_no_verdict(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     plant = robot()
     settle(plant)
     plant._built.data.qvel[2] = np.nan
@@ -84,6 +85,7 @@ def test_a_simulation_that_diverges_is_an_error_of_the_plant_and_no_verdict():
     ) as e:
         wait(plant, 0.1)
     assert e.value.exit_code == 3
+    assert list(tmp_path.iterdir()) == []  # MuJoCo's own log
 
 
 def test_what_is_no_place_is_refused():

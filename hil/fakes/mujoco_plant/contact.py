@@ -23,7 +23,7 @@ FRICTION_TIME_CONSTANT_S = 0.004
 """The shortest that MuJoCo takes at a step of 2 ms: a wheel on a bend slides out by the bend's acceleration
 times this."""
 DAMPING_PER_S = 2.0 / (IMPEDANCE * FRICTION_TIME_CONSTANT_S)
-HOLDING_IMPRATIO = 1000.0
+HOLDING_IMPRATIO = 100.0
 CREEP_FLOOR_M_S = 2e-5
 """Rolling speed below which R stays: what a robot at rest drifts by is this share of what it creeps."""
 
