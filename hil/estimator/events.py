@@ -13,6 +13,7 @@ from hil.estimator.conditioning import condition, guard, joint_nis
 from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
+from hil.estimator.retraction import retract
 from hil.estimator.sensors import (
     ANGLE_ROW,
     BENT,
@@ -28,6 +29,7 @@ from hil.estimator.sensors import (
     remember,
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
 from hil.estimator.state import ROWS, STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
@@ -39,14 +41,14 @@ NONE_ACCEPTED = -1.0
 
 
 @compiled
-def advance(x: Array, p: Array, dt_s: float, par: Parameters) -> None:
-    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place."""
+def advance(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
+    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
     if dt_s <= 0.0:
         return
     if par.filter.unscented > 0.0:
-        advance_unscented(x, p, dt_s, par.filter, par.process)
+        advance_unscented(x, p, dt_s, par.filter, par.process, nominal)
     else:
-        advance_linear(x, p, dt_s, par.process)
+        advance_linear(x, p, dt_s, par.process, nominal)
 
 
 @compiled
@@ -120,7 +122,10 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
             gate = NONE_ACCEPTED
     if gate > 0.0:
+        before = x.copy()
         condition(x, p, nu, cross, own, var, count, gate, nis)
+        if par.filter.unscented <= 0.0:
+            retract(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
@@ -155,8 +160,8 @@ def run(
         x[i] = x[j]
         p[i] = p[j]
         m[i] = m[j]
-        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par)
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, nominal(stamp, x[i], m[i].wheels, par.wheels))
         if number == MARK:
             continue
         use = admit(number, stamp, m[i], rows[i], par)
@@ -177,4 +182,5 @@ def run(
     now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        advance(now_x, now_p, ahead_ns / 1e9, par)
+        now = nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels)
+        advance(now_x, now_p, ahead_ns / 1e9, par, now)

@@ -28,8 +28,10 @@ from hil.estimator.layout import (
 )
 from hil.estimator.process import advance_linear, transition
 from hil.estimator.records import Records
+from hil.estimator.retraction import pull_retraction
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
 from hil.estimator.start import start_of
 from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
@@ -207,6 +209,7 @@ def backward(
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
         number, stamp = numbers[k], float(t_ns[k] - zero_ns)
+        rolling = nominal(stamp, x[k - 1], m[k - 1].wheels, par.wheels)
         if number == MARK:
             xs[k] = x[k] - p[k] @ late
             ps[k] = (p[k] - p[k] @ spread @ p[k])[:MOTION, :MOTION]
@@ -217,9 +220,10 @@ def backward(
             if use == USED and m[k].accepted > m[k - 1].accepted:
                 before, spread_before = x[k - 1].copy(), p[k - 1].copy()
                 if dt_s > 0.0:
-                    advance_linear(before, spread_before, dt_s, par.process)
+                    advance_linear(before, spread_before, dt_s, par.process, rolling)
+                pull_retraction(before, x[k], late, spread)
                 pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, late, spread)
         if dt_s > 0.0:
-            f = transition(x[k - 1], dt_s, par.process.slip_s)
+            f = transition(x[k - 1], dt_s, par.process.slip_s, par.process.scaled, rolling)
             late[:] = f.T @ late
             spread[:, :] = f.T @ spread @ f

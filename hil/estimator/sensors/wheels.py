@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import Contacts, contact_values, windowed_twist
+from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
 from hil.estimator.process import sinc, sinc_slope
 from hil.estimator.records import Eight, Four, Record
 from hil.estimator.sensors.sensor import (
@@ -110,6 +110,7 @@ class Memory(Record):
         t_ns: its stamp; negative before the first.
         angle_rad, steering_rad: NaN where a wheel was not usable.
         speed_m_s: mean speed of the wheels over the last half second.
+        ahead_m_s, left_m_s: velocity of the body between the last two reads, by the wheels alone.
         window_m: sum of the last displacements, for friction.
         innovation_m: of the first two rows, as a length.
         refused: how often each wheel's equations were left out.
@@ -120,6 +121,8 @@ class Memory(Record):
     angle_rad: Four
     steering_rad: Four
     speed_m_s: float
+    ahead_m_s: float
+    left_m_s: float
     window_m: Eight
     innovation_m: float
     refused: Four
@@ -236,7 +239,7 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     dt = (t_ns - m.t_ns) * 1e-9
     if m.t_ns < 0.0 or dt > par.longest_gap_s:
         return 0
-    u, noise = np.zeros(ROWS), np.full(ROWS, -1.0)
+    u, noise, known = np.zeros(ROWS), np.full(ROWS, -1.0), np.zeros(4)
     rolled, count, steering, last, wheels = 0.0, 0, row.steering_rad, m.steering_rad, par.contacts
     for i in range(4):
         angle = row.rate_rad_s[i] * dt if par.from_rate > 0.0 else row.angle_rad[i] - m.angle_rad[i]
@@ -249,16 +252,28 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
         spread = par.step + par.per_m * abs(length) + par.per_s * dt
         noise[2 * i] = noise[2 * i + 1] = spread + par.steering * turned * turned
         rolled += abs(length)
+        known[i] = 1.0
         count += 1
     if count == 0:
         return 0
     m.speed_m_s += (1.0 - math.exp(-dt / ROLLING_S)) * (rolled / (count * dt) - m.speed_m_s)
     aux[0], aux[1] = dt, m.speed_m_s * dt
+    if count > 1:
+        body = weighted_twist(u, known, wheels)
+        m.ahead_m_s, m.left_m_s = body[0] / dt, body[1] / dt
     if par.rows > BODY_ROWS:
         z[:] = u
         var[:] = noise
         return ROWS
     return body_rows(u, noise, count, dt, m, par, z, var)
+
+
+@compiled
+def nominal(t_ns: float, x: Array, m: Memory, par: Parameters) -> Array:
+    """Velocity (2,) of the body, m/s: what the wheels said last, the state's own where they are silent."""
+    if m.t_ns < 0.0 or (t_ns - m.t_ns) * 1e-9 > par.longest_gap_s:
+        return np.array([x[V_X], x[V_Y]])
+    return np.array([m.ahead_m_s, m.left_m_s])
 
 
 @compiled
