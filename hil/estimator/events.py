@@ -13,14 +13,14 @@ from hil.estimator.conditioning import condition, guard, joint_nis
 from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
-from hil.estimator.retraction import retract
+from hil.estimator.retraction import carry, follow, is_unsure, lean, settle
 from hil.estimator.sensors import (
-    ANGLE_ROW,
     BENT,
     GATED_TOGETHER,
     MARK,
     account,
     admit,
+    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -79,22 +79,6 @@ def moments(
 
 
 @compiled
-def innovation(number: int, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Measured minus predicted rows (8,), angles by the shorter way round.
-
-    A row that is not finite is marked in `var`.
-    """
-    nu = z - mean
-    for i in range(count):
-        if not math.isfinite(nu[i]):
-            nu[i], var[i] = 0.0, -1.0
-    angle = ANGLE_ROW[number]
-    if angle >= 0:
-        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
-    return nu
-
-
-@compiled
 def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
     """Update with one sample at its own time; the state is already there.
 
@@ -111,21 +95,39 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
         return
-    mean, nis = np.zeros(ROWS), np.full(ROWS, -1.0)
+    nu, nis, before = np.zeros(ROWS), np.full(ROWS, -1.0), x.copy()
     cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
-    moments(number, x, p, aux, par, count, mean, cross, own)
-    nu = innovation(number, z, mean, var, count)
+    unsure = is_unsure(number, p, par)
+    if unsure:
+        spread = np.zeros((STATES, STATES))
+        settle(
+            number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, np.zeros((ROWS, STATES))
+        )
+    else:
+        mean = np.zeros(ROWS)
+        moments(number, x, p, aux, par, count, mean, cross, own)
+        nu[:] = innovation(number, z, mean, var, count)
     shown = nu.copy()
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
         if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
             gate = NONE_ACCEPTED
-    if gate > 0.0:
-        before = x.copy()
+    if gate <= 0.0:
+        x[:] = before
+    elif unsure:
+        point, toward = x.copy(), np.zeros(STATES)
+        p[:, :] = spread
+        condition(toward, p, nu, cross, own, var, count, gate, nis)
+        lean(before, point, toward, -1.0)
+        x[:] = before + toward
+        follow(before, x)
+        carry(point, x, p)
+    else:
         condition(x, p, nu, cross, own, var, count, gate, nis)
         if par.filter.unscented <= 0.0:
-            retract(before, x, p)
+            follow(before, x)
+            carry(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 

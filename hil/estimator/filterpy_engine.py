@@ -17,17 +17,18 @@ import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.estimator.conditioning import guard
-from hil.estimator.events import NONE_ACCEPTED, innovation
+from hil.estimator.events import NONE_ACCEPTED, compare
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
 from hil.estimator.records import Records
-from hil.estimator.retraction import retract
+from hil.estimator.retraction import carry, follow, is_unsure
 from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
     account,
     admit,
+    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -218,10 +219,15 @@ class FilterpyEngine(Engine):
         move(self._filter.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
-        """As a sample of `events.run`, with the comparison on filterpy."""
+        """As a sample of `events.run`, with the comparison on filterpy.
+
+        It has no update about another point than the mean: while the heading is unsure the kernel does it.
+        """
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
-        if r.count > 0:
+        if r.count > 0 and is_unsure(number, p, self._par[0]):
+            compare(number, t_ns, x, p, m[0], row[0], self._par[0])
+        elif r.count > 0:
             self._compare(number, x, p, m, r)
         after(number, use, t_ns, x, p, m, row, self._par)
 
@@ -288,4 +294,5 @@ class FilterpyEngine(Engine):
         before = x.copy()
         x[:], p[:] = f.x, _symmetric(f.P)
         if not self._unscented:
-            retract(before, x, p)
+            follow(before, x)
+            carry(before, x, p)

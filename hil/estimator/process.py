@@ -1,11 +1,10 @@
 """Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisances.
 
-One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far. The
-derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body frame), not
-at the estimate: this carries the noise of the very camera samples that the next one is compared with, and
-with it the scale would drift whatever the truth (docs/decisions/0020). In the mean the estimate counts.
-
-Every kernel works in place on one state (20,) and covariance (20, 20), their order in `hil.estimator.state`.
+One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far.
+The derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body
+frame), not at the estimate: this carries the noise of the very camera samples that the next one is compared
+with, and with it the scale would drift whatever the truth (docs/decisions/0020). In the mean the estimate
+counts.
 """
 
 from __future__ import annotations
@@ -33,7 +32,6 @@ from hil.estimator.state import (
     V_Y,
     YAW_SLIP,
     X,
-    Y,
 )
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -128,7 +126,7 @@ def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: fl
 
 @compiled
 def shifts(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array, out: Array) -> None:
-    """Displacements (4,) of a state's two poses; `scale` is that of the mean, from which the state's deviates."""
+    """Displacements (4,) of a state's two poses; `scale` is that of the mean; points differ."""
     wall, sight, longer = np.zeros(2), np.zeros(2), np.zeros(2)
     shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, wall)
     shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, sight)
@@ -245,7 +243,9 @@ def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nomi
             for i in range(2):
                 a, b = wall[i], sight[i]
                 p[X + i, j] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
-                p[SIGHT_X + i, j] += b[0] * seen + b[1] * ahead + b[2] * left + b[3] * spun + longer[i] * scale
+                p[SIGHT_X + i, j] += (
+                    b[0] * seen + b[1] * ahead + b[2] * left + b[3] * spun + longer[i] * scale
+                )
             p[THETA, j] += dt_s * spun
             p[SIGHT_THETA, j] += dt_s * spun
             p[SLIP_X, j] *= decay

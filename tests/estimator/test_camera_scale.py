@@ -1,4 +1,4 @@
-"""The camera's scale on a line where nothing tells it from creep: it stays where it is, whatever the noise."""
+"""The camera's scale on a line where nothing tells it from creep: it stays, whatever the noise."""
 
 from dataclasses import replace
 
@@ -22,11 +22,11 @@ from hil.robot.kinematics import WheelGeometry
 
 NOISE = CameraErrors(position_m=3e-4, heading_rad=5e-4, scale_sigma=0.0, drift_per_sqrt_m=1e-3)
 MATCHED = {"position_m": 3e-4, "heading_rad": 5e-4, "drift_per_sqrt_m": 1e-3}
-SCALES = (-0.01, -0.004, 0.004, 0.01)
+SCALES = (-0.01, 0.0, 0.01)
 SPEED_M_S, CREEP, RAMP_S = 0.08, 0.034, 4.0
 
 
-def climb(scale, seed, driven_s=18.0, rest_s=6.0):
+def climb(scale, seed, driven_s=15.0, rest_s=5.0):
     """Up the wall with creep, then at rest: cycles, start and the path, seen by a camera of this scale."""
     rng = np.random.default_rng(seed)
     t_s = 1.0 + np.arange(round((driven_s + rest_s) * 100) + 1) / 100.0
@@ -52,7 +52,7 @@ def followed(config, parts, start):
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_a_camera_whose_noise_is_known_does_not_pull_its_scale_away(kind):
-    """Nothing here tells the scale from creep: its mean stays within what the filter says of it, also at rest.
+    """Nothing tells the scale from creep here: it stays within what the filter says of it, also at rest.
 
     Taken at the estimated displacement, the derivative by the scale pulled it to -1.2 % in every world.
     """

@@ -137,7 +137,7 @@ def start_up_nees(kind, sigma, runs=200):
 
 @pytest.mark.parametrize("sigma", [0.02, 0.1])
 def test_one_position_finds_a_heading_that_was_not_known(sigma):
-    """Only the heading is drawn, so that a consistent filter has a mean of 1 here (additive EKF: 18 at 0.1)."""
+    """Only the heading is drawn, so that a consistent filter has a mean of 1 here (an additive EKF: 18)."""
     assert 0.6 < start_up_nees("ekf", sigma) < 2.0
     assert 0.6 < start_up_nees("ukf", sigma) < 3.0
 
