@@ -31,7 +31,7 @@ from hil.estimator.sensors import (
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
-from hil.estimator.state import ROWS, STATES
+from hil.estimator.state import AUX, ROWS, STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -62,7 +62,7 @@ def moments(
         number: of the sensor.
         x: (20,) state.
         p: (20, 20) covariance.
-        aux: (2,) figures of `observe`.
+        aux: (5,) figures of `observe`.
         par: of all kernels.
         count: number of rows.
         mean: (8,) filled with the rows that the state predicts.
@@ -91,7 +91,7 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         row: the sample.
         par: of all kernels.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
         return

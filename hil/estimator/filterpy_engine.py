@@ -39,7 +39,7 @@ from hil.estimator.sensors import (
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import square_root
-from hil.estimator.state import ROWS, SCALE, STATES
+from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -223,7 +223,7 @@ class FilterpyEngine(Engine):
 
         It has no update about another point than the mean: while the heading is unsure the kernel does it.
         """
-        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
+        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
         if r.count > 0 and is_unsure(number, p, self._par[0]):
             compare(number, t_ns, x, p, m[0], row[0], self._par[0])

@@ -99,7 +99,7 @@ def settle(
         p: (20, 20) its covariance.
         z: (8,) measured rows.
         var: (8,) their variances.
-        aux: (2,) figures of `observe`.
+        aux: (5,) figures of `observe`.
         count: number of rows.
         par: of all kernels.
         point: (20,) filled, and

@@ -34,7 +34,7 @@ from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
 from hil.estimator.start import start_of
-from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
+from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -153,7 +153,7 @@ def pull_update(
         late: (20,) and
         spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
     count = observe(number, t_ns, m, row, par, z, var, aux)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
     cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))

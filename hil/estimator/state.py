@@ -30,6 +30,8 @@ CURVED = SCALE + 1
 
 ROWS = 8
 """Most rows that one sample compares with the state."""
+AUX = 5
+"""Most figures that the prediction of a sample's rows needs beside the state."""
 
 
 def prior_variances(config: EstimatorConfig, surface: str) -> Array:

@@ -57,7 +57,7 @@ class World:
 
     def sense(self, sensor):
         number, count = NUMBERS[sensor], len(VARIANCE[sensor])
-        aux = np.array([DT_S, 0.1 * DT_S])
+        aux = np.array([DT_S, 0.1 * DT_S, 0.1 * DT_S, 0.0, 0.0])
         z, mean, nu = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
         predicted(number, self.true, aux, self.par, z)
         z[:count] += np.sqrt(VARIANCE[sensor]) * self.rng.normal(size=count)

@@ -84,7 +84,7 @@ def test_written_out_prediction_equals_the_matrix_product():
 def test_measurement_jacobians(sensor, changes):
     rng = np.random.default_rng(3)
     par, number = kernel_parameters(**changes), NUMBERS[sensor]
-    aux = np.array([0.016, 0.0011])
+    aux = np.array([0.016, 0.0011, 8e-4, -6e-4, 2e-3])
     for _ in range(5):
         x = some_state(rng)
 
