@@ -3,7 +3,7 @@
 One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far.
 The derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body
 frame), not at the estimate: this carries the noise of the very camera samples that the next one is compared
-with, and with it the scale would drift whatever the truth (docs/decisions/0020). In the mean the estimate
+with, and with it the scale would drift whatever the truth (docs/decisions/0024). In the mean the estimate
 counts.
 """
 
