@@ -21,6 +21,8 @@ from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh")
+_NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
+"""Tables of `estimator` that speak of a device."""
 
 
 def profile_names() -> tuple[str, ...]:
@@ -78,6 +80,8 @@ def load_bench(
         tree, origin = find_bench(source)
         if origin == str(source):
             _anchor(tree, Path(source).parent)
+        else:
+            _forget_noise(tree, overrides or {})
     _change_models(tree, overrides or {})
     for dotted, value in (overrides or {}).items():
         _overlay(tree, dotted, value)
@@ -96,6 +100,16 @@ def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> Non
             continue
         if table.get("model", kind.models[0].name) != name:
             tree[kind.name] = {key: v for key, v in table.items() if key in model.config.model_fields}
+
+
+def _forget_noise(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:
+    """Leave out what a profile says of the noise of devices that are to be real, or beside a preset."""
+    if overrides.get("estimator.preset", "recommended") != "recommended":
+        tree.pop("estimator", None)
+    for name, tables in _NOISE_OF.items():
+        if overrides.get(f"{name}.backend", "emulated") != "emulated":
+            for table in tables:
+                tree.get("estimator", {}).pop(table, None)
 
 
 def _anchor(tree: dict[str, Any], folder: Path) -> None:

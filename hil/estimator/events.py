@@ -13,13 +13,14 @@ from hil.estimator.conditioning import condition, guard, joint_nis
 from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
+from hil.estimator.retraction import carry, follow, is_unsure, lean, settle
 from hil.estimator.sensors import (
-    ANGLE_ROW,
     BENT,
     GATED_TOGETHER,
     MARK,
     account,
     admit,
+    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -28,8 +29,9 @@ from hil.estimator.sensors import (
     remember,
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
-from hil.estimator.state import ROWS, STATES
+from hil.estimator.state import AUX, ROWS, STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -39,14 +41,14 @@ NONE_ACCEPTED = -1.0
 
 
 @compiled
-def advance(x: Array, p: Array, dt_s: float, par: Parameters) -> None:
-    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place."""
+def advance(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
+    """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
     if dt_s <= 0.0:
         return
     if par.filter.unscented > 0.0:
-        advance_unscented(x, p, dt_s, par.filter, par.process)
+        advance_unscented(x, p, dt_s, par.filter, par.process, nominal)
     else:
-        advance_linear(x, p, dt_s, par.process)
+        advance_linear(x, p, dt_s, par.process, nominal)
 
 
 @compiled
@@ -60,7 +62,7 @@ def moments(
         number: of the sensor.
         x: (20,) state.
         p: (20, 20) covariance.
-        aux: (2,) figures of `observe`.
+        aux: (5,) figures of `observe`.
         par: of all kernels.
         count: number of rows.
         mean: (8,) filled with the rows that the state predicts.
@@ -77,22 +79,6 @@ def moments(
 
 
 @compiled
-def innovation(number: int, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Measured minus predicted rows (8,), angles by the shorter way round.
-
-    A row that is not finite is marked in `var`.
-    """
-    nu = z - mean
-    for i in range(count):
-        if not math.isfinite(nu[i]):
-            nu[i], var[i] = 0.0, -1.0
-    angle = ANGLE_ROW[number]
-    if angle >= 0:
-        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
-    return nu
-
-
-@compiled
 def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
     """Update with one sample at its own time; the state is already there.
 
@@ -105,22 +91,43 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         row: the sample.
         par: of all kernels.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
         return
-    mean, nis = np.zeros(ROWS), np.full(ROWS, -1.0)
+    nu, nis, before = np.zeros(ROWS), np.full(ROWS, -1.0), x.copy()
     cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
-    moments(number, x, p, aux, par, count, mean, cross, own)
-    nu = innovation(number, z, mean, var, count)
+    unsure = is_unsure(number, p, par)
+    if unsure:
+        spread = np.zeros((STATES, STATES))
+        settle(
+            number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, np.zeros((ROWS, STATES))
+        )
+    else:
+        mean = np.zeros(ROWS)
+        moments(number, x, p, aux, par, count, mean, cross, own)
+        nu[:] = innovation(number, z, mean, var, count)
     shown = nu.copy()
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
         if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
             gate = NONE_ACCEPTED
-    if gate > 0.0:
+    if gate <= 0.0:
+        x[:] = before
+    elif unsure:
+        point, toward = x.copy(), np.zeros(STATES)
+        p[:, :] = spread
+        condition(toward, p, nu, cross, own, var, count, gate, nis)
+        lean(before, point, toward, -1.0)
+        x[:] = before + toward
+        follow(before, x)
+        carry(point, x, p)
+    else:
         condition(x, p, nu, cross, own, var, count, gate, nis)
+        if par.filter.unscented <= 0.0:
+            follow(before, x)
+            carry(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
@@ -155,8 +162,8 @@ def run(
         x[i] = x[j]
         p[i] = p[j]
         m[i] = m[j]
-        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par)
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, nominal(stamp, x[i], m[i].wheels, par.wheels))
         if number == MARK:
             continue
         use = admit(number, stamp, m[i], rows[i], par)
@@ -177,4 +184,5 @@ def run(
     now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        advance(now_x, now_p, ahead_ns / 1e9, par)
+        now = nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels)
+        advance(now_x, now_p, ahead_ns / 1e9, par, now)

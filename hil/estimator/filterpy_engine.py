@@ -17,16 +17,18 @@ import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
 from hil.estimator.conditioning import guard
-from hil.estimator.events import NONE_ACCEPTED, innovation
+from hil.estimator.events import NONE_ACCEPTED, compare
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
 from hil.estimator.process import add_noise, move, transition
 from hil.estimator.records import Records
+from hil.estimator.retraction import carry, follow, is_unsure
 from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
     account,
     admit,
+    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -35,8 +37,9 @@ from hil.estimator.sensors import (
     remember,
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import square_root
-from hil.estimator.state import ROWS, STATES
+from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -145,6 +148,12 @@ def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
 
 
 @compiled
+def rolling(t_ns: float, x: Array, m: Records, par: Records) -> Array:
+    """`sensors.wheels.nominal`."""
+    return nominal(t_ns, x, m[0].wheels, par[0].wheels)
+
+
+@compiled
 def noise_at(x: Array, dt_s: float, par: Records) -> Array:
     """Process noise (20, 20) of a step from a state (20,)."""
     q = np.zeros((STATES, STATES))
@@ -157,7 +166,9 @@ class FilterpyEngine(Engine):
 
     def __init__(self, par: Records) -> None:
         by, n = par[0].filter, STATES
-        self._par, self._slip_s = par, float(par[0].process.slip_s)
+        process = par[0].process
+        self._par, self._slip_s, self._scaled = par, float(process.slip_s), float(process.scaled)
+        self._scale, self._nominal = 0.0, np.zeros(2)
         self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
         self._unscented = bool(by.unscented)
         if self._unscented:
@@ -174,11 +185,14 @@ class FilterpyEngine(Engine):
         for k in range(begin, h.count):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
+            stamp, one = float(h.t_ns[i] - zero_ns), slice(i, i + 1)
+            self._nominal = rolling(stamp, h.x[i], h.m[one], self._par)
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
             if h.numbers[i] != MARK:
-                number, stamp, one = int(h.numbers[i]), float(h.t_ns[i] - zero_ns), slice(i, i + 1)
+                number = int(h.numbers[i])
                 self._take(number, stamp, h.x[i], h.p[i], h.m[one], h.rows[one])
         now.x[:], now.p[:], now.m[0] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
+        self._nominal = rolling(float(now_ns - zero_ns), now.x, now.m, self._par)
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
@@ -186,29 +200,34 @@ class FilterpyEngine(Engine):
         if dt_s <= 0.0:
             return
         f = self._filter
-        f.x, f.P = x.copy(), p.copy()
+        f.x, f.P, self._scale = x.copy(), p.copy(), float(x[SCALE])
         f.Q = noise_at(x, dt_s, self._par)
         if self._unscented:
             f.predict(dt=dt_s, UT=centred_transform)
         else:
-            f.F = transition(x, dt_s, self._slip_s)
+            f.F = transition(x, dt_s, self._slip_s, self._scaled, self._nominal)
             self._step_s = dt_s
             f.predict()
         x[:], p[:] = f.x, _symmetric(f.P)
 
     def _moved(self, x: Array, dt_s: float) -> Array:
         out = np.array(x)
-        move(out, dt_s, self._slip_s)
+        move(out, dt_s, self._slip_s, self._scaled, self._scale, self._nominal)
         return out
 
     def _predict_mean(self, u: float = 0.0) -> None:
-        move(self._filter.x, self._step_s, self._slip_s)
+        move(self._filter.x, self._step_s, self._slip_s, self._scaled, self._scale, self._nominal)
 
     def _take(self, number: int, t_ns: float, x: Array, p: Array, m: Records, row: Records) -> None:
-        """As a sample of `events.run`, with the comparison on filterpy."""
-        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(2), 0)
+        """As a sample of `events.run`, with the comparison on filterpy.
+
+        It has no update about another point than the mean: while the heading is unsure the kernel does it.
+        """
+        r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
-        if r.count > 0:
+        if r.count > 0 and is_unsure(number, p, self._par[0]):
+            compare(number, t_ns, x, p, m[0], row[0], self._par[0])
+        elif r.count > 0:
             self._compare(number, x, p, m, r)
         after(number, use, t_ns, x, p, m, row, self._par)
 
@@ -272,4 +291,8 @@ class FilterpyEngine(Engine):
                 lambda x: np.zeros(len(used)),
                 R=noise,
             )
+        before = x.copy()
         x[:], p[:] = f.x, _symmetric(f.P)
+        if not self._unscented:
+            follow(before, x)
+            carry(before, x, p)

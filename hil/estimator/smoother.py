@@ -13,7 +13,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.events import innovation, run
+from hil.estimator.events import run
 from hil.estimator.intake import Intake
 from hil.estimator.layout import (
     MEMORY,
@@ -28,11 +28,13 @@ from hil.estimator.layout import (
 )
 from hil.estimator.process import advance_linear, transition
 from hil.estimator.records import Records
-from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, jacobian, observe, predicted, undo
+from hil.estimator.retraction import is_unsure, pull_carry, settle
+from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
+from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
 from hil.estimator.start import start_of
-from hil.estimator.state import MOTION, POSE, ROWS, STATES, TWIST
+from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -134,7 +136,7 @@ def _segments(keys: Ints, data: Array, start_ns: int) -> list[_Segment]:
 
 @compiled
 def pull_update(
-    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters,
+    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, after: Array,
     late: Array, spread: Array,
 ) -> None:  # fmt: skip
     """Carry what later samples say back through one sample's update, row by row in reverse, in place.
@@ -147,17 +149,23 @@ def pull_update(
         m: memory before the sample; used up.
         row: the sample.
         par: of all kernels.
+        after: (20,) state after the sample.
         late: (20,) and
         spread: (20, 20): smoothed state = x - p late, smoothed covariance = p - p spread p.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(2)
+    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
     count = observe(number, t_ns, m, row, par, z, var, aux)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
     cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
-    predicted(number, x, aux, par, mean)
-    jacobian(number, x, aux, par, h)
-    seen(p, h, count, cross, own)
-    nu = innovation(number, z, mean, var, count)
+    nu, point = np.zeros(ROWS), x.copy()
+    if is_unsure(number, p, par):
+        settle(number, x, p, z, var, aux, count, par, point, p.copy(), nu, cross, own, h)
+    else:
+        predicted(number, x, aux, par, mean)
+        jacobian(number, x, aux, par, h)
+        seen(p, h, count, cross, own)
+        nu[:] = innovation(number, z, mean, var, count)
+    pull_carry(point, after, late, spread)
     size, used = np.zeros(ROWS), np.zeros(ROWS)
     gate = np.inf if GATED_TOGETHER[number] else par.filter.gate_row
     for i in range(count):
@@ -180,6 +188,7 @@ def pull_update(
                 information[j] = h[i, j] * h[i] / size[i]
             late[:] = back.T @ late - h[i] * (nu[i] / size[i])
             spread[:, :] = back.T @ spread @ back + information
+    pull_carry(x, point, late, spread)
 
 
 @compiled
@@ -207,6 +216,7 @@ def backward(
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
         number, stamp = numbers[k], float(t_ns[k] - zero_ns)
+        rolling = nominal(stamp, x[k - 1], m[k - 1].wheels, par.wheels)
         if number == MARK:
             xs[k] = x[k] - p[k] @ late
             ps[k] = (p[k] - p[k] @ spread @ p[k])[:MOTION, :MOTION]
@@ -217,9 +227,9 @@ def backward(
             if use == USED and m[k].accepted > m[k - 1].accepted:
                 before, spread_before = x[k - 1].copy(), p[k - 1].copy()
                 if dt_s > 0.0:
-                    advance_linear(before, spread_before, dt_s, par.process)
-                pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, late, spread)
+                    advance_linear(before, spread_before, dt_s, par.process, rolling)
+                pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, x[k], late, spread)
         if dt_s > 0.0:
-            f = transition(x[k - 1], dt_s, par.process.slip_s)
+            f = transition(x[k - 1], dt_s, par.process.slip_s, par.process.scaled, rolling)
             late[:] = f.T @ late
             spread[:, :] = f.T @ spread @ f

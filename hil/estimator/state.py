@@ -1,9 +1,9 @@
 """The state vector of the filter: which number stands where. The covariance goes by the same names.
 
-Twenty states: pose in the wall frame (m, m, rad); body twist (m/s, m/s, rad/s); gyro bias (rad/s); yaw slip
-per rolled metre (rad/m); slip velocity (wall axes, m/s); creep, the slip per rolled metre (wall axes, m/m);
-scale error (of the camera or of the wheels); offset of the gravity heading (rad); frame of the tracking
-camera in the wall frame; pose cloned at the last servo read.
+Twenty states: pose in the wall frame (m, m, rad); body twist (m/s, m/s, rad/s); pose in the tracking camera's
+own frame, as long as its scale makes it; scale error (of the camera or of the wheels); gyro bias (rad/s); yaw
+slip per rolled metre (rad/m); slip velocity (wall axes, m/s); creep, the slip per rolled metre (wall axes,
+m/m); offset of the gravity heading (rad); pose cloned at the last servo read.
 """
 
 from __future__ import annotations
@@ -15,18 +15,23 @@ from hil.vocabulary.geometry import Array
 
 STATES = 20
 (
-    X, Y, THETA, V_X, V_Y, OMEGA, BIAS, YAW_SLIP, SLIP_X, SLIP_Y, CREEP_X, CREEP_Y, SCALE, OFFSET,
-    FRAME_X, FRAME_Y, FRAME_THETA, CLONE_X, CLONE_Y, CLONE_THETA,
+    X, Y, THETA, V_X, V_Y, OMEGA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SCALE, BIAS, YAW_SLIP, SLIP_X, SLIP_Y,
+    CREEP_X, CREEP_Y, OFFSET, CLONE_X, CLONE_Y, CLONE_THETA,
 ) = range(STATES)  # fmt: skip
 
 POSE = slice(X, THETA + 1)
 TWIST = slice(V_X, OMEGA + 1)
+SIGHT = slice(SIGHT_X, SIGHT_THETA + 1)
 CLONE = slice(CLONE_X, CLONE_THETA + 1)
 MOTION = OMEGA + 1
 """How many states, the leading ones, are pose and twist: those that others are told."""
+CURVED = SCALE + 1
+"""How many, the leading ones, the nonlinear part of the process model has to do with."""
 
 ROWS = 8
 """Most rows that one sample compares with the state."""
+AUX = 5
+"""Most figures that the prediction of a sample's rows needs beside the state."""
 
 
 def prior_variances(config: EstimatorConfig, surface: str) -> Array:

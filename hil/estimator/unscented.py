@@ -21,10 +21,22 @@ from typing import NamedTuple
 import numpy as np
 
 from hil.estimator.layout import FilterParameters, Parameters
-from hil.estimator.process import ProcessParameters, add_noise, sinc
+from hil.estimator.process import ProcessParameters, add_noise, fade, shifts
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
-from hil.estimator.state import MOTION, OMEGA, ROWS, SLIP_X, SLIP_Y, STATES, THETA, V_X, V_Y, X, Y
+from hil.estimator.state import (
+    CURVED,
+    OMEGA,
+    ROWS,
+    SCALE,
+    SIGHT_THETA,
+    SIGHT_X,
+    SLIP_X,
+    SLIP_Y,
+    STATES,
+    THETA,
+    X,
+)
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 
@@ -48,16 +60,6 @@ def weights(n: int, points: FilterParameters) -> Weights:
     """Weights for `n` states."""
     total = points.alpha * points.alpha * (n + points.kappa)
     return Weights(math.sqrt(total), 1.0 / total, points.beta - points.alpha * points.alpha)
-
-
-@compiled
-def moved_position(x: Array, dt_s: float, out: Array) -> None:
-    """Position (2,) of a state after `dt_s`, as `process.move` does it: the only nonlinear part."""
-    h = 0.5 * x[OMEGA] * dt_s
-    k = sinc(h) * dt_s
-    c, s = math.cos(x[THETA] + h), math.sin(x[THETA] + h)
-    out[0] = x[X] + k * (c * x[V_X] - s * x[V_Y])
-    out[1] = x[Y] + k * (s * x[V_X] + c * x[V_Y])
 
 
 @compiled
@@ -97,41 +99,46 @@ def transpose(p: Array) -> None:
 
 @compiled
 def advance_unscented(
-    x: Array, p: Array, dt_s: float, points: FilterParameters, par: ProcessParameters
+    x: Array, p: Array, dt_s: float, points: FilterParameters, par: ProcessParameters, nominal: Array
 ) -> None:
     """Unscented prediction, in place: points for the position, the rest of the model is linear."""
     n = STATES
     w = weights(n, points)
-    root = square_root(p, MOTION)
+    root = square_root(p, CURVED)
     odd, even = np.zeros((n, ROWS)), np.zeros((n, ROWS))
-    centre, high, low = np.zeros(2), np.zeros(2), np.zeros(2)
-    up, down = np.zeros(MOTION), np.zeros(MOTION)
-    moved_position(x, dt_s, centre)
-    for k in range(MOTION):
-        for i in range(MOTION):
+    centre, high, low, places = np.zeros(4), np.zeros(4), np.zeros(4), (X, X + 1, SIGHT_X, SIGHT_X + 1)
+    up, down = np.zeros(CURVED), np.zeros(CURVED)
+    shifts(x, dt_s, par.scaled, x[SCALE], nominal, centre)
+    for k in range(CURVED):
+        for i in range(CURVED):
             up[i], down[i] = x[i] + w.reach * root[i, k], x[i] - w.reach * root[i, k]
-        moved_position(up, dt_s, high)
-        moved_position(down, dt_s, low)
-        parts(high, low, centre, k, 2, odd, even)
+        shifts(up, dt_s, par.scaled, x[SCALE], nominal, high)
+        shifts(down, dt_s, par.scaled, x[SCALE], nominal, low)
+        parts(high, low, centre, k, 4, odd, even)
+        for i in range(4):
+            odd[k, i] += w.reach * root[places[i], k]
     offset, cross, own = np.zeros(ROWS), np.zeros((n, ROWS)), np.zeros((ROWS, ROWS))
-    collect(w, root, odd, even, 2, offset, cross, own)
+    collect(w, root, odd, even, 4, offset, cross, own)
     start = x.copy()
-    x[X], x[Y] = centre[0] + offset[0], centre[1] + offset[1]
-    x[THETA] += x[OMEGA] * dt_s
+    for i in range(4):
+        x[places[i]] += centre[i] + offset[i]
+    fade(x, dt_s, par.slip_s)
     decay = math.exp(-dt_s / par.slip_s)
-    x[SLIP_X] *= decay
-    x[SLIP_Y] *= decay
-    for i in range(2):
+    for i in range(4):
         for j in range(n):
-            p[i, j] = p[j, i] = cross[j, i]
-    for i in range(2):
-        for j in range(2):
-            p[i, j] = own[i, j]
+            p[places[i], j] = p[j, places[i]] = cross[j, i]
+    for i in range(4):
+        for j in range(4):
+            p[places[i], places[j]] = own[i, j]
     for _ in range(2):
         p[THETA] += dt_s * p[OMEGA]
+        p[SIGHT_THETA] += dt_s * p[OMEGA]
         p[SLIP_X] *= decay
         p[SLIP_Y] *= decay
         transpose(p)
+    for i in range(n):
+        for j in range(i):
+            p[i, j] = p[j, i]
     add_noise(start, p, dt_s, par)
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from hil.config.bench import BenchConfig
+from hil.config.estimator import EstimatorConfig
 from hil.config.loading import load_bench
 from hil.vocabulary.errors import ConfigError
 
@@ -77,3 +78,16 @@ def test_unknown_sources_devices_and_overrides_are_refused(bench, tmp_path):
         load_bench(bench, emulate="tracker")
     with pytest.raises(ConfigError, match="is a value"):
         load_bench(bench, overrides={"name.first": 1})
+
+
+def test_a_profile_speaks_of_the_noise_of_what_it_emulates_only():
+    """A real camera beside emulated devices is read with the noise of hardware, unless somebody says so."""
+    hardware = EstimatorConfig()
+    own, mixed = load_bench("emulated"), load_bench("emulated", overrides={"tracker.backend": "real"})
+    assert own.estimator.tracker.position_m < 0.5 * hardware.tracker.position_m
+    assert mixed.estimator.tracker == hardware.tracker
+    assert mixed.estimator.wheels == own.estimator.wheels != hardware.wheels
+    given = {"tracker.backend": "real", "estimator.tracker.position_m": 2e-3}
+    assert load_bench("emulated", overrides=given).estimator.tracker.position_m == 2e-3
+    paper = load_bench("emulated", overrides={"estimator.preset": "paper"})
+    assert paper.estimator == EstimatorConfig(preset="paper")

@@ -14,10 +14,12 @@ from hil.estimator.records import dtype_of, filled
 from hil.estimator.sensors import NUMBERS, jacobian, predicted, tracker
 from hil.estimator.sensors.wheels import clone_pose
 from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
+from hil.estimator.state import SCALE as STATE_SCALE
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
 
-SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 5e-3, 1, 1, 1, 1, 1, 1])
+SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 1, 1, 1, 5e-3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 1, 1, 1])
+ROLLING = np.array([0.07, -0.04])
 
 
 def some_state(rng):
@@ -52,20 +54,20 @@ def test_transition_is_the_derivative_of_move(omega):
 
     def moved(y):
         out = y.copy()
-        move(out, 0.07, 5.0)
+        move(out, 0.07, 5.0, 1.0, x[STATE_SCALE], ROLLING)
         return out
 
-    assert np.allclose(transition(x, 0.07, 5.0), slope(moved, x), atol=1e-8)
+    assert np.allclose(transition(x, 0.07, 5.0, 1.0, ROLLING), slope(moved, x), atol=1e-8)
 
 
 def test_written_out_prediction_equals_the_matrix_product():
     rng = np.random.default_rng(2)
     par = kernel_parameters().process
     x, p = some_state(rng), some_covariance(rng)
-    f = transition(x, 0.02, par.slip_s)
+    f = transition(x, 0.02, par.slip_s, par.scaled, ROLLING)
     want = f @ p @ f.T
     add_noise(x, want, 0.02, par)
-    advance_linear(x, p, 0.02, par)
+    advance_linear(x, p, 0.02, par, ROLLING)
     assert np.allclose(p, want, rtol=1e-12, atol=1e-13)
     assert np.array_equal(p, p.T)
 
@@ -82,7 +84,7 @@ def test_written_out_prediction_equals_the_matrix_product():
 def test_measurement_jacobians(sensor, changes):
     rng = np.random.default_rng(3)
     par, number = kernel_parameters(**changes), NUMBERS[sensor]
-    aux = np.array([0.016, 0.0011])
+    aux = np.array([0.016, 0.0011, 8e-4, -6e-4, 2e-3])
     for _ in range(5):
         x = some_state(rng)
 
@@ -108,7 +110,7 @@ def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertai
     par = kernel_parameters(tracker={"position_m": 2e-3, "heading_rad": 3e-3, "scale_sigma": 0.01}).tracker
     x, p = some_state(rng), some_covariance(rng)
     z = np.array([0.4, -0.2, 0.3])
-    tracker.anchor_frame(x, p, seen_pose(z), par)
+    tracker.new_frame(0.0, x, p, first_memory()[0].tracker, seen_pose(z), par)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
     tracker.predicted(x, np.zeros(2), par, mean)
     tracker.jacobian(x, np.zeros(2), par, h)
@@ -178,7 +180,7 @@ def test_several_updates_after_one_prediction(kind):
     par = parameters(config, WheelGeometry.nominal(), "floor")[0]
     x, p, m = np.zeros(STATES), np.zeros((STATES, STATES)), first_memory()[0]
     p[0, 0] = 1.0
-    advance(x, p, 1e-6, par)
+    advance(x, p, 1e-6, par, np.zeros(2))
     row = np.zeros(1, ROW)[0]
     row["mocap"] = 1.0, 0.0, 0.0, 3.0, 1.0
     for n in (1, 2, 3, 4):
@@ -231,9 +233,9 @@ def hard_steps(kind, count, seed=0):
     p[:6, :6] = 1e2 * np.eye(6)
     names, noise = ("mocap", "gyro", "tracker", "gyro"), 1e-6 * rng.normal(size=(1000, 3))
     worst, row = 0.0, np.zeros(1, ROW)[0]
-    tracker.anchor_frame(x, p, seen_pose(np.zeros(3)), sharp)
+    tracker.new_frame(0.0, x, p, m.tracker, seen_pose(np.zeros(3)), sharp)
     for k in range(count):
-        advance(x, p, 0.0025, par)
+        advance(x, p, 0.0025, par, x[3:5].copy())
         a, b, c = noise[k % 1000]
         row["mocap"] = row["tracker"] = a, b, c, 3.0, 1.0
         row["gyro"] = a, b, 0.0, 0.0

@@ -8,6 +8,8 @@ import pytest
 import hil
 from hil.cli import main
 from hil.recording.mcap_writer import McapRecorder
+from hil.replay.recordings import open_recording
+from hil.ring.motion import Motion
 from hil.robot.trajectories import line
 
 
@@ -47,3 +49,11 @@ def test_a_choice_of_estimators(recording, capsys):
     assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in lines] == ["estimator", "recorded", "odometry", "smoother"]
+
+
+def test_each_sensor_has_the_noise_that_it_has(recording):
+    """Mean NIS per row of wheels, gyro and camera over the whole run, on the profile as it is shipped."""
+    run = max(open_recording(recording).runs, key=lambda r: len(r.records))
+    motion = Motion(tuple(run.records))
+    for name, rows in (("wheels", 8), ("gyro", 1), ("tracker", 3)):
+        assert 0.7 < np.nanmean(motion.diagnostic(f"nis_{name}")) / rows < 1.4, name

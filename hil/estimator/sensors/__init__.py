@@ -6,11 +6,13 @@ the end of `SENSORS`. Its number is its place there, from 1: events of one stamp
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
 from hil.estimator.sensors import gyro, mocap, tracker, wheels
 from hil.estimator.sensors.sensor import Sensor
+from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 
 SENSORS: tuple[Sensor, ...] = (wheels, gyro, tracker, mocap)
@@ -55,3 +57,19 @@ let_in = _by_number("let_in", "limit, t_ns, p, m, par")
 new_frame = _by_number("new_frame", "t_ns, x, p, m, row, par")
 remember = _by_number("remember", "t_ns, x, p, m, row, par")
 undo = _by_number("undo", "t_ns, x, m, row, par, late, spread")
+
+
+@compiled
+def innovation(number: int, z: Array, mean: Array, var: Array, count: int) -> Array:
+    """Measured minus predicted rows (8,), angles by the shorter way round.
+
+    A row that is not finite is marked in `var`.
+    """
+    nu = z - mean
+    for i in range(count):
+        if not math.isfinite(nu[i]):
+            nu[i], var[i] = 0.0, -1.0
+    angle = ANGLE_ROW[number]
+    if angle >= 0:
+        nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
+    return nu

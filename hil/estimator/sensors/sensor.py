@@ -3,7 +3,7 @@
 Notation of the kernels, the same for every sensor: `x` (20,) is the state and `p` (20, 20) its covariance, in
 the order of `hil.estimator.state`; `m`, `row` and `par` are the sensor's own memory, event row and
 parameters; `t_ns` is the sample's stamp, ns since the start. A sample is compared in `count` <= 8 rows: `z`
-(8,) what was measured, `var` (8,) its variances (negative: row not usable), `aux` (2,) figures that the
+(8,) what was measured, `var` (8,) its variances (negative: row not usable), `aux` (5,) figures that the
 prediction needs.
 """
 

@@ -1,7 +1,7 @@
 """Tracking camera: pose in a frame of its own.
 
-The frame is cloned from the robot's pose, drifts, and begins anew after a jump. With the frame (p_f, theta_f)
-in the wall frame the camera sees (1 + scale) R(theta_f)' (p - p_f) and theta - theta_f.
+The state holds this pose, too: it moves with the pose in the wall frame, (1 + scale) as far, and drifts
+(`hil.estimator.process`). It begins with the camera's first pose and anew after a jump.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
-from hil.estimator.sensors.poses import PoseRow, pack_pose, read
+from hil.estimator.sensors.poses import POSE_ROWS, PoseRow, pack_pose, read
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     NEW_FRAME,
@@ -22,13 +22,13 @@ from hil.estimator.sensors.sensor import (
     account_together,
     is_repeated,
 )
-from hil.estimator.state import FRAME_THETA, FRAME_X, FRAME_Y, SCALE, STATES, THETA, X, Y
+from hil.estimator.state import ROWS, SIGHT_X
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 
 NAME = "tracker"
-BENT = True
+BENT = False
 ANGLE_ROW = 2
 GATED_TOGETHER = True
 START = {"t_ns": -1.0, "frame_t_ns": -1.0, "tally.nis_mean": 1.0}
@@ -55,7 +55,6 @@ class Parameters(Record):
         quality: below it a pose is dropped.
         baseline_s: after this time the frame begins anew; 0: never.
         jump_m, jump_rad, fastest_m_s, fastest_rad_s: a step beyond jump + fastest * time is a jump.
-        scaled: 1 where the state's scale error is that of the camera, else 0.
     """
 
     used: float
@@ -67,7 +66,6 @@ class Parameters(Record):
     jump_rad: float
     fastest_m_s: float
     fastest_rad_s: float
-    scaled: float
 
 
 class Memory(Record):
@@ -102,53 +100,28 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
         "used": t.use != "off", "position": t.position_m**2, "heading": t.heading_rad**2,
         "quality": t.least_quality, "baseline_s": t.baseline_s * relative,
         "jump_m": t.jump_m if relative else _NO_GATE, "jump_rad": t.jump_rad if relative else _NO_GATE,
-        "fastest_m_s": t.fastest_m_s, "fastest_rad_s": t.fastest_rad_s, "scaled": t.scale_sigma > 0,
+        "fastest_m_s": t.fastest_m_s, "fastest_rad_s": t.fastest_rad_s,
     }  # fmt: skip
 
 
 @compiled
-def anchor_matrix(rx: float, ry: float, size: float, scaled: float) -> Array:
-    """Derivative (20, 20) of the anchored state by the one before; r: from the frame to the body."""
-    a = np.eye(STATES)
-    a[FRAME_X, :] = 0.0
-    a[FRAME_Y, :] = 0.0
-    a[FRAME_THETA, :] = 0.0
-    a[FRAME_X, X] = a[FRAME_Y, Y] = a[FRAME_THETA, THETA] = 1.0
-    a[FRAME_X, THETA], a[FRAME_Y, THETA] = ry, -rx
-    a[FRAME_X, SCALE], a[FRAME_Y, SCALE] = scaled * rx / size, scaled * ry / size
-    return a
-
-
-@compiled
-def anchor_frame(x: Array, p: Array, row: Row, par: Parameters) -> None:
-    """Clone the camera's frame so that this pose z is what it shows now, and spread its uncertainty.
-
-    theta_f = theta - z_theta; p_f = p - R(theta_f) z / (1 + scale). Source: the measurement's inverse.
-    """
-    heading = x[THETA] - row.heading_rad
-    size = 1.0 + par.scaled * x[SCALE]
-    c, s = math.cos(heading), math.sin(heading)
-    rx, ry = (c * row.x_m - s * row.y_m) / size, (s * row.x_m + c * row.y_m) / size
-    a = anchor_matrix(rx, ry, size, par.scaled)
-    p[:, :] = a @ p @ a.T
-    x[FRAME_X], x[FRAME_Y], x[FRAME_THETA] = x[X] - rx, x[Y] - ry, heading
-    b = np.zeros((3, 3))
-    b[0, 2], b[1, 2], b[2, 2] = -ry, rx, -1.0
-    b[0, 0] = b[1, 1] = 1.0 / size
-    for i in range(3):
-        for j in range(3):
-            p[FRAME_X + i, FRAME_X + j] += b[i, 2] * b[j, 2] * par.heading
-            if i == j and i < 2:
-                p[FRAME_X + i, FRAME_X + j] += par.position / (size * size)
-    for i in range(STATES):
-        for j in range(i):
-            p[i, j] = p[j, i]
+def weigh(row: Row, par: Parameters, z: Array, var: Array) -> int:
+    """The pose as three rows, with less weight below the best quality."""
+    factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
+    return read(row, par.position * factor, par.heading * factor, z, var)
 
 
 @compiled
 def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
-    """Let the frame begin at this pose."""
-    anchor_frame(x, p, row, par)
+    """Let the frame begin at this pose: it is what the camera shows, but for its noise."""
+    z, var = np.zeros(ROWS), np.zeros(ROWS)
+    weigh(row, par, z, var)
+    for i in range(POSE_ROWS):
+        x[SIGHT_X + i] = z[i]
+        p[SIGHT_X + i, :] = 0.0
+        p[:, SIGHT_X + i] = 0.0
+    for i in range(POSE_ROWS):
+        p[SIGHT_X + i, SIGHT_X + i] = var[i]
     m.frame_t_ns = t_ns
 
 
@@ -174,34 +147,22 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
 
 @compiled
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
-    """The pose, with less weight below the best quality."""
-    factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
-    return read(row, par.position * factor, par.heading * factor, z, var)
+    """The pose."""
+    return weigh(row, par, z, var)
 
 
 @compiled
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """The pose in the camera's frame."""
-    c, s = math.cos(x[FRAME_THETA]), math.sin(x[FRAME_THETA])
-    dx, dy = x[X] - x[FRAME_X], x[Y] - x[FRAME_Y]
-    size = 1.0 + par.scaled * x[SCALE]
-    out[0] = size * (c * dx + s * dy)
-    out[1] = size * (c * dy - s * dx)
-    out[2] = x[THETA] - x[FRAME_THETA]
+    for i in range(POSE_ROWS):
+        out[i] = x[SIGHT_X + i]
 
 
 @compiled
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted`."""
-    c, s = math.cos(x[FRAME_THETA]), math.sin(x[FRAME_THETA])
-    dx, dy = x[X] - x[FRAME_X], x[Y] - x[FRAME_Y]
-    size = 1.0 + par.scaled * x[SCALE]
-    ahead, left = c * dx + s * dy, c * dy - s * dx
-    h[0, X], h[0, Y], h[1, X], h[1, Y] = size * c, size * s, -size * s, size * c
-    h[0, FRAME_X], h[0, FRAME_Y], h[1, FRAME_X], h[1, FRAME_Y] = -size * c, -size * s, size * s, -size * c
-    h[0, FRAME_THETA], h[1, FRAME_THETA] = size * left, -size * ahead
-    h[0, SCALE], h[1, SCALE] = par.scaled * ahead, par.scaled * left
-    h[2, THETA], h[2, FRAME_THETA] = 1.0, -1.0
+    for i in range(POSE_ROWS):
+        h[i, SIGHT_X + i] = 1.0
 
 
 @compiled
@@ -230,13 +191,10 @@ def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramete
 
 @compiled
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
-    """Back through a new frame, where one began at this pose."""
+    """Back through a new frame, where one began at this pose: it has nothing of the state before."""
     if m.frame_t_ns != t_ns:
         return
-    heading = x[THETA] - row.heading_rad
-    size = 1.0 + par.scaled * x[SCALE]
-    c, s = math.cos(heading), math.sin(heading)
-    rx, ry = (c * row.x_m - s * row.y_m) / size, (s * row.x_m + c * row.y_m) / size
-    a = anchor_matrix(rx, ry, size, par.scaled)
-    late[:] = a.T @ late
-    spread[:, :] = a.T @ spread @ a
+    for i in range(POSE_ROWS):
+        late[SIGHT_X + i] = 0.0
+        spread[SIGHT_X + i, :] = 0.0
+        spread[:, SIGHT_X + i] = 0.0

@@ -2,11 +2,12 @@
 
 Compared as eight scalar equations u_i = (P d)_i, each with a gate of its own, or as one body displacement.
 With d = (d_x, d_y, turn) in the frame half-way: rolled = d_xy - R' (s dt + c rho), turned = turn - kappa rho,
-both times (1 + scale) where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
-displacement of the wheels at their speed of the last half second: with the step's own displacement its errors
-would correlate with the row and be taken for slip.
+and scale times D more where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
+displacement of the wheels and D that of the body by the wheels, both at the speed of the last half second:
+with the step's own displacement, measured or estimated, its errors would correlate with the row and be taken
+for slip or scale.
 
-`aux` is (dt_s, rho_m).
+`aux` is (dt_s, rho_m, D: m, m, rad).
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator.friction import Contacts, contact_values, windowed_twist
+from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
 from hil.estimator.process import sinc, sinc_slope
 from hil.estimator.records import Eight, Four, Record
 from hil.estimator.sensors.sensor import (
@@ -110,6 +111,8 @@ class Memory(Record):
         t_ns: its stamp; negative before the first.
         angle_rad, steering_rad: NaN where a wheel was not usable.
         speed_m_s: mean speed of the wheels over the last half second.
+        ahead_m_s, left_m_s: velocity of the body between the last two reads, by the wheels alone.
+        mean: velocity of the body (m/s, m/s, rad/s) by the wheels over the last half second.
         window_m: sum of the last displacements, for friction.
         innovation_m: of the first two rows, as a length.
         refused: how often each wheel's equations were left out.
@@ -120,6 +123,9 @@ class Memory(Record):
     angle_rad: Four
     steering_rad: Four
     speed_m_s: float
+    ahead_m_s: float
+    left_m_s: float
+    mean: Annotated[Array, 3]
     window_m: Eight
     innovation_m: float
     refused: Four
@@ -236,7 +242,7 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     dt = (t_ns - m.t_ns) * 1e-9
     if m.t_ns < 0.0 or dt > par.longest_gap_s:
         return 0
-    u, noise = np.zeros(ROWS), np.full(ROWS, -1.0)
+    u, noise, known = np.zeros(ROWS), np.full(ROWS, -1.0), np.zeros(4)
     rolled, count, steering, last, wheels = 0.0, 0, row.steering_rad, m.steering_rad, par.contacts
     for i in range(4):
         angle = row.rate_rad_s[i] * dt if par.from_rate > 0.0 else row.angle_rad[i] - m.angle_rad[i]
@@ -249,16 +255,33 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
         spread = par.step + par.per_m * abs(length) + par.per_s * dt
         noise[2 * i] = noise[2 * i + 1] = spread + par.steering * turned * turned
         rolled += abs(length)
+        known[i] = 1.0
         count += 1
     if count == 0:
         return 0
-    m.speed_m_s += (1.0 - math.exp(-dt / ROLLING_S)) * (rolled / (count * dt) - m.speed_m_s)
+    weight = 1.0 - math.exp(-dt / ROLLING_S)
+    m.speed_m_s += weight * (rolled / (count * dt) - m.speed_m_s)
     aux[0], aux[1] = dt, m.speed_m_s * dt
+    if count > 1:
+        body = weighted_twist(u, known, wheels)
+        m.ahead_m_s, m.left_m_s = body[0] / dt, body[1] / dt
+        for i in range(BODY_ROWS):
+            m.mean[i] += weight * (body[i] / dt - m.mean[i])
+    for i in range(BODY_ROWS):
+        aux[2 + i] = m.mean[i] * dt
     if par.rows > BODY_ROWS:
         z[:] = u
         var[:] = noise
         return ROWS
     return body_rows(u, noise, count, dt, m, par, z, var)
+
+
+@compiled
+def nominal(t_ns: float, x: Array, m: Memory, par: Parameters) -> Array:
+    """Velocity (2,) of the body, m/s: what the wheels said last, the state's own where they are silent."""
+    if m.t_ns < 0.0 or (t_ns - m.t_ns) * 1e-9 > par.longest_gap_s:
+        return np.array([x[V_X], x[V_Y]])
+    return np.array([m.ahead_m_s, m.left_m_s])
 
 
 @compiled
@@ -270,9 +293,9 @@ def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     c, s = math.cos(mid), math.sin(mid)
     qx = g * (x[X] - x[CLONE_X]) - x[SLIP_X] * dt - x[CREEP_X] * rho
     qy = g * (x[Y] - x[CLONE_Y]) - x[SLIP_Y] * dt - x[CREEP_Y] * rho
-    size = 1.0 + par.scaled * x[SCALE]
-    dx, dy = size * (c * qx + s * qy), size * (c * qy - s * qx)
-    turn = size * (2.0 * h - x[YAW_SLIP] * rho)
+    scale = par.scaled * x[SCALE]
+    dx, dy = c * qx + s * qy + scale * aux[2], c * qy - s * qx + scale * aux[3]
+    turn = 2.0 * h - x[YAW_SLIP] * rho + scale * aux[4]
     f = par.of_body
     for j in range(int(par.rows)):
         out[j] = f[j, 0] * dx + f[j, 1] * dy + f[j, 2] * turn
@@ -291,7 +314,6 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     qy = g * py - x[SLIP_Y] * dt - x[CREEP_Y] * rho
     ahead, left = c * qx + s * qy, c * qy - s * qx
     bend_x, bend_y = bend * (c * px + s * py), bend * (c * py - s * px)
-    size = 1.0 + par.scaled * x[SCALE]
     d = np.zeros((3, STATES))
     d[0, X], d[0, Y], d[1, X], d[1, Y] = g * c, g * s, -g * s, g * c
     d[0, THETA], d[0, CLONE_THETA] = 0.5 * (left + bend_x), 0.5 * (left - bend_x)
@@ -302,12 +324,8 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
         for i in range(2):
             axis = d[j, X + i] / g
             d[j, SLIP_X + i], d[j, CREEP_X + i] = -axis * dt, -axis * rho
-    for i in range(STATES):
-        d[0, i] *= size
-        d[1, i] *= size
-        d[2, i] *= size
-    if par.scaled > 0.0:
-        d[0, SCALE], d[1, SCALE], d[2, SCALE] = ahead, left, 2.0 * half - x[YAW_SLIP] * rho
+    for j in range(3):
+        d[j, SCALE] = par.scaled * aux[2 + j]
     f = par.of_body
     for j in range(int(par.rows)):
         for i in range(STATES):

@@ -1,0 +1,126 @@
+"""How a correction reaches a pose of the state: along the circle that a turned start would have drawn.
+
+A heading that was wrong by an angle has turned all that was driven since about where it began. So what a
+sample corrects is applied by the exponential of SE(2), not number by number, and the covariance of position
+and heading, whose lever is the way driven, goes with the pose to where the correction puts it. This is the
+invariant extended Kalman filter (Barrau and Bonnabel, 2017) in the coordinates of an ordinary one: for small
+corrections both are the same to second order, so that it needs no switch. Where the heading is known to
+`UNSURE_RAD` only, `settle` looks for the point to linearise at before anything is gated.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hil.estimator.conditioning import condition
+from hil.estimator.layout import Parameters
+from hil.estimator.process import sinc
+from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicted
+from hil.estimator.small_matrices import seen
+from hil.estimator.state import CLONE_X, ROWS, STATES, THETA, X
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kernels import compiled
+
+POSES = (X, CLONE_X)
+"""Where the poses in the wall frame begin."""
+UNSURE_RAD = 0.05
+_TURNS = 8
+
+
+@compiled
+def is_unsure(number: int, p: Array, par: Parameters) -> bool:
+    """Whether a pose sensor's sample meets a heading so unsure that one linearisation is not enough."""
+    unscented = par.filter.unscented > 0.0
+    return GATED_TOGETHER[number] and not unscented and p[THETA, THETA] > UNSURE_RAD * UNSURE_RAD
+
+
+@compiled
+def lean(before: Array, point: Array, v: Array, way: float) -> None:
+    """Correction (20,) at `before` as one at `point` (way 1), or back (way -1), in place."""
+    for place in POSES:
+        v[place] -= way * (point[place + 1] - before[place + 1]) * v[place + 2]
+        v[place + 1] += way * (point[place] - before[place]) * v[place + 2]
+
+
+@compiled
+def follow(before: Array, x: Array) -> None:
+    """Turn `before` with a correction added into `before` corrected along the circle, in place."""
+    for place in POSES:
+        turn = x[place + 2] - before[place + 2]
+        east, north = x[place] - before[place], x[place + 1] - before[place + 1]
+        k = sinc(0.5 * turn)
+        c, s = k * math.cos(0.5 * turn), k * math.sin(0.5 * turn)
+        x[place] = before[place] + c * east - s * north
+        x[place + 1] = before[place + 1] + s * east + c * north
+
+
+@compiled
+def carry(before: Array, x: Array, p: Array) -> None:
+    """Covariance (20, 20) at `before` as one at x: errors of a heading have another lever there; in place."""
+    for place in POSES:
+        east, north = x[place] - before[place], x[place + 1] - before[place + 1]
+        for i in range(STATES):
+            turned = p[place + 2, i]
+            p[place, i] -= north * turned
+            p[place + 1, i] += east * turned
+        for i in range(STATES):
+            turned = p[i, place + 2]
+            p[i, place] -= north * turned
+            p[i, place + 1] += east * turned
+        for i in range(STATES):
+            p[place, i] = p[i, place]
+            p[place + 1, i] = p[i, place + 1]
+
+
+@compiled
+def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
+    """Carry what later samples say back through `carry`; as `hil.estimator.smoother.pull_update`."""
+    for place in POSES:
+        east, north = x[place] - before[place], x[place + 1] - before[place + 1]
+        late[place + 2] += east * late[place + 1] - north * late[place]
+        for i in range(STATES):
+            spread[i, place + 2] += east * spread[i, place + 1] - north * spread[i, place]
+        for i in range(STATES):
+            spread[place + 2, i] += east * spread[place + 1, i] - north * spread[place, i]
+
+
+@compiled
+def settle(
+    number: int, x: Array, p: Array, z: Array, var: Array, aux: Array, count: int, par: Parameters,
+    point: Array, spread: Array, nu: Array, cross: Array, own: Array, h: Array,
+) -> None:  # fmt: skip
+    """The point that a sample's rows draw the state to, by Gauss and Newton, and the rows linearised there.
+
+    Args:
+        number: of the sensor.
+        x: (20,) state.
+        p: (20, 20) its covariance.
+        z: (8,) measured rows.
+        var: (8,) their variances.
+        aux: (5,) figures of `observe`.
+        count: number of rows.
+        par: of all kernels.
+        point: (20,) filled, and
+        spread: (20, 20) with the covariance `p` at it, and
+        nu: (8,) with the innovations less what the way from x to the point explains, and
+        cross: (20, 8) with the covariance of state and rows there, and
+        own: (8, 8) with that of the rows, and
+        h: (8, 20) with their derivative.
+    """
+    toward, mean, ignored = np.zeros(STATES), np.zeros(ROWS), np.zeros(ROWS)
+    for _ in range(_TURNS):
+        point[:] = x + toward
+        follow(x, point)
+        spread[:, :] = p
+        carry(x, point, spread)
+        cross[:, :], own[:, :], h[:, :] = 0.0, 0.0, 0.0
+        predicted(number, point, aux, par, mean)
+        jacobian(number, point, aux, par, h)
+        seen(spread, h, count, cross, own)
+        lean(x, point, toward, 1.0)
+        nu[:] = innovation(number, z, mean, var, count) + h @ toward
+        toward[:] = 0.0
+        condition(toward, spread.copy(), nu.copy(), cross.copy(), own.copy(), var, count, math.inf, ignored)
+        lean(x, point, toward, -1.0)
