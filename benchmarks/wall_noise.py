@@ -1,9 +1,9 @@
 """Is the filter as sure as it may be on the emulated wall? Errors, NEES and NIS with two sets of noise.
 
 `python benchmarks/wall_noise.py 1 2 3 4` drives the X line and the Y line of `wall_tracking` in the worlds
-with these seeds (half a minute of processor time each) and estimates the recordings twice: with the noise of the
-profile `emulated`, which is what its sensors have, and with the defaults, which are for hardware. It prints the
-table of docs/estimation.md.
+with these seeds (half a minute of processor time each) and estimates the recordings twice: with the noise
+of the profile `emulated`, which is what its sensors have, and with the defaults, which are for hardware. It
+prints the table of docs/estimation.md.
 """
 
 from __future__ import annotations

@@ -59,9 +59,7 @@ def _oracles(rows: Sequence[Row]) -> list[str]:
 def _procedures(rows: Sequence[Row]) -> list[str]:
     found = {(r["procedure"], r["world"]): r for r in rows}
     names = dict.fromkeys(r["procedure"] for r in rows)
-    cells = [
-        [f"`{name}`", *(_verdict(found.get((name, world))) for world in WORLDS)] for name in names
-    ]
+    cells = [[f"`{name}`", *(_verdict(found.get((name, world))) for world in WORLDS)] for name in names]
     return _table(["procedure", *(TITLES[world] for world in WORLDS)], cells)
 
 
@@ -117,7 +115,15 @@ def _calibration(rows: Sequence[Row]) -> list[str]:
                  "" if model == "nominal" else f"{better.min():.0f} times"]
             )  # fmt: skip
     return _table(
-        ["world", "forward model", "robots", "position (worst)", "heading", "at most 4 mm", "better by at least"],
+        [
+            "world",
+            "forward model",
+            "robots",
+            "position (worst)",
+            "heading",
+            "at most 4 mm",
+            "better by at least",
+        ],
         out,
     )
 

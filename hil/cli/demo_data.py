@@ -132,11 +132,11 @@ def _from_a_bench(
     """Let an emulated bench drive the motions, each repetition in a world of its own; returns its truth."""
     from hil.bench import hidden_truth, open_bench
     from hil.config.loading import load_bench
-    from hil.procedure.odometry_motions import UNUSED, Repetition, Sizes, drive_repetition
+    from hil.procedure.odometry_motions import Repetition, Sizes, drive_repetition, unused
 
     plant, contact = physics
     varied = {"emulation.plant": plant, **({"emulation.contact": contact} if contact else {})}
-    config = load_bench(bench, emulate="all", overrides={**UNUSED, **varied})
+    config = load_bench(bench, emulate="all", overrides={**unused(), **varied})
     truth: dict[str, Any] = {}
     with reporting() as report:
         for number in range(1, repetitions + 1):

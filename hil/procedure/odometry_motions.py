@@ -20,6 +20,8 @@ from hil.robot.trajectories import Trajectory, circle, line
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import KINDS
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -30,13 +32,21 @@ MOTIONS: tuple[MotionName, ...] = (
 )  # fmt: skip
 OTHER_MOTIONS = ("diagonal", "arc_ccw", "arc_cw")
 """Of use to see whether a calibration holds for what it was not made with."""
-UNUSED = {"encoders": None, "imu": None, "tracker": None}
-"""Bench overrides that leave out what calibration does not look at."""
 _STAGGER_S = 0.13
 _SETTLE_S = 0.2
 _APPROACH_RAD = 0.1
 _FOLD_RAD = math.radians(5.0)
 _ACCELERATION_M_S2 = 0.19
+
+
+def unused() -> dict[str, object]:
+    """Bench overrides that leave out what calibration does not look at."""
+    wanted = ("servos", "mocap")
+    return {
+        name: None
+        for name, kind in kinds().items()
+        if name in KINDS and not (name in wanted or kind.holds or kind.guards)
+    }
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.procedure import BenchSource, Context
-from hil.procedure.odometry_motions import UNUSED, Repetition, drive_repetition
+from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
 from hil.procedures.parts.workers import worker_pool
 from hil.recording.plain_csv import read_plain
 from hil.vocabulary.clock import NS_PER_S
@@ -75,7 +75,7 @@ def _driven(
     if not repetitions:
         return
     if processes > 1 and ctx.source.virtual:
-        source = ctx.source.changed(calibration=calibration, overrides=UNUSED)
+        source = ctx.source.changed(calibration=calibration, overrides=unused())
         jobs = [(source, r) for r in repetitions]
         with worker_pool(min(processes, len(jobs))) as pool:
             for names, driven_s in pool.imap(_elsewhere, jobs):
@@ -83,7 +83,7 @@ def _driven(
                 yield names
         return
     for repetition in repetitions:
-        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=UNUSED)
+        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=unused())
         yield drive_repetition(bench, repetition)
 
 
