@@ -21,7 +21,7 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import Status
 
 _STEP_N, _STEP_S, _SETTLE_S = 2.0, 0.3, 2.5
-_ABOVE_LIMIT, _LEAST_N = 1.08, 8.0
+_ABOVE_LIMIT, _LEAST_N = 1.15, 8.0
 _LEAST_SPREAD_N = 5.0
 
 

@@ -162,8 +162,8 @@ def test_the_state_carries_force_margin_and_what_each_wheel_uses():
 
 
 def test_too_much_friction_in_use_stops_the_robot_before_it_slides():
-    tight = {"safety.utilisation_limit": 0.45}
-    stop, _, truth = climb(overrides=tight)
+    tight = {"safety.utilisation_limit": 0.6, "safety.adhesion_reserve": 0.1}
+    stop, _, truth = climb("plant:adhesion_loss@2,factor=0.85", overrides=tight)
     assert stop.reason == "utilisation"
     assert "of its friction" in str(stop)
     assert not truth.fallen
@@ -180,7 +180,18 @@ def test_the_end_of_a_run_leaves_the_fan_running():
     with hil.open_bench("emulated", seed=1) as bench:
         bench.observe(0.5, feedback="odometry")
         world = bench.world
+    world.advance_to(world.now_ns + 5_000_000_000)
     assert world.plant.truth().adhesion_n > 40.0
+    assert not world.plant.truth().fallen
+
+
+def test_a_program_that_dies_in_a_drive_leaves_the_fan_running():
+    bench = hil.open_bench("emulated", seed=1)
+    bench.__enter__()
+    bench.observe(0.5, feedback="odometry")
+    bench.world.advance_to(bench.world.now_ns + 5_000_000_000)
+    assert not bench.truth().fallen
+    bench.close()
 
 
 def test_on_the_floor_nothing_waits_for_a_fan():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.adhesion import VescConfig
@@ -14,12 +14,16 @@ from hil.vocabulary.signals import AdhesionSample
 
 if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
+    from hil.drivers.adhesion.keeper.kept import Kept
+    from hil.drivers.adhesion.keeper.spec import Spec
+
+Keep = Callable[["Spec", Clock], "Kept"]
 
 _OPEN_TIMEOUT_S = 0.5
 
 
 def _driver(
-    config: VescConfig, clock: Clock, *, emulator: int | None = None, here: bool = False
+    config: VescConfig, clock: Clock, *, emulator: int | None = None, keep: Keep | None = None
 ) -> Holding[AdhesionSample]:
     """The fan's driver.
 
@@ -27,15 +31,14 @@ def _driver(
         config: its table.
         clock: the bench clock.
         emulator: process that serves an emulated fan: its keeper ends with it.
-        here: the fan is emulated in this process, where no other could reach it.
+        keep: makes who keeps a fan that is emulated in this process, where no other could reach it.
     """
     from functools import partial
 
     from hil.drivers.adhesion.fan import VescFan
     from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-    from hil.drivers.adhesion.keeper.kept import KeptHere
 
-    return VescFan(config, clock, KeptHere if here else partial(KeptByProcess, emulator=emulator))
+    return VescFan(config, clock, keep or partial(KeptByProcess, emulator=emulator))
 
 
 def _imperfections() -> type[Any]:
@@ -45,6 +48,7 @@ def _imperfections() -> type[Any]:
 
 
 def _emulate(setting: Setting) -> EmulatedDevice:
+    from hil.devices.adhesion.in_world import KeptInWorld
     from hil.devices.canbus import channel_of, on_can
     from hil.drivers.adhesion.vesc import DBC
     from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
@@ -55,8 +59,8 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     node = VescNode(setting.world, channel, config, options)
     told = {"controller_id": config.controller_id, "pid": os.getpid()}
     return on_can(
-        setting, channel, subnet=164, dbc=DBC, listens=True, told=told, parts={"here": True},
-        begin=node.begin_in_use,
+        setting, channel, subnet=164, dbc=DBC, listens=True, told=told,
+        parts={"keep": KeptInWorld(setting.world).keep}, begin=node.begin_in_use,
     )  # fmt: skip
 
 
