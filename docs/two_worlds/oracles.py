@@ -32,7 +32,9 @@ def measure(world: str) -> Row:
     """All figures of a world, nominal robot."""
     return {
         "loads": _loads(world),
-        "threshold": [round(_threshold(world, s, mu), 2) for s, mu in (("melamine", 0.45), ("concrete", 0.8))],
+        "threshold": [
+            round(_threshold(world, s, mu), 2) for s, mu in (("melamine", 0.45), ("concrete", 0.8))
+        ],
         "heading_deg": round(_hold_limit_deg(world), 1),
         "drift_um_s": round(_drift_um_s(world), 3),
         "steering_mm": round(_steering_mm(world), 4),
@@ -49,7 +51,11 @@ def _loads(world: str) -> list[float]:
     stand(plant, 0.0, 2.0)
     load, p = plant.truth().normal_load_n, RobotConfig()
     about_y = -0.079 * WEIGHT_N + 0.03 * 0.5 * WEIGHT_N
-    sums = (load.sum() / 45.0 - 1.0, load @ np.array(p.wheel_x_m) / about_y - 1.0, load @ [1, -1, 1, -1] / 45.0)
+    sums = (
+        load.sum() / 45.0 - 1.0,
+        load @ np.array(p.wheel_x_m) / about_y - 1.0,
+        load @ [1, -1, 1, -1] / 45.0,
+    )
     return [round(100.0 * float(v), 2) for v in sums]
 
 
