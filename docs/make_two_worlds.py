@@ -2,8 +2,8 @@
 
     python docs/make_two_worlds.py --seeds 10
 
-Figures that are there (docs/two_worlds/figures) are kept; take a file away to have it measured again. All of them
-take about an hour and a half of processor time. `--only` makes one part of the figures and no page, so that two
+Figures that are there (docs/two_worlds/figures) are kept; take a file away to have it measured again. All of
+them take about two hours of processor time. `--only` makes one part of the figures and no page, so that two
 may run beside each other; `--only page` writes the page from what is there.
 """
 

@@ -10,7 +10,7 @@ from two_worlds.bodies import TITLES, WORLDS
 from two_worlds.results import Row
 
 PAGE = Path(__file__).parents[1] / "two-worlds.md"
-TEXT = Path(__file__).with_name("page.md")
+TEXT = Path(__file__).with_name("page.txt")
 _CASES = {"x_line": "1.5 m up", "y_line": "1.5 m across"}
 _MODELS = ("exact", "dry-friction", "creep")
 
@@ -18,7 +18,7 @@ _MODELS = ("exact", "dry-friction", "creep")
 def write(
     oracles: Sequence[Row], procedures: Sequence[Row], wall: Sequence[Row], calibration: Sequence[Row]
 ) -> None:
-    """Write docs/two-worlds.md from page.md, whose marks `<!-- NAME -->` are replaced by tables."""
+    """Write docs/two-worlds.md from page.txt, whose marks `<!-- NAME -->` are replaced by tables."""
     text = TEXT.read_text(encoding="utf-8")
     for name, table in (
         ("oracles", _oracles(oracles)),
@@ -40,7 +40,8 @@ def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 def _oracles(rows: Sequence[Row]) -> list[str]:
     by_world = {row["world"]: row for row in rows}
     lines = [
-        ("wheel loads: sum, moment, diagonal, % off statics", lambda r: " / ".join(f"{v:.2f}" for v in r["loads"])),
+        ("wheel loads: sum, moment, diagonal, % off statics",
+         lambda r: " / ".join(f"{v:.2f}" for v in r["loads"])),
         ("adhesion at which it slides, of (1 - c) m g / mu: melamine, concrete",
          lambda r: " / ".join(f"{v:.2f}" for v in r["threshold"])),
         ("heading at which it slides (39 deg by statics)", lambda r: f"{r['heading_deg']:.1f} deg"),
@@ -85,10 +86,11 @@ def _wall(rows: Sequence[Row]) -> list[str]:
 def _errors(rows: Sequence[Row]) -> list[str]:
     x, y, heading = (np.array([r[k] for r in rows]) for k in ("rmse_x", "rmse_y", "rmse_heading"))
     end = max(float(np.hypot(r["end_x"], r["end_y"])) for r in rows)
-    nees = [r["nees"] for r in rows]
+    nees = np.array([r["nees"] for r in rows])
     return [
         str(len(rows)), f"{x.mean():.1f} ({x.max():.1f}) mm", f"{y.mean():.1f} ({y.max():.1f}) mm",
-        f"{heading.mean():.2f} deg", f"{end:.1f} mm", f"{np.mean(nees):.1f} ({min(nees):.1f} to {max(nees):.1f})",
+        f"{heading.mean():.2f} deg", f"{end:.1f} mm",
+        f"{nees.mean():.1f} ({nees.min():.1f} to {nees.max():.1f})",
     ]  # fmt: skip
 
 

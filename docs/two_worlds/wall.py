@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 import numpy as np
@@ -18,7 +19,6 @@ WORLDS: dict[str, dict[str, object]] = {
     "own": {},
 }
 GOALS = {"x_line": (1.5, 0.0, 0.0), "y_line": (0.0, 1.5, 0.0)}
-FEEDBACKS = ("odometry", "ekf", "ukf")
 
 
 _UKF_SEEDS = 3
@@ -29,13 +29,11 @@ def keys(seeds: int) -> Iterator[Row]:
     """All drives: EKF everywhere, odometry where it is to fail, UKF for the first seeds."""
     for seed in range(seeds):
         for world in WORLDS:
-            for case in GOALS:
-                for feedback in FEEDBACKS:
-                    odometry, ukf = feedback == "odometry", feedback == "ukf"
-                    if not (odometry and world != "creep") and not (
-                        ukf and (seed >= _UKF_SEEDS or world == "own")
-                    ):
-                        yield {"world": world, "case": case, "feedback": feedback, "seed": seed}
+            feedbacks = ["ekf"]
+            feedbacks += ["odometry"] if world == "creep" else []
+            feedbacks += ["ukf"] if world != "own" and seed < _UKF_SEEDS else []
+            for case, feedback in itertools.product(GOALS, feedbacks):
+                yield {"world": world, "case": case, "feedback": feedback, "seed": seed}
 
 
 def drive(world: str, case: str, feedback: str, seed: int) -> Row:

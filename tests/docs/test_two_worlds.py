@@ -1,0 +1,40 @@
+"""docs/two-worlds.md is made from the figures beside it, and from nothing else."""
+
+import importlib
+import sys
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+@pytest.fixture
+def two_worlds(monkeypatch):
+    """Modules of the command that makes the page."""
+    monkeypatch.syspath_prepend(str(DOCS))
+    yield lambda name: importlib.import_module(f"two_worlds.{name}")
+    for name in [m for m in sys.modules if m.split(".")[0] == "two_worlds"]:
+        del sys.modules[name]
+
+
+def test_the_page_is_what_its_command_makes_of_the_figures(two_worlds, tmp_path, monkeypatch):
+    page, results = two_worlds("page"), two_worlds("results")
+    monkeypatch.setattr(page, "PAGE", tmp_path / "page.md")
+    page.write(*(results.known(name) for name in ("oracles", "procedures", "wall", "calibration")))
+    assert (tmp_path / "page.md").read_text() == (DOCS / "two-worlds.md").read_text()
+    assert "<!--" not in (tmp_path / "page.md").read_text()
+
+
+def test_figures_that_are_there_are_not_made_again(two_worlds, tmp_path, monkeypatch):
+    results = two_worlds("results")
+    monkeypatch.setattr(results, "FOLDER", tmp_path)
+    made = []
+
+    def make(seed):
+        made.append(seed)
+        return {"value": 10 * seed}
+
+    assert results.fill("some", [{"seed": 1}], make) == [{"seed": 1, "value": 10}]
+    assert [r["value"] for r in results.fill("some", [{"seed": 2}, {"seed": 1}], make)] == [20, 10]
+    assert made == [1, 2]
