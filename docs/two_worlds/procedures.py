@@ -39,6 +39,8 @@ def run(procedure: str, world: str) -> Row:
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         main(["run", procedure, "--seed", str(SEED), "--out", folder, *words])
         result = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
+    if result["verdict"] == "ABORTED":
+        raise KeyboardInterrupt(f"{procedure} was stopped: it says nothing of the world {world}")
     failed = [
         f"{m['name']} = {m['value']:.3g} {m['unit']}" for m in result["measurements"]
         if m["outcome"] not in ("PASS", "INFO", "pass", "info") and m["value"] is not None
