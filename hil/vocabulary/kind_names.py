@@ -30,5 +30,5 @@ def after_clash(package: str, what: str) -> str:
         what: `kind` or `model`.
     """
     if package == "hil":
-        return f"give the {what} another name: hil has one of this name"
+        return f"give the {what} another name: this one is taken by the package hil"
     return f"uninstall one of the two packages, or give the {what} another name"

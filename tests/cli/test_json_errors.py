@@ -11,6 +11,7 @@ from hil.vocabulary.errors import DeviceError
 
 GONE = "nowhere.toml"
 WRONG = {
+    "adhesion": ["status", "--bench", GONE],
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
     "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE], "info": ["--magic"],

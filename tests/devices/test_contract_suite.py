@@ -89,7 +89,7 @@ class Config(DeviceConfig):
 
 
 class Driver(Sensor):
-    name = "cells"
+    name = "packs"
 
     def __init__(self, config, clock):
         self.clock, self.is_open, self.seq = clock, False, 0
@@ -105,7 +105,7 @@ class Driver(Sensor):
 
     def read(self):
         if not self.is_open:
-            raise DeviceError("cells", "is closed")
+            raise DeviceError("packs", "is closed")
         self.seq += 1
         good = self.seq % 10 > 0
         states = (Status.OK, Status.OK, Status.OK if good else Status.TIMEOUT)
@@ -116,32 +116,32 @@ class Driver(Sensor):
 
 
 MODEL = DeviceModel(
-    kind="cells", name="one", title="cells", config=Config, driver=Driver,
+    kind="packs", name="one", title="packs", config=Config, driver=Driver,
     emulate=lambda setting: Wired(lambda: Connection(), lambda: None),
 )
-KIND = DeviceKind(name="cells", noun="battery", sample=Cells, models=(MODEL,), labels=("a", "b", "c"))
+KIND = DeviceKind(name="packs", noun="battery", sample=Cells, models=(MODEL,), labels=("a", "b", "c"))
 """
 BESIDE = """
 import pytest
 
 from hil.pytest_plugin.contract import *
 
-KINDS = ("cells",)
+KINDS = ("packs",)
 
 
-@pytest.mark.needs("cells", "imu")
+@pytest.mark.needs("packs", "imu")
 @pytest.mark.fault("imu", "off", at=0.1)
 def test_of_my_own(bench):
     records = bench.observe(0.5).records
-    assert records[-1].inputs.of("cells")
+    assert records[-1].inputs.of("packs")
     assert not records[-1].inputs.of("imu")
 """
 
 
 def suite(package, pytester, monkeypatch, missing):
-    folder = package("hil-cells", CELLS.replace("FALSE", missing), "KIND")
+    folder = package("hil-packs", CELLS.replace("FALSE", missing), "KIND")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(map(str, (ROOT, folder))))
-    tables = 'schema = 1\nname = "lab"\n\n[cells]\nbackend = "emulated"\n\n[imu]\nbackend = "emulated"\n'
+    tables = 'schema = 1\nname = "lab"\n\n[packs]\nbackend = "emulated"\n\n[imu]\nbackend = "emulated"\n'
     pytester.makefile(".toml", bench=tables)
     pytester.makeini("[pytest]\nhil_bench = bench.toml\n")
     pytester.makepyfile(test_contract=BESIDE)

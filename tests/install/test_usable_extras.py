@@ -33,6 +33,7 @@ def test_each_extra_says_what_it_lacks(installed):
         "parquet": "pyarrow 26.0.1 is installed; it needs pyarrow==1.*",
         "t265": 'this Python cannot have it: camera==2.53.1.*; python_version < "3"',
         "mavlink": "not installed",
+        "mujoco": "not installed",
         "campaign": "not installed",
     }
 

@@ -171,6 +171,10 @@ def test_an_old_journal_goes_on_and_another_bench_is_named_by_its_key(run_small,
     first, *rest = journal.read_text().splitlines(keepends=True)
     head = json.loads(first)
     environment = head["config"].pop("environment")
+    environment.pop("friction", None)
+    for key in ("x_range_m", "y_range_m"):
+        if key in environment:
+            head["config"]["safety"][key] = environment.pop(key)
     head["config"] |= {"surface": "wall", "emulation": {**head["config"]["emulation"], **environment}}
     journal.write_text(json.dumps(head) + "\n" + "".join(rest))
     other = bare_source.changed(overrides={"environment.tilt_rad": 1.2, "loop.rate_hz": 50.0})

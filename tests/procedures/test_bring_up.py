@@ -52,7 +52,7 @@ def bring_up(seed, folder, wrong):
 def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(tmp_path):
     done, ratios = bring_up(3, tmp_path / "run", wrong=False)
     assert_covered(ratios, few=True)
-    assert done.values["devices"] == 5
+    assert done.values["devices"] == 8
     assert done.values["encoders.clock_drift"] == pytest.approx(-30.0, abs=1.0)
 
 

@@ -49,7 +49,7 @@ def test_figures_and_table_are_those_of_the_paper(lines):
     tree = json.loads((lines.folder / "result.json").read_text())
     assert [f["title"] for f in tree["figures"]] == [
         f"{case}: {what}" for case in ("X line", "Y line") for what in ("path", "x, y and heading", "errors")
-    ]
+    ] + ["Adhesion"]
     drawn = (lines.folder / tree["figures"][1]["path"]).read_text()
     for word in ("reference", "truth", "estimate", "odometry", "EKF", "heading (deg)"):
         assert word in drawn

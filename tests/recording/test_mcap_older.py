@@ -25,8 +25,10 @@ def of_0_1(name):
 def in_the_old_form(config):
     """A configuration of today as version 0.1 would have written it."""
     tree = dict(config)
-    environment = tree.pop("environment")
+    environment = dict(tree.pop("environment"))
     environment.pop("friction", None)
+    area = {key: environment.pop(key) for key in ("x_range_m", "y_range_m") if key in environment}
+    tree["safety"] = {**tree["safety"], **area}
     tree["surface"] = "floor" if environment["tilt_rad"] == 0.0 else "wall"
     return {**tree, "emulation": {**tree["emulation"], **environment}}
 
@@ -35,7 +37,7 @@ def test_the_configuration_of_an_old_recording_is_read_as_it_was():
     wall = recorded_bench(of_0_1("emulated"), "old.mcap")
     assert wall.environment.model_dump() == {
         "surface": "melamine", "tilt_rad": math.pi / 2.0, "start_pose": (0.1, 0.2, 0.05),
-        "friction": None,
+        "friction": None, "x_range_m": (-1.0, 5.0), "y_range_m": (-2.0, 4.0),
     }  # fmt: skip
     assert (wall.environment.kind, wall.servos.watchdog_s) == ("wall", 0.2)
     floor = recorded_bench(of_0_1("emulated_floor"), "old.mcap")
