@@ -23,6 +23,7 @@ from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
 KEEPER = (sys.executable, "-m", "hil.drivers.adhesion.keeper")
 _START_S = 15.0
 _ANSWER_S = 2.0
+_AGAIN_S = 0.01
 _REMEDY = "`hil adhesion on` starts one"
 
 Status = Mapping[str, Any]
@@ -37,7 +38,7 @@ def connect(spec: Spec) -> socket.socket | None:
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     connection.settimeout(_ANSWER_S)
     try:
-        connection.connect(address(spec))
+        _queue(connection, spec)
         owner = peer(connection)[1]
     except ConnectionRefusedError:
         connection.close()
@@ -55,6 +56,18 @@ def connect(spec: Spec) -> socket.socket | None:
             expected=f"user {os.getuid()} or root", remedy="run both as the same user",
         )  # fmt: skip
     return connection
+
+
+def _queue(connection: socket.socket, spec: Spec) -> None:
+    """Connect; a keeper at whose door many stand lets them in by and by."""
+    patient_until_s = time.monotonic() + _ANSWER_S
+    while True:
+        try:
+            return connection.connect(address(spec))
+        except BlockingIOError:
+            if time.monotonic() >= patient_until_s:
+                raise
+            time.sleep(_AGAIN_S)
 
 
 def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) -> Status:
