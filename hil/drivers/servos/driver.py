@@ -226,7 +226,6 @@ class DynamixelServos(Actuators):
         """
         with self._talking:
             bus = self._opened()
-            self._upkeep.torque = True
             self._caretaker.begin()
             end_ns = self._clock.now_ns() + _PATIENCE_NS
             while not self._enable(bus, last=self._clock.now_ns() >= end_ns):
@@ -239,9 +238,11 @@ class DynamixelServos(Actuators):
             self._upkeep.audit(self._cycle.live_ids)
             self._goals.hold(self._samples.registers())
             self._upkeep.refuse_hardware_errors()
+            self._upkeep.torque = True  # from here on a servo without torque has restarted
             self._upkeep.switch_on(self._goals.packet(), self._cycle.live_ids)
             self._read(bus)
         except DeviceError:
+            self._upkeep.torque = True  # who answers is held all the same
             if last or any(self._upkeep.hardware_error):
                 raise
             return False
