@@ -14,7 +14,6 @@ from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.load_cells import LoadCellsConfig
-from hil.config.robot import GRAVITY_M_S2
 from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.ring.adhesion import AdhesionLimits, AdhesionWatch
@@ -24,7 +23,6 @@ from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
 from hil.ring.supervisor import Checks, SafetyLimits
-from hil.robot.holding import Statics
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
 from hil.vocabulary.blame import asked
@@ -116,7 +114,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
             "hot_fet_c": fan.hot_fet_c,
         }
     return AdhesionLimits(
-        statics_of(config),
+        config.robot.statics(config.environment.tilt_rad, config.environment.known_friction),
         reserve=safety.adhesion_reserve,
         utilisation=safety.utilisation_limit,
         nominal_thrust_n=thrust_wanted_n(config),
@@ -127,26 +125,12 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
     )
 
 
-def statics_of(config: BenchConfig) -> Statics:
-    """Weight, wheels and friction of a configuration."""
-    robot, environment = config.robot, config.environment
-    return Statics(
-        robot.wheel_x_m,
-        robot.wheel_y_m,
-        robot.mass_kg,
-        robot.centre_of_mass_m,
-        robot.propeller_height_m,
-        environment.tilt_rad,
-        environment.known_friction,
-    )
-
-
 def thrust_wanted_n(config: BenchConfig) -> float:
     """What the propellers push with: `thrust.force_n`, or the configured share of the weight."""
     push, robot = config.of(ThrustConfig), config.robot
     if push is not None and push.force_n is not None:
         return push.force_n
-    along = robot.mass_kg * GRAVITY_M_S2 * math.sin(config.environment.tilt_rad)
+    along = robot.weight_n * math.sin(config.environment.tilt_rad)
     return robot.thrust_compensation * along if config.environment.on_wall else 0.0
 
 

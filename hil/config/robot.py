@@ -12,6 +12,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from hil.robot.holding import Statics
 from hil.vocabulary.geometry import Array
 
 GRAVITY_M_S2 = 9.81
@@ -75,6 +76,18 @@ class RobotConfig(BaseModel):
         cosine = (weight**2 + thrust**2 - friction**2) / (2.0 * weight * thrust)
         return None if cosine > 1.0 else min(math.acos(max(cosine, -1.0)), math.pi / 2.0)
 
+    def statics(self, tilt_rad: float, friction: float = _LEAST_FRICTION) -> Statics:
+        """Weight, wheels and propellers on a surface of this tilt and friction."""
+        return Statics(
+            self.wheel_x_m,
+            self.wheel_y_m,
+            self.mass_kg,
+            self.centre_of_mass_m,
+            self.propeller_height_m,
+            tilt_rad,
+            friction,
+        )
+
     def wheel_loads_n(self, tilt_rad: float, heading_rad: float = 0.0, *, adheres: bool = True) -> Array:
         """(4,) normal loads at rest by statics, N; zero for a wheel that would have to pull.
 
@@ -83,16 +96,11 @@ class RobotConfig(BaseModel):
             heading_rad: of the robot, from up the surface.
             adheres: whether fan and propellers work, as they do on a wall.
         """
-        x, y, height = self.centre_of_mass_m
-        weight = self.weight_n
-        press, along = weight * math.cos(tilt_rad), weight * math.sin(tilt_rad)
-        moment_x = press * x - height * along * math.cos(heading_rad)
-        moment_y = press * y + height * along * math.sin(heading_rad)
+        force_n, thrust_n = 0.0, 0.0
         if adheres:
-            press += self.edf_force_n
-            moment_x += self.propeller_height_m * self.thrust_compensation * weight
-        statics = np.stack([np.ones(4), np.array(self.wheel_x_m), np.array(self.wheel_y_m)])
-        loads = np.maximum(np.linalg.pinv(statics) @ np.array([press, moment_x, moment_y]), 0.0)
+            force_n, thrust_n = self.edf_force_n, self.thrust_compensation * self.weight_n
+        loads = np.array(self.statics(tilt_rad).loads_n(force_n, thrust_n, heading_rad))
+        press = force_n + self.weight_n * math.cos(tilt_rad)
         return np.asarray(loads * press / loads.sum() if loads.any() else loads, dtype=np.float64)
 
     @field_validator("wheel_radius_m")

@@ -8,7 +8,7 @@ depend on how stiff the tyres are.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class Statics:
     propeller_height_m: float
     tilt_rad: float
     friction: float
+    _spread: tuple[tuple[float, ...], ...] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         spread = np.linalg.pinv(np.stack([np.ones(4), np.array(self.wheel_x_m), np.array(self.wheel_y_m)]))
@@ -54,8 +55,7 @@ class Statics:
         press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
         about_y = press_n * x_m + height_m * weight_x + self.propeller_height_m * thrust_n
         about_x = press_n * y_m + height_m * weight_y
-        spread: tuple[Four, ...] = getattr(self, "_spread")  # noqa: B009 - made in __post_init__
-        return [a * (force_n + press_n) + b * about_y + c * about_x for a, b, c, *_ in spread]
+        return [a * (force_n + press_n) + b * about_y + c * about_x for a, b, c in self._spread]
 
     def loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
         """Normal load of each wheel, (4,); a wheel does not pull."""
@@ -96,10 +96,8 @@ class Statics:
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
         press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
         slides_n = math.hypot(push_x, push_y) / self.friction - press_n
-        spread: tuple[Four, ...] = getattr(self, "_spread")  # noqa: B009 - made in __post_init__
-        lift = sorted(
-            -n / row[0] for n, row in zip(self._loads_n(0.0, thrust_n, heading_rad), spread, strict=True)
-        )
+        loads = self._loads_n(0.0, thrust_n, heading_rad)
+        lift = sorted(-n / row[0] for n, row in zip(loads, self._spread, strict=True))
         return max(slides_n, lift[-2], 0.0)
 
     def force_for_n(self, utilisation: float, thrust_n: float, heading_rad: float) -> float:
