@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +26,6 @@ def on_can(
     listens: bool = False,
     told: Mapping[str, object] | None = None,
     parts: Mapping[str, Any] | None = None,
-    begin: Callable[[], None] = lambda: None,
 ) -> EmulatedDevice:
     """An emulated device on a channel.
 
@@ -38,11 +37,9 @@ def on_can(
         listens: whether it hears what clients send.
         told: what clients are told besides.
         parts: of the connection in this process.
-        begin: called when it is connected in this process.
     """
 
     def connect() -> Connection:
-        begin()
         opened = channel.open()
         values = {"interface": "hil", "channel": opened.name, "options": {}}
         return Connection(values, parts=dict(parts or {}), close=opened.close)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import logging
-from typing import Any
+from collections.abc import Callable, Iterator
+from typing import Any, TypeVar
 
 import can
 
-from hil.drivers.encoders.timeline import ArrivalClock
+from hil.drivers.arrivals import ArrivalClock
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError
 
@@ -17,6 +18,43 @@ _ERROR_COUNTS = 16
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 Arrived = tuple[int, can.Message]
+T = TypeVar("T")
+
+
+def open_bus(
+    device: str, config: Any, expected: str = "a python-can interface and channel that exist"
+) -> can.BusABC:
+    """The bus of a table with `interface`, `channel`, `bitrate` and `options`.
+
+    Raises:
+        DeviceError: it cannot be opened; named after the device.
+    """
+    options: dict[str, Any] = dict(config.options)
+    try:
+        return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
+    except (*BUS_ERRORS, ImportError) as error:
+        raise DeviceError(
+            device,
+            f"the CAN bus cannot be opened ({error})",
+            port=f"{config.interface}:{config.channel}",
+            expected=expected,
+            remedy=f"check {device}.interface and {device}.channel; bring the interface up",
+        ) from None
+
+
+def shut(device: str, bus: can.BusABC | None) -> None:
+    """Let go of a bus, if there is one; never raises."""
+    if bus is not None:
+        try:
+            bus.shutdown()
+        except BUS_ERRORS:
+            _LOG.debug("%s: the bus did not shut down cleanly", device)
+
+
+def detected(table: Callable[..., T], **values: Any) -> Iterator[T]:
+    """A table for each CAN bus that the system has, with further `values`."""
+    for found in can.detect_available_configs(["socketcan"]):
+        yield table(interface=str(found["interface"]), channel=str(found["channel"]), **values)
 
 
 class CanLink:
@@ -51,31 +89,14 @@ class CanLink:
     def open(self) -> None:
         """Open the bus; raises `DeviceError`."""
         self.close()
-        config = self._config
-        options: dict[str, Any] = dict(config.options)
         self._arrivals = ArrivalClock()
         self.error, self.error_frames = "", 0
-        try:
-            self._bus = can.Bus(
-                interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options
-            )
-        except (*BUS_ERRORS, ImportError) as error:
-            raise DeviceError(
-                self._device,
-                f"the CAN bus cannot be opened ({error})",
-                port=self.port,
-                expected="a python-can interface and channel that exist",
-                remedy=f"check {self._device}.interface and {self._device}.channel; bring the interface up",
-            ) from None
+        self._bus = open_bus(self._device, self._config)
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
         bus, self._bus = self._bus, None
-        if bus is not None:
-            try:
-                bus.shutdown()
-            except BUS_ERRORS:
-                _LOG.debug("%s: the bus did not shut down cleanly", self._device)
+        shut(self._device, bus)
 
     def send(self, frame_id: int, data: bytes, *, extended: bool) -> None:
         """Send one frame; what the bus says against it is kept in `error`."""

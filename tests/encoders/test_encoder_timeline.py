@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from hil.drivers.encoders.timeline import ArrivalClock, NodeTimeline
+from hil.drivers.arrivals import ArrivalClock
+from hil.drivers.encoders.timeline import NodeTimeline
 
 PERIOD_NS = 5_000_000
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.adhesion import VescConfig
@@ -50,6 +50,7 @@ def _imperfections() -> type[Any]:
 def _emulate(setting: Setting) -> EmulatedDevice:
     from hil.devices.adhesion.in_world import KeptInWorld
     from hil.devices.canbus import channel_of, on_can
+    from hil.devices.emulated import Begun
     from hil.drivers.adhesion.vesc import DBC
     from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 
@@ -58,10 +59,11 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     options = setting.options(AdhesionTruthOptions, timeout_s=config.timeout_s)
     node = VescNode(setting.world, channel, config, options)
     told = {"controller_id": config.controller_id, "pid": os.getpid()}
-    return on_can(
+    device = on_can(
         setting, channel, subnet=164, dbc=DBC, listens=True, told=told,
-        parts={"keep": KeptInWorld(setting.world).keep}, begin=node.begin_in_use,
+        parts={"keep": KeptInWorld(setting.world).keep},
     )  # fmt: skip
+    return Begun(device, node.begin_in_use)
 
 
 def _reach(endpoint: Mapping[str, Any]) -> Connection:
@@ -77,10 +79,10 @@ def _search(search: Search) -> Found | None:
     """Ping the controllers on the CAN buses that were named, or that the system has."""
     from hil.drivers.adhesion.settings import Answers
     from hil.drivers.adhesion.who import ask_who
-    from hil.drivers.can_link import CanLink
+    from hil.drivers.can_link import CanLink, detected
     from hil.vocabulary.errors import HilError
 
-    for config in search.given.get("adhesion") or _detected_buses():
+    for config in search.given.get("adhesion") or detected(VescConfig, open_timeout_s=_OPEN_TIMEOUT_S):
         search.say(f"asking for a VESC on {config.interface}:{config.channel}")
         link = CanLink("adhesion", config, search.clock)
         try:
@@ -95,15 +97,6 @@ def _search(search: Search) -> Found | None:
             notes = (f"controllers {', '.join(map(str, ids))}: the first is taken for the fan's",)
             return Found({**table, "controller_id": ids[0]}, notes if len(ids) > 1 else ())
     return None
-
-
-def _detected_buses() -> Iterator[VescConfig]:
-    import can
-
-    for found in can.detect_available_configs(["socketcan"]):
-        yield VescConfig(
-            interface=str(found["interface"]), channel=str(found["channel"]), open_timeout_s=_OPEN_TIMEOUT_S
-        )
 
 
 VESC = DeviceModel(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.encoders import EncodersConfig
@@ -50,22 +50,14 @@ def _reach(endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _search(search: Search) -> Found | None:
     """Listen on the CAN buses that were named, or that the system has."""
+    from hil.drivers.can_link import detected
     from hil.drivers.encoders import As5045Encoders
 
-    for config in search.given.get("encoders") or _detected_buses():
+    for config in search.given.get("encoders") or detected(EncodersConfig, open_timeout_s=_OPEN_TIMEOUT_S):
         search.say(f"listening on {config.interface}:{config.channel}")
         if opens(As5045Encoders(config, search.clock)):
             return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
     return None
-
-
-def _detected_buses() -> Iterator[EncodersConfig]:
-    import can
-
-    for found in can.detect_available_configs(["socketcan"]):
-        yield EncodersConfig(
-            interface=str(found["interface"]), channel=str(found["channel"]), open_timeout_s=_OPEN_TIMEOUT_S
-        )
 
 
 AS5045 = DeviceModel(

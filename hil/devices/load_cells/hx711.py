@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
@@ -37,13 +37,14 @@ def _imperfections() -> type[Any]:
 
 def _emulate_on_can(setting: Setting) -> EmulatedDevice:
     from hil.devices.canbus import channel_of, on_can
+    from hil.devices.emulated import Begun
     from hil.fakes.load_cells import CellNode, Cells, LoadCellTruthOptions
 
     config: CanCellsConfig = setting.config
     channel = channel_of(setting)
     cells = Cells(setting.world, config, setting.options(LoadCellTruthOptions))
     node = CellNode(setting.world, channel, config, cells)
-    return on_can(setting, channel, subnet=165, dbc=config.dbc_path, begin=node.begin_in_use)
+    return Begun(on_can(setting, channel, subnet=165, dbc=config.dbc_path), node.begin_in_use)
 
 
 def _emulate_line(setting: Setting) -> EmulatedDevice:
@@ -62,23 +63,15 @@ def _reach(endpoint: Mapping[str, Any]) -> Mapping[str, Any]:
 
 def _search(search: Search) -> Found | None:
     """Listen on the CAN buses that were named, or that the system has."""
+    from hil.drivers.can_link import detected
     from hil.drivers.load_cells import CanCells
 
     given = [c for c in search.given.get("load_cells", ()) if isinstance(c, CanCellsConfig)]
-    for config in given or _detected_buses():
+    for config in given or detected(CanCellsConfig, open_timeout_s=_OPEN_TIMEOUT_S):
         search.say(f"listening for load cells on {config.interface}:{config.channel}")
         if opens(CanCells(config, search.clock)):
             return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
     return None
-
-
-def _detected_buses() -> Iterator[CanCellsConfig]:
-    import can
-
-    for found in can.detect_available_configs(["socketcan"]):
-        yield CanCellsConfig(
-            interface=str(found["interface"]), channel=str(found["channel"]), open_timeout_s=_OPEN_TIMEOUT_S
-        )
 
 
 HX711_CAN = DeviceModel(

@@ -5,15 +5,16 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Mapping
-from typing import Any
 
 import can
 import numpy as np
 
 from hil.config.encoders import EncodersConfig
+from hil.drivers.arrivals import ArrivalClock
+from hil.drivers.can_link import BUS_ERRORS, open_bus, shut
 from hil.drivers.encoders.as5045 import decode_word
 from hil.drivers.encoders.layout import FrameLayout, load_layout
-from hil.drivers.encoders.timeline import ArrivalClock, NodeTimeline
+from hil.drivers.encoders.timeline import NodeTimeline
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -29,7 +30,6 @@ _OPEN_SETS = 3
 _MOST_LISTED = 8
 _NO_WORD = (math.nan, Status.TIMEOUT)
 _REMEDY = "check the CAN wiring, the termination, the bit rate and the node's supply"
-_BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 
 class As5045Encoders(Sensor[EncoderSample]):
@@ -79,7 +79,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._missing = 0
         self._time_raw = 0
         self._discard = self._config.startup_discard
-        self._bus = self._open_bus()
+        self._bus = open_bus(self.name, self._config)
         try:
             self._await_first_set()
         except BaseException:
@@ -97,12 +97,8 @@ class As5045Encoders(Sensor[EncoderSample]):
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
         self._identity = {}
-        if self._bus is not None:
-            bus, self._bus = self._bus, None
-            try:
-                bus.shutdown()
-            except _BUS_ERRORS:
-                _LOG.debug("%s: the bus did not shut down cleanly", self.name)
+        bus, self._bus = self._bus, None
+        shut(self.name, bus)
 
     def identity(self) -> Mapping[str, str]:
         """Bus, DBC and frames in use; empty while closed."""
@@ -139,7 +135,7 @@ class As5045Encoders(Sensor[EncoderSample]):
                 break
             try:
                 message = bus.recv(0)
-            except _BUS_ERRORS as error:
+            except BUS_ERRORS as error:
                 self._bus_error = str(error)
                 self.passed_over += _ERROR_COUNTS
                 continue
@@ -168,22 +164,6 @@ class As5045Encoders(Sensor[EncoderSample]):
             remedy=_REMEDY,
         )
 
-    def _open_bus(self) -> can.BusABC:
-        config = self._config
-        options: dict[str, Any] = dict(config.options)
-        try:
-            return can.Bus(
-                interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options
-            )
-        except (*_BUS_ERRORS, ImportError) as error:
-            raise DeviceError(
-                self.name,
-                f"the CAN bus cannot be opened ({error})",
-                port=self._port,
-                expected="a python-can interface and channel that exist",
-                remedy="check encoders.interface and encoders.channel; bring the interface up",
-            ) from None
-
     def _await_first_set(self) -> None:
         """Return once complete sets have been seen; explain what was seen instead."""
         assert self._bus is not None
@@ -196,7 +176,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         while silences > 0 and self._clock.now_ns() < deadline_ns:
             try:
                 message = self._bus.recv(_WAIT_S)
-            except _BUS_ERRORS as error:
+            except BUS_ERRORS as error:
                 self._bus_error = str(error)
                 silences -= 1
                 self._clock.sleep_until_ns(self._clock.now_ns() + nanoseconds(_WAIT_S))

@@ -8,9 +8,11 @@ from typing import Any
 
 import can
 
+from hil.drivers import can_link
 from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint
 from hil.drivers.adhesion.keeper.dialects import Wire, dialect
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.can_link import BUS_ERRORS
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 
@@ -18,22 +20,12 @@ _MOST_FRAMES = 512
 _REOPEN_NS = nanoseconds(0.5)
 _REPEAT_NS = nanoseconds(10.0)
 _ECHOES = 16
-BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 
 def open_bus(spec: Spec) -> can.BusABC:
     """The fan's bus; raises `DeviceError`."""
-    options: dict[str, Any] = dict(spec.options)
-    try:
-        return can.Bus(interface=spec.interface, channel=spec.channel, bitrate=spec.bitrate, **options)
-    except (*BUS_ERRORS, ImportError) as error:
-        raise DeviceError(
-            DEVICE,
-            f"the CAN bus cannot be opened ({error})",
-            port=f"{spec.interface}:{spec.channel}",
-            expected="a python-can interface that several programs can share, such as socketcan",
-            remedy="check adhesion.interface and adhesion.channel; bring the interface up",
-        ) from None
+    shared = "a python-can interface that several programs can share, such as socketcan"
+    return can_link.open_bus(DEVICE, spec, expected=shared)
 
 
 class Beat:
