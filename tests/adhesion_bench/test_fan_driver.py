@@ -6,8 +6,8 @@ import pytest
 from worlds import ON, fan_world
 
 from hil.config.adhesion import VescConfig
+from hil.devices.adhesion.in_world import KeptInWorld
 from hil.drivers.adhesion.fan import VescFan
-from hil.drivers.adhesion.keeper.kept import KeptHere
 from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.signals import Status
@@ -22,7 +22,7 @@ def driver():
 
     def make(clock, **keys):
         config = VescConfig(**{"interface": "hil", "channel": "fan", **keys})
-        made.append(VescFan(config, clock, KeptHere))
+        made.append(VescFan(config, clock, KeptInWorld(clock._world).keep))
         return made[-1]
 
     yield make

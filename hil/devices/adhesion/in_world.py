@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import logging
 
-from hil.drivers.adhesion.keeper.beat import Beat, open_bus
+from hil.drivers.adhesion.keeper.beat import Beat
 from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.kept import Kept
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.fakes.can_wire import WorldBus
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
+
+
+class _LifelongBus(WorldBus):
+    """A bus that a part of the world listens to for as long as the world lasts: nobody shuts it down."""
+
+    def __del__(self) -> None:
+        """Nothing is left open: it is memory of the world."""
 
 
 class KeptInWorld(Kept, Scheduled):
@@ -41,10 +49,10 @@ class KeptInWorld(Kept, Scheduled):
         return self
 
     def open(self) -> None:
-        """Begin to keep the fan, unless it is kept already; raises `DeviceError`."""
+        """Begin to keep the fan, unless it is kept already."""
         if self._due_ns:
             return
-        bus = open_bus(self._spec)
+        bus = _LifelongBus(self._spec.channel)
         self._beat = Beat(self._spec, Keeper(self._spec), _LOG.info, bus)
         self._due_ns = self._world.now_ns + 1
         self._world.add(self)
