@@ -37,6 +37,13 @@ PORT_ERRORS = _port_errors()
 """What pyserial lets through when a port fails under it; `SerialException` is an `OSError`."""
 
 
+def let_go(port: Any) -> None:
+    """Close a port, if there is one; never raises."""
+    if port is not None:
+        with contextlib.suppress(*PORT_ERRORS):
+            port.close()
+
+
 _Rfc2217: Any = rfc2217.Serial  # the attributes that are needed here are no part of its type
 
 

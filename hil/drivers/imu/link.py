@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.config.imu import Bno055Config
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.signals import Status
 
@@ -63,10 +63,7 @@ class Link:
 
     def close(self) -> None:
         """Let go of the port; never raises."""
-        try:
-            self._port.close()
-        except PORT_ERRORS:
-            return
+        let_go(self._port)
 
     def read(self, register: int, length: int, deadline_ns: int) -> bytes:
         """Read registers, repeating until `deadline_ns`; raises `ExchangeError`."""

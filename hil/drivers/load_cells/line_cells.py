@@ -9,7 +9,7 @@ from typing import Any
 
 from hil.config.load_cells import LineCellsConfig
 from hil.drivers.load_cells.judging import Judge
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -69,11 +69,7 @@ class LineCells(Sensor[LoadCellSample]):
         """Let go of the port. Idempotent; never raises."""
         self._identity = {}
         port, self._port = self._port, None
-        if port is not None:
-            try:
-                port.close()
-            except PORT_ERRORS:
-                return
+        let_go(port)
 
     def identity(self) -> Mapping[str, str]:
         """Model, port and baud rate; empty while closed."""

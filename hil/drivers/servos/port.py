@@ -14,7 +14,7 @@ from typing import Any
 
 from dynamixel_sdk import PortHandler
 
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 
 _BITS = 10
@@ -93,11 +93,7 @@ class ServoPort(PortHandler):  # type: ignore[misc]
     def closePort(self) -> None:
         """Let go; never raises."""
         ser, self.ser, self.is_open, self.is_using = self.ser, None, False, False
-        try:
-            if ser is not None:
-                ser.close()
-        except PORT_ERRORS:
-            return
+        let_go(ser)
 
     def wire_s(self, count: int) -> float:
         """Time of `count` bytes on the wire."""

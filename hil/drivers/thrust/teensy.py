@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hil.config.thrust import TeensyConfig
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
@@ -62,11 +62,7 @@ class TeensyThrust(Holding[ThrustSample]):
         """Let go of the port; the propellers go on. Idempotent; never raises."""
         self._identity = {}
         port, self._port = self._port, None
-        if port is not None:
-            try:
-                port.close()
-            except PORT_ERRORS:
-                return
+        let_go(port)
 
     def identity(self) -> Mapping[str, str]:
         """Model, port and baud rate; empty while closed."""

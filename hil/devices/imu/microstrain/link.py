@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from hil.devices.imu.microstrain.config import MicrostrainConfig
-from hil.drivers.serial_url import PORT_ERRORS, cannot_open, open_serial
+from hil.drivers.serial_url import PORT_ERRORS, cannot_open, let_go, open_serial
 from hil.vocabulary.errors import DeviceError
 
 _EXPECTED = "a MicroStrain sensor at a serial port or pyserial URL"
@@ -51,11 +51,7 @@ class Link:
     def close(self) -> None:
         """Let go of the port; never raises."""
         port, self._port = self._port, None
-        if port is not None:
-            try:
-                port.close()
-            except PORT_ERRORS:
-                return
+        let_go(port)
 
     def receive(self) -> bytes:
         """What has come; raises `LinkLostError`."""
