@@ -12,13 +12,12 @@ from pathlib import Path
 import numpy as np
 
 from hil.config.robot import RobotConfig
-from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
+from hil.config.servo_models import ServoModel
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant.contact import CONTACTS, ContactSetting
 from hil.fakes.mujoco_plant.model import build_model
 from hil.fakes.mujoco_plant.robot import MujocoRobot
-from hil.fakes.plant.parameters import draw, nominal_parameters
-from hil.fakes.plant.robot import GRAVITY_M_S2
+from hil.fakes.plant.robot import true_parameters
 from hil.fakes.plant.surfaces import Surface, find_surface
 from hil.vocabulary.geometry import ArrayLike
 
@@ -62,10 +61,9 @@ def make_mujoco_plant(
     """
     ground = find_surface(surface) if isinstance(surface, str) else surface
     touch = CONTACTS[contact] if isinstance(contact, str) else contact
-    model = servo_model(DEFAULT_MODEL) if servos is None else servos
-    truth = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
+    share = geometry_share if randomise_truth else None
+    truth = true_parameters(robot, ground, tilt_rad, servos, rng, share)
     if randomise_truth:
-        truth = draw(truth, robot.propeller_y_m, rng, geometry_share)
         touch = touch.drawn(rng)
     return MujocoRobot(
         build_model(truth, touch, mjcf, step_s),

@@ -149,6 +149,29 @@ def make_constants(p: TrueParameters, patches: tuple[Patch, ...], tilt_rad: floa
     return c
 
 
+def true_parameters(
+    robot: RobotConfig,
+    ground: Surface,
+    tilt_rad: float,
+    servos: ServoModel | None,
+    rng: np.random.Generator,
+    geometry_share: float | None,
+) -> TrueParameters:
+    """What the robot of a configuration truly is, in any physics: one seed is one robot.
+
+    Args:
+        robot: nominal robot.
+        ground: the surface.
+        tilt_rad: of the surface.
+        servos: whose motors drive and steer it; XH430-W210 when None.
+        rng: source of the truth's deviations from nominal.
+        geometry_share: see `hil.fakes.plant.parameters.draw`; None for a truth that is the nominal robot.
+    """
+    model = servo_model(DEFAULT_MODEL) if servos is None else servos
+    nominal = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
+    return nominal if geometry_share is None else draw(nominal, robot.propeller_y_m, rng, geometry_share)
+
+
 def make_plant(
     robot: RobotConfig,
     *,
@@ -184,10 +207,8 @@ def make_plant(
         UsageError: unknown surface or impossible pose.
     """
     ground = find_surface(surface) if isinstance(surface, str) else surface
-    model = servo_model(DEFAULT_MODEL) if servos is None else servos
-    truth = nominal_parameters(robot, ground, tilt_rad, GRAVITY_M_S2, model)
-    if randomise_truth:
-        truth = draw(truth, robot.propeller_y_m, rng, geometry_share)
+    share = geometry_share if randomise_truth else None
+    truth = true_parameters(robot, ground, tilt_rad, servos, rng, share)
     return WallRobot(
         truth,
         patches=ground.patches,
