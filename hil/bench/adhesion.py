@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.bench.drivers import make_rig
 from hil.bench.settings import force_wanted_n
-from hil.config.adhesion import AdhesionConfig
+from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig
 from hil.drivers.adhesion.keeper import client
@@ -41,7 +41,9 @@ def keeper_spec(config: BenchConfig) -> Spec:
         ConfigError: it has no fan, or one that no other program can reach.
     """
     table = _fan(config)
-    return Spec(**getattr(table, "keeper")())  # noqa: B009 - every model of a fan has it
+    if not isinstance(table, MotorConfig):
+        raise ConfigError(f"{config.name}: a fan without a keeper", expected="one whose controller is on CAN")
+    return Spec(**table.keeper())
 
 
 def _fan(config: BenchConfig) -> AdhesionConfig:

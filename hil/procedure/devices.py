@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Annotated
 
 from pydantic import AfterValidator
@@ -35,4 +35,10 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
             f"this run looks at {', '.join(lacking)}, which the bench {config.name!r} lacks",
             remedy="add the section(s) to the bench file, or say --set devices=... without them",
         )
-    return {name: None for name, kind in kinds().items() if not (name in wanted or kind.holds or kind.guards)}
+    return leaving(wanted, kinds())
+
+
+def leaving(wanted: Sequence[str], among: Iterable[str]) -> dict[str, object]:
+    """Bench overrides that leave out the kinds `among` these, but for the wanted and those that hold."""
+    known = kinds()
+    return {name: None for name in among if not (name in wanted or known[name].holds or known[name].guards)}

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.procedure.devices import leaving
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
 from hil.recording.plain_csv import write_plain
@@ -20,7 +21,6 @@ from hil.robot.trajectories import Trajectory, circle, line
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
-from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
 if TYPE_CHECKING:
@@ -41,12 +41,7 @@ _ACCELERATION_M_S2 = 0.19
 
 def unused() -> dict[str, object]:
     """Bench overrides that leave out what calibration does not look at."""
-    wanted = ("servos", "mocap")
-    return {
-        name: None
-        for name, kind in kinds().items()
-        if name in KINDS and not (name in wanted or kind.holds or kind.guards)
-    }
+    return leaving(("servos", "mocap"), KINDS)
 
 
 @dataclass(frozen=True)
