@@ -79,19 +79,29 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
         sight: what is in view; whatever is drawn when None.
         tab: which of `TABS` is in front.
     """
-    import rerun as rr
     import rerun.blueprint as rrb
 
-    def plot(name: str, *entities: str) -> Any:
-        return rrb.TimeSeriesView(origin="/", contents=[f"+ /{e}/**" for e in entities], name=name)
+    log = rrb.TextLogView(origin="/events", name="Faults and events")
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.Tabs(*_views_of_the_robot(sight), active_tab=0),
+                log,
+                row_shares=[5, 1],
+            ),
+            rrb.Tabs(*_plots(), active_tab=TABS.index(tab)),
+            column_shares=[5, 4],
+        ),
+        rrb.BlueprintPanel(state="hidden"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.TimePanel(state="collapsed"),
+    )
 
-    def tab_of(name: str, *views: Any) -> Any:
-        return rrb.Vertical(*views, name=name)
 
-    drawn = [p for kind in kinds().values() for p in kind.plots]
-
-    def of_devices(tab: str) -> list[Any]:
-        return [plot(p.title, p.entity) for p in drawn if p.tab == tab]
+def _views_of_the_robot(sight: Sight | None) -> tuple[Any, ...]:
+    """In space, beside it, and flat."""
+    import rerun as rr
+    import rerun.blueprint as rrb
 
     def in_space(name: str, origin: str, eye: Eye | None, *labelled: str) -> Any:
         controls = None
@@ -109,47 +119,40 @@ def blueprint(sight: Sight | None = None, tab: str = TABS[0]) -> Any:
         eye, near = sight.eye, sight.near
     robot = in_space(_ROBOT, f"/{SCENE}", eye)
     nearby = in_space(_NEAR, f"/{ROBOT}", near, *(f"/{ROBOT}/{arrows}" for arrows in LABELLED))
-    wall = rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
-    log = rrb.TextLogView(origin="/events", name="Faults and events")
-    tabs = (
-        tab_of(
-            "Motion",
+    return robot, nearby, rrb.Spatial2DView(origin="/wall", name=_WALL, visual_bounds=area)
+
+
+def _plots() -> list[Any]:
+    """The tabs of figures over time: those of every bench, then those that kinds of devices add."""
+    import rerun.blueprint as rrb
+
+    def plot(name: str, *entities: str) -> Any:
+        return rrb.TimeSeriesView(origin="/", contents=[f"+ /{e}/**" for e in entities], name=name)
+
+    drawn = [p for kind in kinds().values() for p in kind.plots]
+
+    def of_devices(tab: str) -> list[Any]:
+        return [plot(p.title, p.entity) for p in drawn if p.tab == tab]
+
+    views = {
+        "Motion": [
             plot("Tracking error (m)", "state/tracking_error_m"),
             plot("Heading and its error (rad)", "state/heading_rad"),
             plot("Body twist (m/s, rad/s)", "state/twist"),
-        ),
-        tab_of("Servos", *of_devices("Servos")),
-        tab_of(
-            "Estimator",
+        ],
+        "Servos": of_devices("Servos"),
+        "Estimator": [
             plot("Normalised innovations and their gates", "innovations/normalised"),
             plot("Innovations (m, rad/s)", "innovations/raw"),
             plot("Rejected measurements", "estimator/rejected"),
             plot("Slip, sag, bias, scale", "estimator/states"),
-        ),
-        tab_of(
-            "Loop",
+        ],
+        "Loop": [
             plot("Loop timing (ms)", "loop"),
             plot("Sensor ages (ms)", "ages"),
             plot("Cycles not shown", "monitor"),
-        ),
-        tab_of("Health", *of_devices("Health")),
-        *(
-            tab_of(name, *of_devices(name))
-            for name in dict.fromkeys(p.tab for p in drawn)
-            if name not in TABS
-        ),
-    )
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(
-                rrb.Tabs(robot, nearby, wall, active_tab=0),
-                log,
-                row_shares=[5, 1],
-            ),
-            rrb.Tabs(*tabs, active_tab=TABS.index(tab)),
-            column_shares=[5, 4],
-        ),
-        rrb.BlueprintPanel(state="hidden"),
-        rrb.SelectionPanel(state="hidden"),
-        rrb.TimePanel(state="collapsed"),
-    )
+        ],
+        "Health": of_devices("Health"),
+    }
+    views |= {p.tab: of_devices(p.tab) for p in drawn if p.tab not in TABS}
+    return [rrb.Vertical(*shown, name=name) for name, shown in views.items()]
