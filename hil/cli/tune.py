@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from hil.estimator.tuning import Score, TruthRun, Tuned
     from hil.robot.kinematics import WheelGeometry
 
-_DEFAULT = ("wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m")
+_DEFAULT = (
+    "wheels.per_sqrt_m", "wheels.step_m", "tracker.drift_per_sqrt_m", "tracker.position_m",
+    "process.acceleration_m_s2_sqrt_hz", "process.angular_acceleration_rad_s2_sqrt_hz", "gyro.rate_rad_s",
+)  # fmt: skip
 
 
 @click.command()
