@@ -20,6 +20,8 @@ PAGE = Path(__file__).with_name("estimation.md")
 SEED = 1
 LINES = ("x_line", "y_line")
 SHOWN = "out/demo"
+STARTED = ("bench.emulation.adhesion.start=tethered", "bench.emulation.thrust.start=tethered")
+"""The demo starts fan and propellers itself."""
 
 
 def recording(line: str) -> str:
@@ -29,7 +31,7 @@ def recording(line: str) -> str:
 
 def drive(folder: Path, lines: Sequence[str] = LINES) -> None:
     """Drive lines of the demo under the EKF into a results folder; ends the program if that fails."""
-    wanted = ('feedbacks=["ekf"]', "optimal=false", f"cases={','.join(lines)}")
+    wanted = ('feedbacks=["ekf"]', "optimal=false", f"cases={','.join(lines)}", *STARTED)
     settings = [word for setting in wanted for word in ("--set", setting)]
     _hil("run", "wall_tracking", "--seed", str(SEED), *settings, "--out", str(folder))
 

@@ -181,6 +181,9 @@ class WorldBus(can.BusABC):
             self._channel.leave(self._queue)
         super().shutdown()
 
+    def __del__(self) -> None:
+        """It holds nothing that outlives it: the keeper of an emulated fan goes with its world."""
+
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         return [{"interface": "hil", "channel": name} for name in _CHANNELS]

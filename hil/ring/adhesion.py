@@ -23,6 +23,8 @@ _AHEAD_S = 0.5
 """A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
+_SAME_SHARE, _SAME_RAD = 0.005, 0.002
+_LEAST_FALL_N = 0.3
 LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
 
@@ -101,6 +103,9 @@ class AdhesionWatch:
         self.figures: dict[str, float] = {}
         self._thrust_n = self.limits.nominal_thrust_n
         self._cells_n = self._speed_n = math.nan
+        self._worked_out_at = (math.nan, math.nan, math.nan)
+        self._needed_n = self._most = 0.0
+        self._used: dict[str, float] = {}
         self._cells_ns: int | None = None
         self._fan_ns: int | None = None
         self._began_ns: int | None = None
@@ -171,45 +176,63 @@ class AdhesionWatch:
         return fresh
 
     def _figure(self, force_n: float) -> None:
-        """Figures for the state."""
-        statics, heading = self.limits.statics, self.heading_rad
-        needed_n = statics.needed_n(self._thrust_n, heading)
-        self.figures = {"adhesion_n": force_n, "adhesion_needed_n": needed_n}
+        """Figures for the state; statics are worked out anew where force or heading have changed."""
+        self._work_out(force_n)
+        self.figures = {
+            "adhesion_n": force_n,
+            "adhesion_needed_n": self._needed_n,
+            "adhesion_margin_n": force_n - self._needed_n,
+            **self._used,
+        }
         if math.isfinite(self._cells_n):
             self.figures["adhesion_cells_n"] = self._cells_n
         if math.isfinite(self._speed_n):
             self.figures["adhesion_fan_n"] = self._speed_n
-        self.figures["adhesion_margin_n"] = force_n - needed_n
+
+    def _work_out(self, force_n: float) -> None:
+        """What holds the robot, and what each wheel uses of its friction."""
+        at_n, at_thrust_n, at_rad = self._worked_out_at
+        if (
+            abs(force_n - at_n) <= _SAME_SHARE * at_n
+            and abs(self.heading_rad - at_rad) <= _SAME_RAD
+            and self._thrust_n == at_thrust_n
+        ):
+            return
+        self._worked_out_at = (force_n, self._thrust_n, self.heading_rad)
+        statics = self.limits.statics
+        self._needed_n = statics.needed_n(self._thrust_n, self.heading_rad)
+        self._used = {}
         if math.isfinite(force_n):
-            used = statics.utilisation(force_n, self._thrust_n, heading)
-            self.figures |= {f"utilisation_{w}": u for w, u in zip(WHEELS, used, strict=True)}
+            used = statics.utilisation(force_n, self._thrust_n, self.heading_rad)
+            self._used = {f"utilisation_{w}": u for w, u in zip(WHEELS, used, strict=True)}
+        self._most = max(self._used.values(), default=0.0)
 
     def _judge_force(self, force_n: float, stop: Blame) -> None:
         """The force against its limit, now and soon, and the friction that the wheels use."""
-        needed_n = self.figures["adhesion_needed_n"]
-        limit_n = (1.0 + self.limits.reserve) * needed_n
-        rates = {measure: _slope(trend) for measure, trend in self._trend.items()}
-        measure = min(rates, key=lambda name: rates[name])
-        rate_n_s = rates[measure]
+        limit_n = (1.0 + self.limits.reserve) * self._needed_n
+        measure, rate_n_s = "", 0.0
+        for name, trend in self._trend.items():
+            if (slope := _slope(trend)) < rate_n_s:
+                measure, rate_n_s = name, slope
         falling = rate_n_s < _FALLING_N_S
-        left_s = (force_n - needed_n) / -rate_n_s if falling else math.inf
+        soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
+        if soon_n >= limit_n and self._most <= self.limits.utilisation:
+            return
         told = f"{force_n:.1f} N of adhesion"
         if falling:
-            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {max(left_s, 0.0):.1f} s are left "
+            left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
+            told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
             told += "until the robot slides"
         if force_n < limit_n:
-            stop(
-                "adhesion",
-                f"{told}; {limit_n:.1f} N are the least on this surface ({needed_n:.1f} needed)",
-            )
-        elif falling and force_n + _AHEAD_S * rate_n_s < limit_n:
+            least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
+            stop("adhesion", f"{told}; {least}")
+        elif soon_n < limit_n:
             stop("adhesion", f"{told}; look at fan, battery and seal")
-        most = max(self.figures[f"utilisation_{w}"] for w in WHEELS)
-        if most > self.limits.utilisation:
-            wheel = max(WHEELS, key=lambda w: self.figures[f"utilisation_{w}"])
+        if self._most > self.limits.utilisation:
+            wheel = max(WHEELS, key=lambda w: self._used[f"utilisation_{w}"])
             stop(
                 "utilisation",
-                f"wheel {wheel} uses {100 * most:.0f} % of its friction, more than "
+                f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
                 f"{100 * self.limits.utilisation:.0f} %: {told}",
             )
 
@@ -256,9 +279,11 @@ def apart(cells_n: float, speed_n: float) -> bool:
 
 
 def _slope(trend: deque[tuple[int, float]]) -> float:
-    """Rate in N/s by least squares; 0 where there is too little to tell."""
+    """Rate of a fall in N/s by least squares; 0 where there is too little to tell, or none."""
     n = len(trend)
     if n < _LEAST_TREND or trend[-1][0] - trend[0][0] < _TREND_NS // 2:
+        return 0.0
+    if trend[0][1] - trend[-1][1] < _LEAST_FALL_N:
         return 0.0
     t0_ns = trend[0][0]
     sum_t = sum_f = sum_tt = sum_tf = 0.0
