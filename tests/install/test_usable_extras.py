@@ -36,7 +36,6 @@ def test_each_extra_says_what_it_lacks(installed):
         "mujoco": "not installed",
         "dronecan": "not installed",
         "campaign": "not installed",
-        "mujoco": "not installed",
     }
 
 
