@@ -22,7 +22,7 @@ def on_can(
     channel: CanChannel,
     *,
     subnet: int,
-    dbc: Path,
+    dbc: Path | str,
     listens: bool = False,
     told: Mapping[str, object] | None = None,
     parts: Mapping[str, Any] | None = None,
@@ -33,7 +33,7 @@ def on_can(
         setting: where it is built.
         channel: its bus.
         subnet: third byte of its multicast group, so that devices of one process do not share one.
-        dbc: told to clients.
+        dbc: told to clients; empty where there is none.
         listens: whether it hears what clients send.
         told: what clients are told besides.
         parts: of the connection in this process.

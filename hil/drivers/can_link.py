@@ -169,6 +169,12 @@ class CanLink:
                 found.append((arrival_ns, message))
         return found
 
+    def let_go(self) -> None:
+        """Drop what waits: it is older than whoever reads next would think."""
+        for _ in range(_MOST_FRAMES):
+            if not self.take():
+                return
+
     def told(self) -> str:
         """What the interface has said, to be appended to a complaint; empty for nothing."""
         seen = f", {self.error_frames} error frames" * bool(self.error_frames)

@@ -20,6 +20,7 @@ MODULES = {
     "parquet": "pyarrow",
     "t265": "pyrealsense2",
     "mavlink": "pymavlink",
+    "dronecan": "dronecan",
     "campaign": "distributed",
     "mujoco": "mujoco",
 }

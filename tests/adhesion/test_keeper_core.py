@@ -71,6 +71,26 @@ def test_what_somebody_else_sends_is_taken_over_exactly(first):
     assert keeper.order(PERIOD_NS) == SetPoint("erpm", 57123.0)
 
 
+def test_a_fan_that_somebody_else_commands_is_theirs_until_the_keeper_is_asked():
+    keeper = Keeper(SPEC)
+    keeper.overheard(0, SetPoint("duty", 0.5))
+    keeper.overheard(nanoseconds(60.0), SetPoint("duty", 0.6))
+    assert keeper.order(nanoseconds(60.0)) == SetPoint("duty", 0.6)
+    assert keeper.order(nanoseconds(120.0)) == SetPoint("duty", 0.6)
+    keeper.wish(nanoseconds(120.0), SetPoint("duty", 0.6))
+    keeper.overheard(nanoseconds(121.0), SetPoint("duty", 0.2))
+    assert keeper.order(nanoseconds(121.0)) == SetPoint("duty", 0.6)
+
+
+def test_a_fan_that_its_owner_stops_is_not_kept_running():
+    keeper = Keeper(SPEC)
+    keeper.overheard(0, SetPoint("duty", 0.5))
+    keeper.overheard(nanoseconds(1.0), SetPoint("current_a", 0.0))
+    report(keeper, nanoseconds(1.0), duty=0.3)
+    assert keeper.order(nanoseconds(1.0)) is None
+    assert keeper.state() == "idle"
+
+
 def test_only_a_new_keeper_takes_a_fan_over():
     keeper = Keeper(SPEC)
     keeper.order(0)

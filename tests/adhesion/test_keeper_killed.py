@@ -1,4 +1,8 @@
-"""Bench or keeper killed at random moments in real time: the fan is never without a command for 200 ms."""
+"""Bench or keeper killed at random moments in real time: the fan is never without a command for 200 ms.
+
+Where the keeper's understudy is killed as well the bench stands in. It is a busy program, not a small one,
+and has half of the controller's time-out.
+"""
 
 import os
 import signal
@@ -39,7 +43,7 @@ def test_a_bench_stands_in_for_keeper_and_understudy_and_replaces_them(wire, cou
     fan, spec = wire
     kills = keepers_killed(fan, spec, count, seed=2)
     assert len(kills) == count
-    assert max(kill.gap_s for kill in kills) <= MOST_S
+    assert max(kill.gap_s for kill in kills) <= spec.timeout_s / 2
     assert min(kill.lowest_duty for kill in kills) == HELD_DUTY
 
 
@@ -75,7 +79,7 @@ def test_a_bench_that_ends_hands_the_fan_to_a_new_keeper_first(wire):
     assert "the fan's keeper has taken over again" in said[-1]
     assert keeper_pid(spec) is not None
     time.sleep(0.3)
-    assert max(fan.gaps_s(since_s)) <= MOST_S
+    assert max(fan.gaps_s(since_s)) <= spec.timeout_s / 2
     assert fan.duty == HELD_DUTY
 
 

@@ -23,7 +23,6 @@ from hil.vocabulary.kinds import Connection, kinds
 
 FOLDER = Path(__file__).parent
 _SET_COMMANDS = range(5)
-_ATTEMPTS = 5
 
 
 @dataclass(frozen=True)
@@ -78,18 +77,15 @@ def robot_on_the_wall(seed):
 
 @contextmanager
 def bench_driving(path):
-    """A bench that drives on the wall, in a process of its own; begun again when it finds half a packet."""
+    """A bench that drives on the wall, in a process of its own."""
     command = [sys.executable, str(FOLDER / "wall_bench.py"), str(path)]
     log = path.with_name("bench.log")
-    for _ in range(_ATTEMPTS):
-        with log.open("w") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said) as process:
-            try:
-                if process.stdout.readline() == b"driving\n":
-                    yield process
-                    return
-            finally:
-                process.kill()
-    raise AssertionError(log.read_text())
+    with log.open("w") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said) as process:
+        try:
+            assert process.stdout.readline() == b"driving\n", log.read_text()
+            yield process
+        finally:
+            process.kill()
 
 
 class Commands:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.devices.adhesion.dronecan import DRONECAN
 from hil.devices.adhesion.look import look
 from hil.devices.adhesion.vesc import VESC
 from hil.recording.cdr import joints
@@ -38,7 +39,7 @@ KIND = DeviceKind(
     name="adhesion",
     noun="fan",
     sample=AdhesionSample,
-    models=(VESC,),
+    models=(VESC, DRONECAN),
     actuates=True,
     holds=True,
     aliases=("fan",),

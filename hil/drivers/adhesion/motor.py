@@ -95,6 +95,7 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
             identity = self._greet(spec)
             self._kept = self._keep(spec, self._clock)
             self._kept.open()
+            self._link.let_go()
         except BaseException:
             self.close()
             raise
@@ -120,9 +121,8 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
         kept = self._must_be_open()
-        now_ns = self._clock.now_ns()
-        trouble = kept.trouble()
-        samples = tuple(s for t_ns, m in self._link.take() for s in self._taken(t_ns, m, now_ns, trouble))
+        frames, now_ns, trouble = self._link.take(), self._clock.now_ns(), kept.trouble()
+        samples = tuple(s for t_ns, m in frames for s in self._taken(t_ns, m, now_ns, trouble))
         if samples:
             self._good_ns = now_ns
             self._latest = samples[-1]

@@ -39,7 +39,7 @@ class Trim:
         self._next_ns: int | None = None
         self.point = self._first(input_v if math.isfinite(input_v) else _NOMINAL_V)
         running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
-        if now is not None and running and self.point.quantity == "duty":
+        if now is not None and running and self.point.quantity == "duty" and math.isfinite(now.duty):
             duty = now.duty * speed_rpm / now.speed_rpm
             self.point = SetPoint("duty", min(duty, config.keeper()["highest"]["duty"]))
 

@@ -71,7 +71,7 @@ class Keeper:
         self.report: dict[str, float] = {}
         self.report_ns: int | None = None
         self.others: set[int] = set()
-        self._guessed = False
+        self._theirs = False
         self._born_ns: int | None = None
         self._last_ns = 0
         self._released_ns = 0
@@ -94,20 +94,26 @@ class Keeper:
         if "erpm" in values:
             self.report_ns = t_ns
         if running is not None and self.sent is None:
-            self._guessed = self._take_over(t_ns, running)
+            self._take_over(t_ns, running)
 
     def overheard(self, t_ns: int, order: SetPoint) -> None:
-        """Somebody else has commanded this fan: that is exact, where its report is rounded."""
-        if order.value > 0.0 and (self.sent is None or self._guessed) and self._take_over(t_ns, order):
-            self._guessed = False
+        """Somebody else has commanded this fan: that is exact, where its report is rounded.
 
-    def _take_over(self, t_ns: int, running: SetPoint) -> bool:
-        """A fan that runs when the keeper starts is kept as it runs; whether it is."""
-        since_ns = self._born(t_ns)
-        taken = self._adopts and not self._released_ns and t_ns - since_ns <= _LISTEN_NS
-        if taken:
+        A fan that was taken over is theirs until this keeper is asked for something: their set-points are
+        followed, down to rest as well, and kept when no more of them come.
+        """
+        if order.value > 0.0 and (self.sent is None or self._theirs):
+            self._take_over(t_ns, order)
+        elif order.value <= 0.0 and self._theirs:
+            self.sent = self.target = None
+            self._theirs, self._released_ns = False, t_ns
+
+    def _take_over(self, t_ns: int, running: SetPoint) -> None:
+        """A fan that runs when the keeper starts is kept as it runs."""
+        new = not self._released_ns and t_ns - self._born(t_ns) <= _LISTEN_NS
+        if self._adopts and (new or self._theirs):
             self.resume(t_ns, running, running)
-        return taken
+            self._theirs = True
 
     def resume(self, t_ns: int, sent: SetPoint, target: SetPoint) -> None:
         """Go on from a set-point that somebody else has sent until now."""
@@ -127,13 +133,13 @@ class Keeper:
         if self.sent is None or self.sent.quantity != wanted.quantity:
             self.sent = self._clipped(SetPoint(wanted.quantity, self._measured(t_ns, wanted.quantity)))
             self._last_ns = t_ns
-        self.target, self.ending, self._guessed = wanted, False, False
+        self.target, self.ending, self._theirs = wanted, False, False
 
     def end(self, t_ns: int) -> None:
         """Let the fan come to rest along the ramp. Whoever asks has seen to it that nothing hangs by it."""
         self._born(t_ns)
         if self.sent is not None:
-            self.target, self.ending, self._guessed = SetPoint(self.sent.quantity, 0.0), True, False
+            self.target, self.ending, self._theirs = SetPoint(self.sent.quantity, 0.0), True, False
 
     def order(self, t_ns: int) -> SetPoint | None:
         """What to send now; None while the fan is nobody's."""

@@ -1,0 +1,167 @@
+"""The fan behind a controller that speaks DroneCAN: who is there, and `esc.Status` as samples."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import can
+
+from hil.devices.adhesion.dronecan.config import DroneCanConfig
+from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
+from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
+from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.motor import Figures, MotorFan
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.signals import AdhesionSample
+
+_WAIT_S = 0.01
+_ASK_NS = nanoseconds(0.1)
+_KELVIN = 273.15
+_MOST_LISTED = 8
+_PRIORITY = 30
+
+
+class DroneCanFan(MotorFan[DroneCanConfig]):
+    """One fan; arguments as of any."""
+
+    def __init__(
+        self,
+        config: DroneCanConfig,
+        clock: Clock,
+        keep: Callable[[Spec, Clock], Kept],
+        name: str = "adhesion",
+    ) -> None:
+        self._dronecan = library()
+        self._told = ""
+        super().__init__(config, clock, keep, name)
+
+    def _forget(self) -> None:
+        super()._forget()
+        self._reader = StatusReader()
+        self._volts = math.nan
+
+    def _greet(self, spec: Spec) -> dict[str, str]:
+        config = self._config
+        nodes, indices, info = self._looked_at()
+        if not nodes[config.node_id]:
+            raise self._absent(sorted(nodes))
+        ours = indices.get(config.esc_index, set())
+        rivals = sorted(ours - {config.node_id})
+        if rivals:
+            raise DeviceError(
+                self.name, f"nodes {config.node_id} and {rivals[0]} both have index {config.esc_index}: "
+                "each would obey", port=self._link.port, expected="one",
+                remedy="give each controller an index of its own (VESC Tool: UAVCAN ESC Index)",
+            )  # fmt: skip
+        if config.node_id not in ours:
+            raise DeviceError(
+                self.name, f"node {config.node_id} sends no esc.Status with index {config.esc_index}",
+                port=self._link.port, expected="esc.Status",
+                remedy="switch it on at 20 Hz or more, or set adhesion.esc_index",
+            )  # fmt: skip
+        self._told = info
+        return {
+            "model": info or "DroneCAN motor controller",
+            "port": f"{self._link.port}, node {config.node_id}",
+            "index": str(config.esc_index),
+        }
+
+    def _looked_at(self) -> tuple[Counter[int], dict[int, set[int]], str]:
+        """Messages of each node, the nodes of each index, and what ours says that it is."""
+        config, clock = self._config, self._clock
+        receiver, nodes, indices, info = Receiver(), Counter[int](), dict[int, set[int]](), ""
+        asked_ns, asked = -_ASK_NS, 0
+        end_ns = clock.now_ns() + nanoseconds(config.open_timeout_s)
+        least_ns = clock.now_ns() + nanoseconds(config.open_timeout_s / 3)
+        while (now_ns := clock.now_ns()) < end_ns:
+            if now_ns - asked_ns >= _ASK_NS and not info:
+                asked_ns, asked = now_ns, asked + 1
+                self._ask_who_it_is(asked)
+            for _, message in self._link.take(_WAIT_S):
+                transfer = receiver.take(message.arbitration_id, bytes(message.data))
+                if transfer is None or not message.is_extended_id:
+                    continue
+                payload, source = transfer.payload, transfer.source_node_id
+                nodes[source] += 1
+                kind = str(self._dronecan.get_dronecan_data_type(payload))
+                if kind == "uavcan.equipment.esc.Status":
+                    indices.setdefault(int(payload.esc_index), set()).add(source)
+                elif kind == "uavcan.protocol.GetNodeInfo" and source == config.node_id:
+                    info = _described(payload)
+            if info and config.node_id in indices.get(config.esc_index, set()) and now_ns >= least_ns:
+                break
+        return nodes, indices, info
+
+    def _ask_who_it_is(self, transfer_id: int) -> None:
+        request = self._dronecan.uavcan.protocol.GetNodeInfo.Request()
+        for frame_id, data in frames_of(
+            request, source=self._config.own_id, transfer_id=transfer_id % 32, priority=_PRIORITY,
+            dest_node_id=self._config.node_id, service_not_message=True, request_not_response=True,
+        ):  # fmt: skip
+            self._link.send(frame_id, data, extended=True)
+
+    def _absent(self, nodes: list[int]) -> DeviceError:
+        node_id, port = self._config.node_id, self._link.port
+        others = [n for n in nodes if n != self._config.own_id][:_MOST_LISTED]
+        if others:
+            return DeviceError(
+                self.name, f"no node {node_id}; there: {', '.join(map(str, others))}", port=port,
+                expected=f"node {node_id}", remedy=f"set adhesion.node_id = {others[0]} if that is the fan's",
+            )  # fmt: skip
+        return DeviceTimeoutError(
+            self.name, f"no DroneCAN node answers{self._link.told()}", port=port,
+            expected=f"node {node_id} at {self._config.bitrate} bit/s",
+            remedy="check its supply, the CAN wiring and termination, the bit rate, and that it speaks "
+            "DroneCAN (VESC Tool: CAN Mode UAVCAN)",
+        )  # fmt: skip
+
+    def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
+        if not message.is_extended_id:
+            return
+        said = self._reader.take(message.arbitration_id, message.data)
+        config = self._config
+        if said is None or (said.node_id, said.index) != (config.node_id, config.esc_index):
+            return
+        if t_ns > self._latest_ns:
+            self._latest_ns = t_ns
+            self._volts = said.voltage_v
+            yield self._sample(self._figures(said), said, t_ns, now_ns, trouble)
+
+    def _figures(self, said: EscStatus) -> Figures:
+        return Figures(
+            speed_rpm=float(said.rpm),
+            duty=math.nan,
+            motor_a=math.nan,
+            input_a=said.current_a,
+            input_v=said.voltage_v,
+            fet_c=said.temperature_k - _KELVIN,
+            motor_c=math.nan,
+        )
+
+    def _input_v(self) -> float:
+        return self._volts
+
+    def diagnose(self) -> tuple[Finding, ...]:
+        """What the doctor wants to know of who it is and how it is kept."""
+        trouble = "it is closed" if self._kept is None else self._kept.trouble()
+        silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
+        return (
+            Finding(self.name, "identity", "ok" if self._told else "warning", self._told or "not told",
+                    "an answer to GetNodeInfo", "look at the node with `dronecan_gui_tool`"),
+            Finding(self.name, "time-out", "warning", silent, "1 s", "look at it in VESC Tool"),
+            Finding(self.name, "keeper", "warning" if trouble else "ok", trouble or "keeps the fan",
+                    "a process of its own", "`hil adhesion status` says more"),
+        )  # fmt: skip
+
+
+def _described(payload: Any) -> str:
+    """Name and version of a node, from its answer."""
+    version = payload.software_version
+    name = bytes(payload.name.to_bytes()).decode(errors="replace")
+    return f"{name} {version.major}.{version.minor}" if name else ""
