@@ -12,7 +12,7 @@ from hil.config.robot import RobotConfig
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.dronecan.node import DroneCanNode, DroneCanTruthOptions
-from hil.drivers.adhesion.keeper.kept import KeptHere
+from hil.devices.adhesion.in_world import KeptInWorld
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.faults import FaultPlan, parse_fault
 from hil.fakes.plant import make_plant
@@ -55,7 +55,13 @@ def driver():
     opened = []
 
     def make(clock, **keys):
-        opened.append(DroneCanFan(DroneCanConfig(interface="hil", channel=CHANNEL, **keys), clock, KeptHere))
+        opened.append(
+            DroneCanFan(
+                DroneCanConfig(interface="hil", channel=CHANNEL, **keys),
+                clock,
+                KeptInWorld(clock._world).keep,
+            )
+        )
         return opened[-1]
 
     yield make

@@ -9,8 +9,8 @@ from hil.bench import open_bench
 from hil.devices.adhesion.dronecan import library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
+from hil.devices.adhesion.in_world import KeptInWorld
 from hil.drivers.adhesion.keeper.dialects import dialect
-from hil.drivers.adhesion.keeper.kept import KeptHere
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.signals import Status
@@ -185,7 +185,7 @@ def test_what_the_keeper_is_told_is_what_it_takes():
 def test_without_the_library_the_line_that_installs_it_is_told(monkeypatch, fan_world):
     monkeypatch.setattr(libraries, "is_installed", lambda extra: False)
     with fan_world(nodes=()) as made, pytest.raises(ConfigError, match=r"needs PyPI dronecan.*dronecan"):
-        DroneCanFan(DroneCanConfig(), made.clock, KeptHere)
+        DroneCanFan(DroneCanConfig(), made.clock, KeptInWorld(made.world).keep)
 
 
 def test_a_robot_on_its_wall_is_held_by_one():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.adhesion import VescConfig
@@ -14,10 +14,7 @@ from hil.vocabulary.signals import AdhesionSample
 
 if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
-    from hil.drivers.adhesion.keeper.kept import Kept
-    from hil.drivers.adhesion.keeper.spec import Spec
-
-Keep = Callable[["Spec", Clock], "Kept"]
+    from hil.drivers.adhesion.keeper.kept import Keep
 
 _OPEN_TIMEOUT_S = 0.5
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import can
 
 from hil.config.adhesion import VescConfig
-from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.kept import Keep
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.motor import Figures, MotorFan
 from hil.drivers.adhesion.settings import Answers
@@ -40,7 +40,7 @@ class VescFan(MotorFan[VescConfig]):
         self,
         config: VescConfig,
         clock: Clock,
-        keep: Callable[[Spec, Clock], Kept],
+        keep: Keep,
         name: str = "adhesion",
     ) -> None:
         self._answers, self._seen = Answers(), Seen()

@@ -9,14 +9,14 @@ from __future__ import annotations
 import contextlib
 import math
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Generic, NamedTuple, TypeVar
 
 import can
 
 from hil.config.adhesion import MotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.kept import Keep
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.trim import Trim
 from hil.drivers.can_link import CanLink
@@ -60,7 +60,7 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
         self,
         config: C,
         clock: Clock,
-        keep: Callable[[Spec, Clock], Kept],
+        keep: Keep,
         name: str = "adhesion",
     ) -> None:
         self.name, self._config, self._clock = name, config, clock

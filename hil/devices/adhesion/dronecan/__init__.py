@@ -14,20 +14,20 @@ from hil.vocabulary.signals import AdhesionSample
 
 if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
+    from hil.drivers.adhesion.keeper.kept import Keep
 
 _TOLD = ("node_id", "esc_index")
 
 
 def _driver(
-    config: DroneCanConfig, clock: Clock, *, emulator: int | None = None, here: bool = False
+    config: DroneCanConfig, clock: Clock, *, emulator: int | None = None, keep: Keep | None = None
 ) -> Holding[AdhesionSample]:
     from functools import partial
 
     from hil.devices.adhesion.dronecan.driver import DroneCanFan
     from hil.drivers.adhesion.keeper.deputy import KeptByProcess
-    from hil.drivers.adhesion.keeper.kept import KeptHere
 
-    return DroneCanFan(config, clock, KeptHere if here else partial(KeptByProcess, emulator=emulator))
+    return DroneCanFan(config, clock, keep or partial(KeptByProcess, emulator=emulator))
 
 
 def _imperfections() -> type[Any]:
@@ -38,17 +38,20 @@ def _imperfections() -> type[Any]:
 
 def _emulate(setting: Setting) -> EmulatedDevice:
     from hil.devices.adhesion.dronecan.node import DroneCanNode, DroneCanTruthOptions
+    from hil.devices.adhesion.in_world import KeptInWorld
     from hil.devices.canbus import channel_of, on_can
+    from hil.devices.emulated import Begun
 
     config: DroneCanConfig = setting.config
     channel = channel_of(setting)
     options = setting.options(DroneCanTruthOptions, timeout_s=config.timeout_s)
     node = DroneCanNode(setting.world, channel, config, options)
     told = {**{name: getattr(config, name) for name in _TOLD}, "pid": os.getpid()}
-    return on_can(
-        setting, channel, subnet=164, dbc="", listens=True, told=told, parts={"here": True},
-        begin=node.begin_in_use,
+    device = on_can(
+        setting, channel, subnet=164, dbc="", listens=True, told=told,
+        parts={"keep": KeptInWorld(setting.world).keep},
     )  # fmt: skip
+    return Begun(device, node.begin_in_use)
 
 
 def _reach(endpoint: Mapping[str, Any]) -> Connection:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import can
@@ -12,7 +12,7 @@ import can
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
 from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
-from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.kept import Keep
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.motor import Figures, MotorFan
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -34,7 +34,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         self,
         config: DroneCanConfig,
         clock: Clock,
-        keep: Callable[[Spec, Clock], Kept],
+        keep: Keep,
         name: str = "adhesion",
     ) -> None:
         self._dronecan = library()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import Protocol
 
 from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.clock import Clock
 
 
 class Kept(Protocol):
@@ -35,3 +38,7 @@ class Kept(Protocol):
     @abstractmethod
     def close(self) -> None:
         """Leave it to the keeper. The fan goes on. Idempotent; never raises."""
+
+
+Keep = Callable[[Spec, Clock], Kept]
+"""Makes who keeps a fan."""
