@@ -16,7 +16,7 @@ import can
 
 from hil.config.adhesion import MotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.keeper.kept import Keep, Kept
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.trim import Trim
 from hil.drivers.can_link import CanLink
