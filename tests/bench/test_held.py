@@ -52,8 +52,16 @@ def fault(kind, at_s, duration_s):
     return f"{kind}@{at_s}" + (f"+{duration_s}" if duration_s else "")
 
 
-@pytest.mark.parametrize(("kind", "duration_s"), LOSSES)
-@pytest.mark.parametrize("at_s", [MOVING_S, STOPPED_S], ids=["in motion", "after the stop"])
+LOST = [
+    pytest.param(kind, duration_s, at_s, id=f"{moment}-{kind}-{duration_s}", marks=marks)
+    for moment, at_s, breadth in (("in motion", MOVING_S, ()), ("after the stop", STOPPED_S, LOSSES[2:7]))
+    for kind, duration_s in LOSSES
+    for marks in [pytest.mark.long if (kind, duration_s) in breadth else ()]
+]
+"""Losses in motion, and a few of them after the stop; all of them in the long run."""
+
+
+@pytest.mark.parametrize(("kind", "duration_s", "at_s"), LOST)
 def test_whoever_loses_servos_has_them_back_without_calling_anything(kind, duration_s, at_s):
     with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
         stop = climb(bench)
