@@ -197,6 +197,15 @@ def test_a_wall_starts_held_and_release_is_told():
     assert "released" in bench.held.why
 
 
+def test_a_robot_that_was_never_held_is_said_to_be():
+    """Nothing presses it on, so that torque stays off: whoever opens the bench is told both."""
+    bench = hil.open_bench("emulated", seed=1, faults=["plant:adhesion_loss@0.3"])
+    with pytest.raises(SafetyStop, match="not pressed on the wall"), bench:
+        raise AssertionError("it opened")
+    assert bench.held.state == "NOT HELD"
+    assert "torque was never switched on" in bench.held.why
+
+
 def test_a_robot_that_hangs_by_its_fan_is_not_released():
     with pytest.raises(ConfigError, match=r"exit.policy: 'release' on a wall.*safety.tethered"):
         hil.open_bench("emulated", overrides={"exit.policy": "release"})
