@@ -12,4 +12,4 @@ PATIENT = {
 }
 
 FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
-"""For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall by itself."""
+"""For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall anyway."""
