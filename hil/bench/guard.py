@@ -38,11 +38,12 @@ _PLAIN: Mapping[Any, tuple[type[Any], ...]] = {
 }
 
 Wrong = Callable[[Any], str]
+Failures = Mapping[str, HilError]
 
 
-def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> Device:
+def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures) -> Device:
     """The driver that `make` makes; behind a `Guarded` where another package brings it."""
-    return make() if model.package == OURS else Guarded(kind, model, make)
+    return make() if model.package == OURS else Guarded(kind, model, make, failures)
 
 
 class Guarded:
@@ -52,13 +53,20 @@ class Guarded:
         kind: of the device.
         model: what brings the driver.
         make: makes it; where that fails, `open` says so, and other devices can still be examined.
+        failures: by kind, what its emulated device has raised meanwhile (`hil.bench.guarded_parts`).
 
     Attributes:
         name: the driver's own, or the kind's where it has none.
     """
 
-    def __init__(self, kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> None:
-        self._kind, self._package = kind, model.package
+    def __init__(
+        self,
+        kind: DeviceKind,
+        model: DeviceModel,
+        make: Callable[[], Device],
+        failures: Failures,
+    ) -> None:
+        self._kind, self._package, self._failures = kind, model.package, failures
         self._driver: Any = None
         self._failure: HilError | None = None
         try:
@@ -80,8 +88,14 @@ class Guarded:
         """Open the driver; raises why there is none."""
         if self._failure is not None:
             raise self._failure
+        self._check_emulated()
         with self._blamed("open()"):
             self._driver.open()
+
+    def _check_emulated(self) -> None:
+        """Raise what the emulated device has raised: here somebody is told of it who can do something."""
+        if self._kind.name in self._failures:
+            raise self._failures[self._kind.name]
 
     def close(self) -> None:
         """Close the driver. Never raises."""
@@ -106,8 +120,10 @@ class Guarded:
         """Samples of the driver, each of which is what the kind says.
 
         Raises:
-            DeviceError: the driver's own, or one that says what is wrong with its samples.
+            DeviceError: the driver's own, one that says what is wrong with its samples, or why there is no
+                emulated device any more.
         """
+        self._check_emulated()
         with self._blamed("read()"):
             given: Any = self._driver.read()
         wanted = f"a tuple of {self._kind.sample.__name__}, oldest first"

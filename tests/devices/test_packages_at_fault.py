@@ -236,3 +236,66 @@ ITEM = thing(emulate=declaring, aliases=("gadget",))
 """
     words = ("doctor", "--bench", "bench.toml", "--watch", "0.1", "--fault", "gadget:off")
     assert hil(*words, packages=[package("hil-evil", PACKAGE + chip, "ITEM")]).code == 0
+
+
+CHIP = """
+from hil.devices.emulated import Face
+from hil.fakes.world import NEVER_NS, Scheduled
+
+
+class Chip(Scheduled):
+    def __init__(self, world):
+        self.at_ns = world.now_ns + 50_000_000
+
+    def next_due_ns(self):
+        return self.at_ns
+
+    def on_due(self, t_ns):
+        {body}
+
+
+class Socket(Face):
+    def filenos(self): return []
+    def on_readable(self, fd, t_ns): pass
+    def endpoint(self): return {{"port": 47000}}
+    def close(self): pass
+    def next_due_ns(self): return NEVER_NS
+    def on_due(self, t_ns): pass
+
+
+def chip(setting):
+    setting.world.add(Chip(setting.world))
+    return Wired(lambda: Connection(), Socket)
+
+
+ITEM = thing(emulate=chip)
+"""
+PARTS = {
+    "raises": ("fail()", "on_due() of the emulated one raised RuntimeError: boom"),
+    "stands still": ("pass", "on_due() of the emulated one never gets beyond 50000000 ns"),
+}
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", PARTS)
+def test_an_emulated_device_that_fails_later_is_named_by_whoever_reads_it(case, package, hil):
+    body, told = PARTS[case]
+    folder = package("hil-evil", PACKAGE + CHIP.format(body=body), "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert f"thing (hil-evil 6.6): {told}" in done.out + done.said
+    assert "mend hil-evil" in done.out + done.said
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == 3, done.said
+    (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL")]
+    assert f"thing (hil-evil 6.6): {told}" in failure
+    assert "ok   imu" in done.out
+
+
+@pytest.mark.usefixtures("bench")
+def test_an_emulator_ends_by_a_device_that_fails(package, hil):
+    folder = package("hil-evil", PACKAGE + CHIP.format(body="fail()"), "ITEM", version="6.6")
+    done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
+    assert done.code == 3, done.said
+    assert "hil: thing (hil-evil 6.6): on_due() of the emulated one raised RuntimeError: boom" in done.said
+    assert "Traceback" not in done.said
