@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hil.bench.overdue import OverdueError, not_for_ever
 from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
 from hil.vocabulary.blame import OURS, PackageError, blamed, told
 from hil.vocabulary.errors import HilError
@@ -69,6 +70,7 @@ class Guarded:
         self._kind, self._package, self._failures = kind, model.package, failures
         self._driver: Any = None
         self._failure: HilError | None = None
+        self._ended: OverdueError | None = None
         try:
             with self._blamed("its constructor"):
                 self._driver = make()
@@ -89,6 +91,7 @@ class Guarded:
         if self._failure is not None:
             raise self._failure
         self._check_emulated()
+        self._ended = None
         with self._blamed("open()"):
             self._driver.open()
 
@@ -124,18 +127,15 @@ class Guarded:
                 emulated device any more.
         """
         self._check_emulated()
-        with self._blamed("read()"):
-            given: Any = self._driver.read()
+        if self._ended is not None:
+            raise self._ended
         wanted = f"a tuple of {self._kind.sample.__name__}, oldest first"
         try:
-            each = iter(given)
-        except TypeError:
-            self._blame(f"read() gave {_short(given)}", wanted)
-        with self._blamed("read()"):
-            samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
-        if len(samples) > MOST_SAMPLES:
-            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
-                        "what has arrived since the last call")  # fmt: skip
+            with self._blamed("read()"), not_for_ever(self._kind.name, self._package, "read()"):
+                samples = self._drained(wanted)
+        except OverdueError as error:
+            self._ended = error
+            raise
         for sample in samples:
             if not isinstance(sample, self._kind.sample):
                 self._blame(f"read() gave a {type(sample).__name__}: {_short(sample)}", wanted)
@@ -143,6 +143,18 @@ class Guarded:
                 found = wrong(getattr(sample, field))
                 if found:
                     self._blame(f"read() gave {self._kind.sample.__name__}.{field} {found}", expected)
+        return samples
+
+    def _drained(self, wanted: str) -> tuple[Any, ...]:
+        given: Any = self._driver.read()
+        try:
+            each = iter(given)
+        except TypeError:
+            self._blame(f"read() gave {_short(given)}", wanted)
+        samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
+        if len(samples) > MOST_SAMPLES:
+            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
+                        "what has arrived since the last call")  # fmt: skip
         return samples
 
     def __getattr__(self, name: str) -> Any:
