@@ -1,7 +1,7 @@
 """Calls into another package that do not come back: named while they run, and ended where that can be done.
 
 A driver that waits for ever would stop the loop without a word. A thread looks at what is running. It says
-what takes too long, and then interrupts the main thread by a signal, which reaches Python code and system calls.
+what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
 Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
 their driver looks after them when nobody else does.
 """
