@@ -102,6 +102,7 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
     assert hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
     done = hil("replay", tmp_path / "out" / "recording.mcap", "--rerun", "x.rrd", packages=[folder])
     assert done.code == 0, done.said
+    assert "hil: wrote x.rrd (" in done.said
     assert caplog.text.count("thing (hil-evil 6.6): figures raised RuntimeError: boom") == 1
     assert (tmp_path / "x.rrd").stat().st_size > 0
 
