@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+from hil.bench.overdue import not_for_ever
 from hil.devices.emulated import Face
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.blame import OURS, PackageError, blamed
@@ -75,11 +76,12 @@ class GuardedPart(Scheduled):
         """Let the part act; one that always has something more to do at this instant would hold up time."""
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
-        with self._guarded("on_due()"):
+        what = f"on_due() of the emulated {self._model.name}"
+        with self._guarded("on_due()"), not_for_ever(self._kind, self._model.package, what):
             if self._acted > _MOST_AT_ONCE:
                 raise PackageError(
                     self._kind, self._model.package,
-                    f"on_due() of the emulated {self._model.name} never gets beyond {t_ns} ns",
+                    f"{what} never gets beyond {t_ns} ns",
                     expected="next_due_ns() later than the time at which on_due() was called",
                 )  # fmt: skip
             self._part.on_due(t_ns)

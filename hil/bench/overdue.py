@@ -79,7 +79,7 @@ def not_for_ever(kind: str, package: str, what: str) -> Iterator[None]:
         ran_s = time.monotonic() - call.began_s
         raise OverdueError(
             kind, package, f"{what} had not come back after {ran_s:.1f} s and was ended",
-            expected="what has arrived, without waiting for more",
+            expected="a call that comes back without waiting for anything",
         ) from None  # fmt: skip
     finally:
         if outer is None:

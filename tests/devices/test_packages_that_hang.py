@@ -3,7 +3,7 @@
 import threading
 
 import pytest
-from faulty_package import PACKAGE, TABLES, driver
+from faulty_package import CHIP, PACKAGE, TABLES, driver
 
 from hil.bench import overdue
 
@@ -54,6 +54,14 @@ def test_a_read_that_never_returns_is_named_and_ended(case, package, hil, caplog
     assert done.code == 3, done.out + done.said
     assert "thing (hil-evil 6.6): read() had not come back after" in done.out + done.said
     assert caplog.text.count("thing (hil-evil 6.6): read() has been running for") == 1
+
+
+@pytest.mark.usefixtures("bench")
+def test_an_emulated_device_that_never_returns_is_named_and_ended(package, hil):
+    folder = package("hil-evil", PACKAGE + CHIP.format(body="while True: pass"), "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert "thing (hil-evil 6.6): on_due() of the emulated one had not come back" in done.out + done.said
 
 
 def test_the_robot_is_held_meanwhile(tmp_path, package, hil, bench):
