@@ -69,7 +69,7 @@ def stable_name(port: str) -> str:
 def discover(
     clock: Clock,
     *,
-    ports: Sequence[str] = (),
+    ports: Sequence[str] | None = None,
     given: Mapping[str, Sequence[Any]] | None = None,
     say: Say = lambda text: None,
     sysfs: Path = Path("/sys"),
@@ -78,7 +78,7 @@ def discover(
 
     Args:
         clock: for time-outs.
-        ports: serial ports or pyserial URLs; all of this machine when empty.
+        ports: serial ports or pyserial URLs; all of this machine when None.
         given: by kind, tables of devices to ask that are not on a serial port (CAN buses to listen on,
             capture servers); what the system itself offers otherwise.
         say: receives progress.
@@ -87,7 +87,7 @@ def discover(
     found = Discovery()
     models = [model for kind in kinds().values() for model in kind.models]
     asking = sorted((m for m in models if m.ask is not None), key=lambda m: m.ask_after)
-    for port in ports or serial_ports():
+    for port in serial_ports() if ports is None else ports:
         say(f"asking {port}")
         _ask_serial(found, port, clock, asking)
     search = Search(given or {}, clock, say, sysfs)

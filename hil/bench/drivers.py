@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any, cast
 
 from hil.bench.guard import guarded
@@ -10,6 +11,7 @@ from hil.config.bench import BenchConfig
 from hil.config.device import DeviceConfig
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import HilError
 from hil.vocabulary.interfaces import Actuators, Device, Sensor
 from hil.vocabulary.kinds import Connection, DeviceModel, kinds
 
@@ -20,20 +22,26 @@ def model_of(config: BenchConfig, kind: str) -> DeviceModel:
     return kinds()[kind].model(getattr(table, "model"))  # noqa: B009 - every model's table has the key
 
 
-def make_rig(config: BenchConfig, clock: Clock, connections: Mapping[str, Connection]) -> Rig:
+def make_rig(
+    config: BenchConfig,
+    clock: Clock,
+    connections: Mapping[str, Connection],
+    failures: Mapping[str, HilError] = MappingProxyType({}),
+) -> Rig:
     """Drivers of all configured devices, closed.
 
     Args:
         config: of the bench.
         clock: the bench clock.
         connections: by kind, where emulated devices are to be found; empty for a bench of hardware.
+        failures: by kind, what an emulated device has come to grief by, from the moment when it has.
     """
 
     def driver(name: str, table: DeviceConfig) -> Device:
         found = connections.get(name, Connection())
         at = table.model_copy(update=dict(found.values))
         model = model_of(config, name)
-        return guarded(kinds()[name], model, lambda: model.driver(at, clock, **found.parts))
+        return guarded(kinds()[name], model, lambda: model.driver(at, clock, **found.parts), failures)
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

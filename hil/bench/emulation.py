@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
+from hil.bench.guarded_parts import guarded_face, parts_of
 from hil.bench.repeating import repeating_robot
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
@@ -124,16 +125,18 @@ def emulated(
     setting = Setting(kind, config.devices()[kind], given, world, name, standard_ports)
     if model.package != OURS and model.imperfections is not None:
         setting.options(asked(kind, model.package, "imperfections", model.imperfections))
-    device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, setting)
+    with parts_of(world, kind, model):
+        device: EmulatedDevice | None = asked(kind, model.package, "emulate", model.emulate, setting)
     if device is None:
         raise PackageError(kind, model.package, "emulate gave None", expected=_EMULATED)
     return device
 
 
-def _reached(config: BenchConfig, kind: str, name: str, reach: Callable[[], R | None]) -> R:
+def _reached(config: BenchConfig, world: World, kind: str, name: str, reach: Callable[[], R | None]) -> R:
     """What `connect` or `serve` of an emulated device gives."""
     model = model_of(config, kind)
-    found = asked(kind, model.package, f"{name}() of the emulated device", reach)
+    with parts_of(world, kind, model):
+        found = asked(kind, model.package, f"{name}() of the emulated device", reach)
     if found is None:
         message = f"model {model.name} has no wire face: serve() of the emulated device gave None"
         if name == "connect":
@@ -154,7 +157,7 @@ def connect_in_process(config: BenchConfig, world: World, *, only: Sequence[str]
         for kind in config.emulated():
             if not only or kind in only:
                 device = emulated(config, world, kind, f"{kinds()[kind].shown_as}-{number}")
-                connected.connections[kind] = _reached(config, kind, "connect", device.connect)
+                connected.connections[kind] = _reached(config, world, kind, "connect", device.connect)
         world.faults.check()
     except HilError:
         connected.close()
@@ -250,7 +253,8 @@ def open_emulation(
         for name in names:
             shown = kinds()[name].shown_as
             device = emulated(config, world, name, shown, standard_ports=standard_ports)
-            faces[shown] = _reached(config, name, "serve", device.serve)
+            face = _reached(config, world, name, "serve", device.serve)
+            faces[shown] = guarded_face(world, name, model_of(config, name), face)
     except HilError:
         for face in faces.values():
             face.close()

@@ -16,6 +16,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
+from hil.bench.overdue import OverdueError, not_for_ever
 from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
 from hil.vocabulary.blame import OURS, PackageError, blamed, told
 from hil.vocabulary.errors import HilError
@@ -38,11 +39,12 @@ _PLAIN: Mapping[Any, tuple[type[Any], ...]] = {
 }
 
 Wrong = Callable[[Any], str]
+Failures = Mapping[str, HilError]
 
 
-def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> Device:
+def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures) -> Device:
     """The driver that `make` makes; behind a `Guarded` where another package brings it."""
-    return make() if model.package == OURS else Guarded(kind, model, make)
+    return make() if model.package == OURS else Guarded(kind, model, make, failures)
 
 
 class Guarded:
@@ -52,15 +54,23 @@ class Guarded:
         kind: of the device.
         model: what brings the driver.
         make: makes it; where that fails, `open` says so, and other devices can still be examined.
+        failures: by kind, what its emulated device has raised meanwhile (`hil.bench.guarded_parts`).
 
     Attributes:
         name: the driver's own, or the kind's where it has none.
     """
 
-    def __init__(self, kind: DeviceKind, model: DeviceModel, make: Callable[[], Device]) -> None:
-        self._kind, self._package = kind, model.package
+    def __init__(
+        self,
+        kind: DeviceKind,
+        model: DeviceModel,
+        make: Callable[[], Device],
+        failures: Failures,
+    ) -> None:
+        self._kind, self._package, self._failures = kind, model.package, failures
         self._driver: Any = None
         self._failure: HilError | None = None
+        self._ended: OverdueError | None = None
         try:
             with self._blamed("its constructor"):
                 self._driver = make()
@@ -80,8 +90,15 @@ class Guarded:
         """Open the driver; raises why there is none."""
         if self._failure is not None:
             raise self._failure
+        self._check_emulated()
+        self._ended = None
         with self._blamed("open()"):
             self._driver.open()
+
+    def _check_emulated(self) -> None:
+        """Raise what the emulated device has raised: here somebody is told of it who can do something."""
+        if self._kind.name in self._failures:
+            raise self._failures[self._kind.name]
 
     def close(self) -> None:
         """Close the driver. Never raises."""
@@ -106,20 +123,19 @@ class Guarded:
         """Samples of the driver, each of which is what the kind says.
 
         Raises:
-            DeviceError: the driver's own, or one that says what is wrong with its samples.
+            DeviceError: the driver's own, one that says what is wrong with its samples, or why there is no
+                emulated device any more.
         """
-        with self._blamed("read()"):
-            given: Any = self._driver.read()
+        self._check_emulated()
+        if self._ended is not None:
+            raise self._ended
         wanted = f"a tuple of {self._kind.sample.__name__}, oldest first"
         try:
-            each = iter(given)
-        except TypeError:
-            self._blame(f"read() gave {_short(given)}", wanted)
-        with self._blamed("read()"):
-            samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
-        if len(samples) > MOST_SAMPLES:
-            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
-                        "what has arrived since the last call")  # fmt: skip
+            with self._blamed("read()"), not_for_ever(self._kind.name, self._package, "read()"):
+                samples = self._drained(wanted)
+        except OverdueError as error:
+            self._ended = error
+            raise
         for sample in samples:
             if not isinstance(sample, self._kind.sample):
                 self._blame(f"read() gave a {type(sample).__name__}: {_short(sample)}", wanted)
@@ -127,6 +143,18 @@ class Guarded:
                 found = wrong(getattr(sample, field))
                 if found:
                     self._blame(f"read() gave {self._kind.sample.__name__}.{field} {found}", expected)
+        return samples
+
+    def _drained(self, wanted: str) -> tuple[Any, ...]:
+        given: Any = self._driver.read()
+        try:
+            each = iter(given)
+        except TypeError:
+            self._blame(f"read() gave {_short(given)}", wanted)
+        samples = tuple(itertools.islice(each, MOST_SAMPLES + 1))
+        if len(samples) > MOST_SAMPLES:
+            self._blame(f"read() gives more than {MOST_SAMPLES} samples, perhaps without end",
+                        "what has arrived since the last call")  # fmt: skip
         return samples
 
     def __getattr__(self, name: str) -> Any:

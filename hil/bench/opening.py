@@ -74,7 +74,8 @@ def open_bench(
     world = build_world(checked, seed=seed, faults=planned_faults(checked, faults))
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
-    bench = Bench(checked, virtual, make_rig(checked, virtual, connected.connections), world=world, **common)
+    rig = make_rig(checked, virtual, connected.connections, world.failures)
+    bench = Bench(checked, virtual, rig, world=world, **common)
     bench.on_close(connected.close)
     return bench
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import logging
 import os
 import select
 import subprocess
@@ -18,6 +19,8 @@ import tomli_w
 
 from hil.config.bench import BenchConfig
 from hil.vocabulary.errors import DeviceError
+
+_LOG = logging.getLogger(__name__)
 
 _START_S = 60.0
 _END_S = 5.0
@@ -84,11 +87,13 @@ class EmulatorProcess:
             line += piece
         return line
 
-    def _failed(self) -> DeviceError:
+    def _words(self) -> str:
         self._said.seek(0)
-        said = self._said.read().decode(errors="replace").strip()
+        return self._said.read().decode(errors="replace").strip()
+
+    def _failed(self) -> DeviceError:
         return DeviceError(
-            "emulator", f"the emulated devices could not be served: {said or 'no answer'}",
+            "emulator", f"the emulated devices could not be served: {self._words() or 'no answer'}",
             expected="one JSON line of endpoints", remedy="run `hil emulate` by hand to see more",
         )  # fmt: skip
 
@@ -102,7 +107,12 @@ class EmulatorProcess:
             self._child.wait()
 
     def close(self) -> None:
-        """End the emulator. Idempotent; never raises."""
+        """End the emulator, and tell if it has ended before. Idempotent; never raises."""
+        stdin = self._child.stdin
+        if stdin is not None and not stdin.closed and self._child.poll() is not None:
+            _LOG.error(
+                "the emulator of the devices has ended by itself: %s", self._words() or "without a word"
+            )
         self._end()
         if self._child.stdout is not None:
             self._child.stdout.close()

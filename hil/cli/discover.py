@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -22,11 +22,16 @@ if TYPE_CHECKING:
     "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to listen on."
 )
 @click.option("--mocap", metavar="ADDRESS[:PORT]", help="Motion-capture server, and its command port.")
+@click.option(
+    "--at", "places", multiple=True, metavar="KIND.KEY=VALUE",
+    help="Where a device is, by a key of its table (repeatable); serial ports then need --port.",
+)  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), help="Write the bench file here; never overwrites.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
-    ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, out: Path | None, as_json: bool
-) -> int:
+    ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
+    out: Path | None, as_json: bool,
+) -> int:  # fmt: skip
     """Ask everything that could be a device; ends with 3 when nothing answers."""
     from hil.bench.discover import discover
     from hil.vocabulary.clock import MonotonicClock
@@ -39,10 +44,16 @@ def command(
         raise UsageError(f"{out} exists already", remedy="choose another name for --out")
     if out is not None:
         check_file(out)
+    given: dict[str, list[Any]] = {
+        "encoders": [_bus(text) for text in buses],
+        "mocap": [_server(mocap)] if mocap else [],
+    }
+    for kind, table in _tables(places).items():
+        given[kind] = [*given.get(kind, []), table]
     found = discover(
         MonotonicClock(),
-        ports=ports,
-        given={"encoders": [_bus(text) for text in buses], "mocap": [_server(mocap)] if mocap else []},
+        ports=ports if ports or places else None,
+        given=given,
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
     text = found.to_toml()
@@ -90,3 +101,36 @@ def _server(text: str) -> MocapConfig:
             f"--mocap {text!r}: {error.errors()[0]['msg']}",
             expected="an IPv4 address, or ADDRESS:COMMAND_PORT",
         ) from None
+
+
+def _tables(places: tuple[str, ...]) -> dict[str, Any]:
+    """By kind, the table that these keys and values make; other keys are as the model has them."""
+    from pydantic import ValidationError
+
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.kinds import kind_of, kinds
+
+    trees: dict[str, dict[str, str]] = {}
+    for text in places:
+        where, equals, value = text.partition("=")
+        name, _, key = where.partition(".")
+        kind = kind_of(name)
+        if kind is None or not key or not equals or not any(model.search for model in kind.models):
+            sought = [name for name, kind in kinds().items() if any(model.search for model in kind.models)]
+            raise UsageError(f"--at {text!r}", expected=f"KIND.KEY=VALUE; kinds are {', '.join(sought)}")
+        trees.setdefault(kind.name, {})[key] = value
+    tables = {}
+    for name, tree in trees.items():
+        models = {model.name: model for model in kinds()[name].models}
+        model = models.get(tree.get("model", next(iter(models))))
+        if model is None:
+            raise UsageError(f"--at {name}.model={tree['model']}", expected="one of " + ", ".join(models))
+        try:
+            tables[name] = model.config.model_validate(tree)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, (name, *first["loc"])))
+            raise UsageError(
+                f"--at {where}: {first['msg']}", expected="one of " + ", ".join(model.config.model_fields)
+            ) from None
+    return tables

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.options import SEED, FiniteRange, rerun_option
+from hil.cli.options import SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import check_file
@@ -137,7 +137,7 @@ def command(
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 monitor = _monitor(opened, view)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
-                _live(session, as_json=as_json)
+                _live(session, view, as_json=as_json)
             finally:
                 opened.close()
         finally:
@@ -150,7 +150,7 @@ def command(
     return EXIT_PASS
 
 
-def _live(session: LiveSession, *, as_json: bool) -> None:
+def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
     """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
     from hil.bench.holding import seen_in_words
 
@@ -163,6 +163,8 @@ def _live(session: LiveSession, *, as_json: bool) -> None:
     finally:
         bench.close()
         _report(session, as_json=as_json)
+        if view is not None and session.monitor is not None and not session.monitor.failure:
+            tell_view(view)
 
 
 def _dated() -> Path:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+import shlex
+import shutil
+import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import click
@@ -49,3 +53,19 @@ def _checked_view(ctx: click.Context, parameter: click.Parameter, value: str | N
 def rerun_option(help_text: str) -> Callable[[Any], Any]:
     """The option `--rerun`, refused before anything is opened when it names no view."""
     return click.option("--rerun", "view", callback=_checked_view, help=help_text)
+
+
+def tell_view(view: str) -> None:
+    """Say on stderr which files `--rerun` has left, and how to open them."""
+    for name in (part.strip() for part in view.split(",")):
+        path = Path(name)
+        if "://" not in name and path.suffix == ".rrd" and path.is_file():
+            megabytes = path.stat().st_size / 1e6
+            click.echo(f"hil: wrote {name} ({megabytes:.1f} MB); open it with: {_opening(name)}", err=True)
+
+
+def _opening(name: str) -> str:
+    """Command line that shows a file; the viewer need not be on the path, where `hil` is not either."""
+    beside = Path(sys.executable).with_name("rerun")
+    viewer = ["rerun"] if shutil.which("rerun") else [str(beside)] if beside.is_file() else []
+    return shlex.join([*(viewer or [sys.executable, "-m", "rerun"]), name])

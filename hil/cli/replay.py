@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from hil.cli.options import rerun_option
+from hil.cli.options import rerun_option, tell_view
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
@@ -137,6 +137,7 @@ def _show(bench: Blueprint, run: RecordedRun, motions: dict[str, Motion], view: 
     for record in beside(motions):
         monitor.write(record)
     monitor.close()
+    tell_view(view)
 
 
 def _text(result: dict[str, Any]) -> str:

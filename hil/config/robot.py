@@ -7,6 +7,7 @@ is in `hil.fakes.plant`; the bench turns the nominal wheels into a `hil.robot.ki
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
@@ -75,6 +76,13 @@ class RobotConfig(BaseModel):
             return math.pi / 2.0 if friction >= weight else None
         cosine = (weight**2 + thrust**2 - friction**2) / (2.0 * weight * thrust)
         return None if cosine > 1.0 else min(math.acos(max(cosine, -1.0)), math.pi / 2.0)
+
+    def propellers(self, thrust_n: float) -> Iterator[tuple[str, Array, Array]]:
+        """Name, place (3,) and force (3,) in the body of both propellers, which give `thrust_n` together."""
+        for side, name in ((1.0, "left propeller"), (-1.0, "right propeller")):
+            share = 0.5 * (1.0 - side * self.thrust_imbalance)
+            place_m = np.array([0.0, side * self.propeller_y_m, self.propeller_height_m])
+            yield name, place_m, np.array([share * thrust_n, 0.0, 0.0])
 
     def statics(self, tilt_rad: float, friction: float = _LEAST_FRICTION) -> Statics:
         """Weight, wheels and propellers on a surface of this tilt and friction."""

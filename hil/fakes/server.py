@@ -99,7 +99,13 @@ class EmulationServer:
             self.close()
 
     def step(self) -> None:
-        """Advance the world to now and serve what is readable, waiting at most 50 ms for it."""
+        """Advance the world to now and serve what is readable, waiting at most 50 ms for it.
+
+        Raises:
+            HilError: code of another package has failed.
+        """
+        for error in self.world.failures.values():
+            raise error
         if not self._waiting:
             self.world.advance_to(self._now_ns())
         owners = {fd: face for face in self.faces.values() for fd in face.filenos()}

@@ -19,7 +19,7 @@ import numpy as np
 from hil.fakes.faults import FaultPlan
 from hil.fakes.plant_api import Plant
 from hil.vocabulary.clock import Clock, Task
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import HilError, UsageError
 
 NEVER_NS = 1 << 62
 
@@ -48,6 +48,8 @@ class World:
 
     Attributes:
         now_ns: world time.
+        failures: by kind of device, what code of another package has raised; its part is silent since then.
+        enclose: what every part is put into that is added from now on.
     """
 
     def __init__(self, plant: Plant, *, seed: int = 0, faults: FaultPlan | None = None) -> None:
@@ -57,9 +59,13 @@ class World:
         self._parts: list[Scheduled] = []
         self._alone: list[bool] = []
         self.now_ns = 0
+        self.failures: dict[str, HilError] = {}
+        self.enclose: Callable[[Scheduled], Scheduled] | None = None
 
     def add(self, part: Scheduled) -> None:
         """Register a part; ties in time are resolved in order of registration."""
+        if self.enclose is not None:
+            part = self.enclose(part)
         self._parts.append(part)
         self._alone.append(getattr(part, "alone", False))
 

@@ -7,6 +7,7 @@ robot's own, else those of statics.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -17,12 +18,17 @@ import numpy as np
 
 from hil.monitor import solid
 from hil.monitor.scene import Scene
+from hil.vocabulary.blame import PackageError, asked
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, between, se2_log
-from hil.vocabulary.kinds import Force, kinds
+from hil.vocabulary.kinds import DeviceKind, Force, kinds
 from hil.vocabulary.signals import CycleRecord, Inputs
 
+LOG = logging.getLogger(__name__)
+
 _SLIP_WINDOW_NS = NS_PER_S // 2
+_ASSUMED = {"adhesion": "fan", "thrust": "propeller"}
+"""Kinds whose forces are assumed until they tell, and the word in the names of these."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +75,7 @@ class Moments:
         self._seen: deque[tuple[int, Array]] = deque()
         self._angles: deque[tuple[int, Array]] = deque()
         self._forces: dict[str, tuple[Force, ...]] = {}
+        self._failing: set[str] = set()
 
     def note(self, record: CycleRecord) -> None:
         """Take what one cycle tells."""
@@ -112,9 +119,20 @@ class Moments:
 
     def _note_forces(self, inputs: Inputs) -> None:
         for name, kind in kinds().items():
-            told = tuple(kind.forces(inputs, self._scene.robot))
-            if told:
+            if name not in self._failing and (told := self._forces_of(kind, inputs)):
                 self._forces[name] = told
+
+    def _forces_of(self, kind: DeviceKind, inputs: Inputs) -> tuple[Force, ...]:
+        """What a kind tells; one whose package fails is left out from then on, and named once."""
+        own = self._scene.devices.get(kind.name)
+        try:
+            return asked(
+                kind.name, kind.package, "forces", lambda: tuple(kind.forces(inputs, self._scene.robot, own))
+            )
+        except PackageError as error:
+            self._failing.add(kind.name)
+            LOG.warning("%s", error)
+            return ()
 
     def _slip(self) -> Array | None:
         """The emulated robot's own; else the mean over a window in which poses and wheel angles are known."""
@@ -141,8 +159,11 @@ class Moments:
         return self._scene.robot.wheel_loads_n(environment.tilt_rad, heading_rad, adheres=environment.on_wall)
 
     def _all_forces(self) -> tuple[Force, ...]:
+        """What is told, and what is assumed of fan or propellers while only the other one tells."""
         told = tuple(force for forces in self._forces.values() for force in forces)
-        return told or assumed_forces(self._scene)
+        assumed = assumed_forces(self._scene) if self._forces.keys() <= _ASSUMED.keys() else ()
+        known = tuple(_ASSUMED[name] for name in self._forces) if assumed else ()
+        return told + tuple(force for force in assumed if not any(word in force.name for word in known))
 
 
 def assumed_forces(scene: Scene) -> tuple[Force, ...]:
@@ -150,12 +171,9 @@ def assumed_forces(scene: Scene) -> tuple[Force, ...]:
     robot = scene.robot
     if not scene.environment.on_wall:
         return ()
-    thrust_n = robot.weight_n * robot.thrust_compensation
     found = [Force("fan (assumed)", np.zeros(3), np.array([0.0, 0.0, -robot.edf_force_n]))]
-    for side, name in ((1.0, "left"), (-1.0, "right")):
-        place = np.array([0.0, side * robot.propeller_y_m, robot.propeller_height_m])
-        share = 0.5 * (1.0 - side * robot.thrust_imbalance)
-        found.append(Force(f"{name} propeller (assumed)", place, np.array([share * thrust_n, 0.0, 0.0])))
+    for name, *force in robot.propellers(robot.weight_n * robot.thrust_compensation):
+        found.append(Force(f"{name} (assumed)", *force))
     return tuple(force for force in found if math.hypot(*force.force_n) > 0.0)
 
 

@@ -7,11 +7,12 @@ on and how steep that is. `hil.monitor.solid` has the geometry, `hil.monitor.rob
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hil.config.bench import BenchConfig
-from hil.config.device import MountedConfig
+from hil.config.device import DeviceConfig, MountedConfig
 from hil.config.environment import EnvironmentConfig
 from hil.config.monitor import MonitorConfig
 from hil.config.robot import RobotConfig
@@ -48,6 +49,7 @@ class Scene:
         looks: a mesh of the user's.
         x_range_m, y_range_m: usable surface in the wall frame; None where it has no bounds.
         mounted: devices that have a place on the robot.
+        devices: tables of the bench's devices, by kind.
     """
 
     geometry: WheelGeometry = field(default_factory=WheelGeometry.nominal)
@@ -57,6 +59,7 @@ class Scene:
     x_range_m: Range | None = None
     y_range_m: Range | None = None
     mounted: tuple[Mounted, ...] = ()
+    devices: Mapping[str, DeviceConfig] = field(default_factory=dict)
 
     @classmethod
     def of(cls, config: BenchConfig, geometry: WheelGeometry, *, recorded: bool = False) -> Scene:
@@ -90,6 +93,7 @@ class Scene:
                 for name, device in config.devices().items()
                 if isinstance(device, MountedConfig)
             ),
+            config.devices(),
         )  # fmt: skip
 
     @property

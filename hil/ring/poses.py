@@ -11,6 +11,7 @@ from hil.vocabulary.geometry import Four, Three, conjugated, multiplied, rotated
 from hil.vocabulary.signals import Inputs, MocapSample, PoseMeasurement, Status, TrackerSample
 
 _FARTHEST_M = 1000.0
+_NOWHERE = np.full(3, np.nan)
 _USABLE = (Status.OK, Status.LOW_CONFIDENCE, Status.JUMP)
 
 
@@ -55,7 +56,11 @@ class PoseAlignment:
 
     def reset(self) -> None:
         """Forget unwrapping state and the camera's start frame."""
-        self._yaw = {"tracker": Unwrapped(), "mocap": Unwrapped()}
+        self._mocap_yaw = Unwrapped()
+        self._forget_start()
+
+    def _forget_start(self) -> None:
+        self._tracker_yaw = Unwrapped()
         self._start: tuple[Three, Four] | None = None
 
     def measure(self, inputs: Inputs) -> dict[str, tuple[PoseMeasurement, ...]]:
@@ -67,6 +72,15 @@ class PoseAlignment:
         }
 
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
+        """The body's pose in the frame of the first good one; None without a usable one.
+
+        A camera that has started again has another frame. Where it looks up a wall, that is turned about
+        the vertical by any angle. It begins with the next good pose; the reset itself is told as a pose that
+        is not valid.
+        """
+        if sample.status is Status.RESET:
+            self._forget_start()
+            return PoseMeasurement(sample.stamp, "tracker", _NOWHERE, sample.confidence, valid=False)
         if sample.status not in _USABLE:
             return None
         px, py, pz = sample.position_m.tolist()
@@ -85,7 +99,7 @@ class PoseAlignment:
         way = ((px - sx) / scale, (py - sy) / scale, (pz - sz) / scale)
         moved = rotated(mount_wxyz, rotated(back, way))
         lever = rotated(turn, mount_m)
-        yaw = self._yaw["tracker"].follow(yaw_of_quat(turn))
+        yaw = self._tracker_yaw.follow(yaw_of_quat(turn))
         return PoseMeasurement(
             stamp=sample.stamp,
             source="tracker",
@@ -100,7 +114,7 @@ class PoseAlignment:
         valid = valid and _is_near(x, y) and _is_attitude(sample.quaternion_wxyz.tolist())
         yaw = math.nan
         if valid:
-            yaw = self._yaw["mocap"].follow(yaw_of_quat(sample.quaternion_wxyz))
+            yaw = self._mocap_yaw.follow(yaw_of_quat(sample.quaternion_wxyz))
         return PoseMeasurement(
             stamp=sample.stamp,
             source="mocap",

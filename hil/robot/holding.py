@@ -48,18 +48,28 @@ class Statics:
         weight_x, weight_y = -along_n * math.cos(heading_rad), along_n * math.sin(heading_rad)
         return weight_x, weight_y, weight_x + thrust_n, weight_y
 
-    def _loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
-        """(4,) by statics, below zero where a wheel would have to pull."""
+    def _moments(self, thrust_n: float, heading_rad: float) -> tuple[float, float]:
+        """What weight and propellers press, times how far ahead and to the left of the body's origin, N m."""
         x_m, y_m, height_m = self.centre_of_mass_m
         weight_x, weight_y, _, _ = self._tangential_n(thrust_n, heading_rad)
-        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
-        about_y = press_n * x_m + height_m * weight_x + self.propeller_height_m * thrust_n
-        about_x = press_n * y_m + height_m * weight_y
-        return [a * (force_n + press_n) + b * about_y + c * about_x for a, b, c in self._spread]
+        about_y = self._press_n * x_m + height_m * weight_x + self.propeller_height_m * thrust_n
+        return about_y, self._press_n * y_m + height_m * weight_y
+
+    @property
+    def _press_n(self) -> float:
+        """What presses beside the fan: the weight's part towards the surface."""
+        return self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
 
     def loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
-        """Normal load of each wheel, (4,); a wheel does not pull."""
-        return [max(n, 0.0) for n in self._loads_n(force_n, thrust_n, heading_rad)]
+        """Normal load of each wheel, (4,); a wheel does not pull, and the others carry what it would have."""
+        total_n = force_n + self._press_n
+        about_y, about_x = self._moments(thrust_n, heading_rad)
+        loads = [a * total_n + b * about_y + c * about_x for a, b, c in self._spread]
+        if min(loads) >= 0.0:
+            return loads
+        carried = [max(n, 0.0) for n in loads]
+        share = max(total_n, 0.0) / sum(carried) if any(carried) else 0.0
+        return [share * n for n in carried]
 
     def utilisation(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
         """Share of its friction that each wheel uses, (4,); 1 slides, `inf` where nothing presses.
@@ -88,21 +98,34 @@ class Statics:
     def friction_used(self, force_n: float, thrust_n: float, heading_rad: float) -> float:
         """Tangential over normal force of the whole robot: the friction of a surface where it just slides."""
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
-        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
-        return math.hypot(push_x, push_y) / (force_n + press_n)
+        return math.hypot(push_x, push_y) / (force_n + self._press_n)
 
     def needed_n(self, thrust_n: float, heading_rad: float) -> float:
-        """Force of the fan below which the robot slides, or tips because a second wheel lifts off."""
+        """Force of the fan below which the robot slides, or tips over the line between two wheels."""
         _, _, push_x, push_y = self._tangential_n(thrust_n, heading_rad)
-        press_n = self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
-        slides_n = math.hypot(push_x, push_y) / self.friction - press_n
-        loads = self._loads_n(0.0, thrust_n, heading_rad)
-        lift = sorted(-n / row[0] for n, row in zip(loads, self._spread, strict=True))
-        return max(slides_n, lift[-2], 0.0)
+        holds_n = math.hypot(push_x, push_y) / self.friction
+        return max(holds_n - self._press_n, self._stands_n(thrust_n, heading_rad) - self._press_n, 0.0)
+
+    def _stands_n(self, thrust_n: float, heading_rad: float) -> float:
+        """What has to press in all, so that it acts between the wheels; `inf` where no force does."""
+        about_y, about_x = self._moments(thrust_n, heading_rad)
+        corners = list(zip(self.wheel_x_m, self.wheel_y_m, strict=True))
+        least_n = 0.0
+        for (x, y), (after_x, after_y) in zip(corners, corners[1:] + corners[:1], strict=True):
+            edge_x, edge_y = after_x - x, after_y - y
+            inside_m2, lever_n_m2 = x * edge_y - y * edge_x, edge_y * about_y - edge_x * about_x
+            if inside_m2 > 0.0:
+                least_n = max(least_n, lever_n_m2 / inside_m2)
+            elif lever_n_m2 > 0.0:
+                return math.inf
+        return least_n
 
     def force_for_n(self, utilisation: float, thrust_n: float, heading_rad: float) -> float:
-        """Force of the fan at which the most loaded wheel uses this share of its friction."""
-        force_n = max(self.needed_n(thrust_n, heading_rad), 1.0)
+        """Least force of the fan that holds, with no wheel above this share of its friction; `inf`: none."""
+        least_n = force_n = max(self.needed_n(thrust_n, heading_rad), 1.0)
         for _ in range(_ROUNDS):
-            force_n *= max(self.utilisation(force_n, thrust_n, heading_rad)) / utilisation
+            if not math.isfinite(force_n):
+                return math.inf
+            used = max(self.utilisation(force_n, thrust_n, heading_rad))
+            force_n = max(force_n * used / utilisation, least_n)
         return force_n

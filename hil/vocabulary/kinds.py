@@ -204,8 +204,8 @@ class DeviceKind:
         topics: where its samples are recorded.
         figures: what the monitor draws of a cycle: (entity, figures by name) for each plot.
         plots: where the monitor draws them.
-        forces: what a cycle's samples tell of forces on the robot, of (inputs, `[robot]` of the bench file);
-            the monitor draws them instead of those that `[robot]` promises.
+        forces: what a cycle's samples tell of forces on the robot, of (inputs, `[robot]` of the bench file,
+            its own table or None); the monitor draws them instead of those that `[robot]` promises.
         witness: how it tells whether the robot moves; None if it cannot.
         look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
         package: name and version of the package that it comes from; filled in when it is loaded.
@@ -230,7 +230,7 @@ class DeviceKind:
     topics: tuple[Topic, ...] = ()
     figures: Callable[[Inputs], Iterator[tuple[str, Figures]]] = lambda inputs: iter(())
     plots: tuple[Plot, ...] = ()
-    forces: Callable[[Inputs, Any], Iterator[Force]] = lambda inputs, robot: iter(())
+    forces: Callable[[Inputs, Any, Any], Iterator[Force]] = lambda inputs, robot, own: iter(())
     witness: Witness | None = None
     look: Callable[[Any], Iterable[Finding]] | None = None
     package: str = "hil"

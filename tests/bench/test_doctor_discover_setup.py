@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import socket
 from functools import partial
 from itertools import pairwise
 
@@ -194,6 +195,29 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
     assert main(["discover", "--can", "can0"]) == 2
     assert main(["discover", "--mocap", "somewhere"]) == 2
     assert "IPv4" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("place", "told"),
+    [
+        ("nothing.host=1", "kinds are encoders, tracker, mocap"), ("imu.port=x", "kinds are encoders"),
+        ("tracker", "KIND.KEY=VALUE"), ("tracker.model=none", "one of t265, mavlink"),
+        ("mocap.command_port=many", "--at mocap.command_port: "), ("mocap.sever=x", "command_port"),
+    ],
+)  # fmt: skip
+def test_discover_names_what_is_wrong_with_a_place(place, told, capsys):
+    assert main(["discover", "--at", place]) == 2
+    assert told in capsys.readouterr().err
+
+
+def test_discover_listens_where_it_is_told(capsys):
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = f"udpin:127.0.0.1:{probe.getsockname()[1]}"
+    assert main(["discover", "--at", "tracker.model=mavlink", "--at", f"tracker.port={port}"]) == 3
+    said = capsys.readouterr().err
+    assert f"listening for MAVLink odometry at {port}" in said
+    assert "hil: asking" not in said
 
 
 def test_setup_renames_a_servo_and_changes_its_baud_rate(emulator, capsys):

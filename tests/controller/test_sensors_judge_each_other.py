@@ -237,6 +237,19 @@ def test_what_the_estimator_copes_with_raises_no_doubt(fault):
     ride.assert_near()
 
 
+@pytest.mark.parametrize(
+    ("fault", "far_m"),
+    [("tracker:off@1+0.5", 0.1), pytest.param("tracker:off@5+1", 0.6, marks=pytest.mark.long)],
+)
+def test_a_camera_that_was_off_is_used_again_across_the_wall(fault, far_m):
+    """There its new frame is turned about the vertical by any angle."""
+    ride = Ride(line(ORIGIN, [0.0, far_m, 0.0]), fault)
+    assert ride.stop is None
+    assert ride.told("tracker", "started again")
+    assert not ride.told("tracker", "wheels")
+    ride.assert_near()
+
+
 def clean_rides(seeds):
     """(bench, way, feedback, seed) of honest sensors; lines as long as the wall's procedures have them."""
     walls = (

@@ -88,6 +88,28 @@ def test_tracker_mount_scale_and_start_frame_cancel(attitude, scale):
         np.testing.assert_allclose(measured.pose, [*body_m[:2], yaw], atol=1e-9)
 
 
+@pytest.mark.parametrize("turned", [0.0, 0.7, -2.0, 3.0])
+def test_a_camera_that_started_again_has_another_frame_and_tells_the_same_motion(turned):
+    """Looking up the wall it finds down by gravity, but begins at any angle about it."""
+    mount = Mount((0.15, 0.01, 0.07), tuple(quat_from_rotvec([0.02, -0.1, 0.3])))
+    alignment = Alignment(AlignmentParameters(tracker=mount))
+    upright = quat_from_rotvec([0.0, -math.pi / 2, 0.0])
+    frames = [upright, quat_multiply(quat_from_yaw(turned), upright)]
+    measured = []
+    for k in range(20):
+        new, state = k >= 10, Status.RESET if k == 10 else Status.JUMP if k == 11 else Status.OK
+        turn = quat_from_yaw(0.02 * k)
+        camera_m = np.array([0.01, -0.02, 0.0]) * k + quat_rotate(turn, mount.position_m)
+        attitude = quat_multiply(frames[new], quat_multiply(turn, mount.rotation_wxyz))
+        sample = TrackerSample(Stamp(k, k, k), quat_rotate(frames[new], camera_m), attitude, np.zeros(3),
+                               np.zeros(3), 3, state)  # fmt: skip
+        measured += alignment.measure(Inputs(k, k, tracker=(sample,))).tracker
+    assert [m.valid for m in measured] == [True] * 10 + [False] + [True] * 8
+    begin, end = measured[11].pose, measured[-1].pose
+    back = quat_rotate(quat_from_yaw(-0.02 * 12), np.array([0.01, -0.02, 0.0]) * 7)
+    np.testing.assert_allclose(end - begin, [*back[:2], 0.02 * 7], atol=1e-9)
+
+
 @pytest.mark.parametrize("heading", [0.0, 0.2, -1.0, 3.0])
 def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
     mount = Mount(rotation_wxyz=tuple(quat_from_rotvec([0.3, 0.2, -1.0])))

@@ -6,6 +6,7 @@ import sys
 from types import SimpleNamespace
 
 import pytest
+from faulty_package import DRIVE, TABLES
 from installing import EXAMPLE, install
 
 from hil.cli import main
@@ -72,3 +73,10 @@ def package(tmp_path):
         return folder
 
     return make
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """A bench file with the kind `thing`, and a procedure that looks at it, in the current folder."""
+    (tmp_path / "bench.toml").write_text(TABLES)
+    (tmp_path / "look.py").write_text(DRIVE)

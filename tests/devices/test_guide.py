@@ -13,7 +13,7 @@ from installing import ROOT
 from hil.vocabulary.kinds import DeviceKind, DeviceModel
 
 GUIDE = (ROOT / "docs" / "add-your-own-device.md").read_text(encoding="utf-8")
-FILES = re.findall(r"^`(my-imu/[\w.]+)`:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
+FILES = re.findall(r"^`(my-\w+/[\w.]+)`[^\n]*:\n\n```\w+\n(.*?)^```", GUIDE, re.S | re.M)
 BLOCKS = re.findall(r"^```sh\n(.*?)^```", GUIDE, re.S | re.M)
 ENDS = re.compile(r"^(.*\S)\s+# ends with (\d+)$", re.M)
 PROGRAMS = {"python": "", "hil": "-m hil.cli "}
@@ -62,7 +62,7 @@ def installed(reader):
 
 
 def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
-    assert [name for name, _ in FILES] == [
+    assert [name for name, _ in FILES if "imu" in name] == [
         "my-imu/pyproject.toml", "my-imu/my_imu.py", "my-imu/bench.toml", "my-imu/test_contract.py",
     ]  # fmt: skip
     told = reader("./my-imu")
@@ -70,6 +70,16 @@ def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert "imu       gravity: 9.8" in told
     assert re.search(r"1\d passed", told)
     assert "failed" not in told
+
+
+def test_a_device_on_the_network_is_examined_found_and_keeps_the_contract(reader):
+    told = reader("./my-gap")
+    assert re.search(r"ok +gap +open: model lab_gap, serial L-0042", told)
+    assert re.search(r"\d\d passed", told)
+    assert "FAIL gap" in told
+    found = reader("hil discover --at")
+    assert '[gap]\nhost = "127.0.0.1"\nudp_port = ' in found
+    assert "# gap: serial number L-0042" in found
 
 
 def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
@@ -82,7 +92,7 @@ def test_a_kind_of_ones_own_does_all_that_the_guide_says(reader, installed):
     told = reader("--fault rangefinder:off")
     assert "FAIL rangefinder" in told
     assert "FAIL: approach" in told
-    assert '[rangefinder]\nport = "/dev/' in reader("hil discover")
+    assert '[rangefinder]\nport = "/dev/' in reader("hil discover --port")
 
 
 @pytest.mark.usefixtures("installed")
@@ -94,7 +104,8 @@ def test_the_example_passes_its_tests(reader):
 
 def test_every_block_of_the_guide_is_followed():
     followed = (
-        "./my-imu", "pip install ./examples/rangefinder", "--rerun", "--fault", "hil discover", "cd examples",
+        "./my-imu", "pip install ./examples/rangefinder", "--rerun", "--fault rangefinder",
+        "hil discover --port", "cd examples", "./my-gap", "hil discover --at",
     )  # fmt: skip
     assert [sum(key in block for key in followed) for block in BLOCKS] == [1] * len(followed)
 

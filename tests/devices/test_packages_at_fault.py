@@ -1,106 +1,7 @@
 """A package whose code fails while it is in use is named, with its device and what to do: exit 3."""
 
 import pytest
-
-PACKAGE = """
-import math
-import sys
-import time
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Literal
-
-from hil.config.device import DeviceConfig
-from hil.devices.emulated import Wired
-from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
-from hil.vocabulary.signals import Stamp, Status
-
-
-@dataclass(frozen=True)
-class Sample:
-    stamp: Stamp
-    value: float
-    status: Status = Status.OK
-
-
-class Config(DeviceConfig):
-    model: Literal["one"] = "one"
-    port: int = 47000
-
-
-class Driver(Sensor):
-    name = "thing"
-
-    def __init__(self, config, clock):
-        self.clock, self.is_open, self.seq = clock, False, 0
-
-    def open(self):
-        self.is_open = True
-
-    def close(self):
-        self.is_open = False
-
-    def identity(self):
-        return {"model": "one"} if self.is_open else {}
-
-    def sample(self, value=1.0, ahead_ns=0):
-        self.seq += 1
-        t_ns = self.clock.now_ns()
-        return Sample(Stamp(t_ns + ahead_ns, t_ns, self.seq), value)
-
-    def read(self):
-        return (self.sample(),)
-
-
-def emulate(setting):
-    return Wired(lambda: Connection(), lambda: None)
-
-
-def thing(driver=Driver, emulate=emulate, **more):
-    named = {"kind": "thing", "name": "one", "title": "a thing"}
-    model = DeviceModel(**named, config=Config, driver=driver, emulate=emulate)
-    return DeviceKind(name="thing", noun="thing", sample=Sample, models=(model,), **more)
-
-
-def fail(*given):
-    raise RuntimeError("boom")
-
-
-def endless(driver):
-    while True:
-        yield driver.sample()
-"""
-TABLES = """
-schema = 1
-name = "lab"
-
-[thing]
-backend = "emulated"
-
-[imu]
-backend = "emulated"
-"""
-DRIVE = """
-from hil.procedure import procedure
-
-
-@procedure(name="look", needs=("thing",))
-def run(ctx):
-    with ctx.step("look"):
-        ctx.bench.observe(0.1)
-"""
-
-
-@pytest.fixture
-def bench(tmp_path):
-    (tmp_path / "bench.toml").write_text(TABLES)
-    (tmp_path / "look.py").write_text(DRIVE)
-
-
-def driver(body):
-    return f"class Bad(Driver):\n    {body}\n\n\nITEM = thing(Bad)\n"
-
+from faulty_package import CHIP, PACKAGE, TABLES, driver
 
 FAILING = {
     "a constructor": (driver("__init__ = fail"), "its constructor raised RuntimeError: boom"),
@@ -201,6 +102,7 @@ def test_figures_that_fail_are_named_and_the_rest_is_drawn(package, hil, tmp_pat
     assert hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
     done = hil("replay", tmp_path / "out" / "recording.mcap", "--rerun", "x.rrd", packages=[folder])
     assert done.code == 0, done.said
+    assert "hil: wrote x.rrd (" in done.said
     assert caplog.text.count("thing (hil-evil 6.6): figures raised RuntimeError: boom") == 1
     assert (tmp_path / "x.rrd").stat().st_size > 0
 
@@ -236,3 +138,34 @@ ITEM = thing(emulate=declaring, aliases=("gadget",))
 """
     words = ("doctor", "--bench", "bench.toml", "--watch", "0.1", "--fault", "gadget:off")
     assert hil(*words, packages=[package("hil-evil", PACKAGE + chip, "ITEM")]).code == 0
+
+
+PARTS = {
+    "raises": ("fail()", "on_due() of the emulated one raised RuntimeError: boom"),
+    "stands still": ("pass", "on_due() of the emulated one never gets beyond 50000000 ns"),
+}
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", PARTS)
+def test_an_emulated_device_that_fails_later_is_named_by_whoever_reads_it(case, package, hil):
+    body, told = PARTS[case]
+    folder = package("hil-evil", PACKAGE + CHIP.format(body=body), "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert f"thing (hil-evil 6.6): {told}" in done.out + done.said
+    assert "mend hil-evil" in done.out + done.said
+    done = hil("doctor", "--bench", "bench.toml", "--watch", "0.2", packages=[folder])
+    assert done.code == 3, done.said
+    (failure,) = [line for line in done.out.splitlines() if line.startswith("FAIL")]
+    assert f"thing (hil-evil 6.6): {told}" in failure
+    assert "ok   imu" in done.out
+
+
+@pytest.mark.usefixtures("bench")
+def test_an_emulator_ends_by_a_device_that_fails(package, hil):
+    folder = package("hil-evil", PACKAGE + CHIP.format(body="fail()"), "ITEM", version="6.6")
+    done = hil("emulate", "--bench", "bench.toml", "--only", "thing", packages=[folder])
+    assert done.code == 3, done.said
+    assert "hil: thing (hil-evil 6.6): on_due() of the emulated one raised RuntimeError: boom" in done.said
+    assert "Traceback" not in done.said

@@ -85,6 +85,11 @@ OF_A_USER = {
     "my-imu/my_imu.py",
     "my-imu/bench.toml",
     "my-imu/test_contract.py",
+    "my-gap/pyproject.toml",
+    "my-gap/my_gap.py",
+    "my-gap/my_gap_chip.py",
+    "my-gap/bench.toml",
+    "my-gap/test_contract.py",
 }
 FILE = re.compile(
     r"(?<![\w/.:<-])([\w-]+/[\w./-]*\.(?:md|py|toml|json|csv|dbc|png|svg|html|mcap|lock|yml|sh))\b"

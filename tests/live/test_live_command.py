@@ -64,6 +64,7 @@ def driven(tmp_path_factory):
     )  # fmt: skip
     out, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 0, err
+    assert f"hil: wrote {folder / 'run.rrd'} (" in err
     return folder, json.loads(out)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from hil.monitor.moments import Moments
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import Force, kinds
+from hil.vocabulary.signals import AdhesionSample, Stamp, ThrustSample
 
 TRIANGLE = "v 0 0 0\nv 100 0 0\nv 0 100 50\nf 1 2 3\n"
 
@@ -62,7 +64,7 @@ def test_a_relative_mesh_lies_beside_the_bench_file(tmp_path):
 
 def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
     told = Force("fan", np.zeros(3), np.array([0.0, 0.0, -31.0]))
-    imu = replace(kinds()["imu"], forces=lambda inputs, robot: iter((told,)))
+    imu = replace(kinds()["imu"], forces=lambda inputs, robot, own: iter((told,)))
     follower = Moments(Scene())
     follower.note(shown(0))
     assert [f.name for f in follower.at(shown(0), 0.0).forces] == [
@@ -71,6 +73,51 @@ def test_forces_that_a_device_tells_replace_the_assumed_ones(monkeypatch):
     monkeypatch.setattr(moments, "kinds", lambda: {"imu": imu})
     follower.note(shown(1))
     assert follower.at(shown(1), 0.01).forces == (told,)
+
+
+def hanging(fan=None, throttle=None, **tables):
+    """Forces of a robot on its wall whose fan and propellers report a speed and a throttle."""
+    config = load_bench("emulated", overrides={"robot.thrust_imbalance": 0.2, **tables})
+    follower = Moments(Scene.of(config, WheelGeometry.nominal()))
+    record = shown(0)
+    held = dict.fromkeys(("adhesion", "thrust"), ())
+    if fan is not None:
+        held["adhesion"] = (AdhesionSample(Stamp(0, 0, 0), fan, 0.5, 1, 1, 22, 30, 30),)
+    if throttle is not None:
+        held["thrust"] = (ThrustSample(Stamp(0, 0, 0), throttle, math.nan),)
+    record = replace(record, inputs=replace(record.inputs, **held))
+    follower.note(record)
+    return {force.name: force for force in follower.at(record, 0.0).forces}
+
+
+def test_fan_and_propellers_tell_their_forces_by_speed_and_throttle():
+    forces = hanging(15_000.0, 0.5, **{
+        "adhesion.rated_force_n": 44.0, "adhesion.rated_rpm": 30_000.0, "thrust.full_force_n": 40.0,
+    })  # fmt: skip
+    assert sorted(forces) == ["fan", "left propeller", "right propeller"]
+    np.testing.assert_allclose(forces["fan"].force_n, [0, 0, -11.0])
+    np.testing.assert_allclose(forces["left propeller"].force_n, [4.0, 0, 0])
+    np.testing.assert_allclose(forces["right propeller"].force_n, [6.0, 0, 0])
+    assert forces["left propeller"].place_m[1] == -forces["right propeller"].place_m[1] > 0.0
+
+
+@pytest.mark.parametrize(("fan", "throttle"), [(15_000.0, None), (None, 0.5), (math.nan, 0.5)])
+def test_who_tells_nothing_is_still_assumed(fan, throttle):
+    names = sorted(hanging(fan, throttle))
+    if throttle is None:
+        assert names == ["fan", "left propeller (assumed)", "right propeller (assumed)"]
+    else:
+        assert names == ["fan (assumed)", "left propeller", "right propeller"]
+
+
+def test_forces_that_fail_are_named_once_and_the_rest_is_shown(monkeypatch, caplog):
+    thing = replace(kinds()["imu"], forces=lambda *given: 1 / 0, package="hil-evil 6.6")
+    monkeypatch.setattr(moments, "kinds", lambda: {"imu": thing})
+    follower = Moments(Scene())
+    for k in range(3):
+        follower.note(shown(k))
+    assert caplog.text.count("imu (hil-evil 6.6): forces raised ZeroDivisionError") == 1
+    assert len(follower.at(shown(3), 0.0).forces) == 3
 
 
 @pytest.mark.parametrize("tilt_rad", [0.0, 0.6, np.pi / 2])

@@ -1,6 +1,7 @@
 """Every fault of the emulated camera ends as data with a status or as a named device error."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from hil.config.tracker import T265Config
 from hil.drivers.tracker import T265Tracker
 from hil.fakes.faults import parse_fault
-from hil.fakes.tracker import SUPPORTED_FAULTS, TrackerTruthOptions
+from hil.fakes.tracker import IDEAL, SUPPORTED_FAULTS, TrackerTruthOptions
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
@@ -144,6 +145,17 @@ def test_a_restart_of_the_tracking_is_told_and_numbers_go_on(tracker_bench, trav
     assert marked[-1] is Status.OK
     assert np.all(np.diff([s.stamp.seq for s in samples]) >= 1)
     assert np.linalg.norm(samples[back].position_m) < 0.01
+
+
+def test_a_camera_that_finds_its_confidence_first_tells_of_its_restart_then(tracker_bench, follow):
+    bench = tracker_bench("tracker:off@2+0.5", options=replace(IDEAL, settle_s=(0.05, 0.15, 0.5)))
+    bench.driver.open()
+    marked = kinds(follow(bench, 4.0))
+    back = marked.index(Status.RESET)
+    assert marked[back - 1] is Status.LOW_CONFIDENCE
+    assert marked[back + 1 : back + 20] == [Status.JUMP] * 19
+    assert marked.count(Status.RESET) == 1
+    assert marked[-1] is Status.OK
 
 
 @pytest.mark.parametrize("fault", ["tracker:off@1", "tracker:unplug@1", "tracker:intermittent@1,duty=1"])

@@ -1,6 +1,7 @@
 """Every fault of the emulated computer ends as data with a status or as a named device error."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from hil.devices.tracker.mavlink.config import MavlinkTrackerConfig
 from hil.devices.tracker.mavlink.driver import MavlinkTracker
 from hil.devices.tracker.mavlink.faulty import SUPPORTED_FAULTS
-from hil.devices.tracker.mavlink.options import ComputerTruthOptions
+from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
 from hil.fakes.faults import parse_fault
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
@@ -202,6 +203,15 @@ def test_a_short_silence_is_a_gap(mavlink_bench):
     samples = until(bench, 5.0)
     assert samples[-1].status is Status.OK
     assert kinds(samples).count(Status.RESET) == 1
+
+
+def test_a_sender_that_restarts_without_confidence_tells_so_with_its_first_good_pose(mavlink_bench):
+    bench = mavlink_bench("tracker:off@2+0.5", options=replace(IDEAL, settle_s=(0.05, 0.15, 0.0)))
+    bench.driver.open()
+    states = kinds(until(bench, 5.0))
+    assert states.count(Status.RESET) == 1
+    assert states[states.index(Status.RESET) - 1] in (Status.NOT_TRACKED, Status.LOW_CONFIDENCE)
+    assert states[-1] is Status.OK
 
 
 def test_a_full_queue_loses_the_oldest_and_counts_them(mavlink_bench):

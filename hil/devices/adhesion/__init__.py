@@ -7,12 +7,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from hil.config.adhesion import AdhesionConfig
+from hil.config.robot import RobotConfig
 from hil.devices.adhesion.dronecan import DRONECAN
 from hil.devices.adhesion.look import look
 from hil.devices.adhesion.vesc import VESC
 from hil.recording.cdr import joints
-from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
-from hil.vocabulary.signals import AdhesionSample, Inputs
+from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
+from hil.vocabulary.signals import AdhesionSample, Inputs, Status
 
 __all__ = ["KIND", "fan_state"]
 
@@ -35,6 +37,13 @@ def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
         yield "adhesion/temperature_c", {"power stage": sample.fet_c, "motor": sample.motor_c}
 
 
+def _forces(inputs: Inputs, robot: RobotConfig, own: AdhesionConfig | None) -> Iterator[Force]:
+    """What a fan of this speed presses with; a speed that is not known tells nothing."""
+    for sample in inputs.adhesion[-1:]:
+        if own is not None and sample.status is Status.OK and math.isfinite(sample.speed_rpm):
+            yield Force("fan", np.zeros(3), np.array([0.0, 0.0, -own.force_at_n(sample.speed_rpm)]))
+
+
 KIND = DeviceKind(
     name="adhesion",
     noun="fan",
@@ -50,6 +59,7 @@ KIND = DeviceKind(
     delivered=0.9,
     topics=(Topic("/adhesion/fan", "sensor_msgs/msg/JointState", fan_state),),
     figures=_figures,
+    forces=_forces,
     plots=(
         Plot("Adhesion", "Fan (1/min)", "adhesion/speed_rpm"),
         Plot("Adhesion", "Fan's currents (A)", "adhesion/current_a"),

@@ -79,7 +79,8 @@ def _search(search: Search) -> Found | None:
     from hil.drivers.can_link import CanLink, detected
     from hil.vocabulary.errors import HilError
 
-    for config in search.given.get("adhesion") or detected(VescConfig, open_timeout_s=_OPEN_TIMEOUT_S):
+    named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
+    for config in named or detected(VescConfig, open_timeout_s=_OPEN_TIMEOUT_S):
         search.say(f"asking for a VESC on {config.interface}:{config.channel}")
         link = CanLink("adhesion", config, search.clock)
         try:

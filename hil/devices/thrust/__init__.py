@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from hil.config.robot import RobotConfig
+from hil.config.thrust import ThrustConfig
 from hil.devices.looks import samples_look
 from hil.devices.thrust.teensy import TEENSY
 from hil.recording.cdr import joints
-from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
-from hil.vocabulary.signals import Inputs, ThrustSample
+from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
+from hil.vocabulary.signals import Inputs, Status, ThrustSample
 
 __all__ = ["KIND", "propeller_state"]
 
@@ -28,6 +32,13 @@ def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
         yield "adhesion/throttle", {"propellers": inputs.thrust[-1].throttle}
 
 
+def _forces(inputs: Inputs, robot: RobotConfig, own: ThrustConfig | None) -> Iterator[Force]:
+    """What the propellers give at the throttle that was sent last; one that is not known tells nothing."""
+    for sample in inputs.thrust[-1:]:
+        if own is not None and sample.status is Status.OK and math.isfinite(sample.throttle):
+            yield from itertools.starmap(Force, robot.propellers(own.force_at_n(sample.throttle)))
+
+
 KIND = DeviceKind(
     name="thrust",
     noun="propellers",
@@ -41,6 +52,7 @@ KIND = DeviceKind(
     gap_s=0.5,
     topics=(Topic("/adhesion/propellers", "sensor_msgs/msg/JointState", propeller_state),),
     figures=_figures,
+    forces=_forces,
     plots=(Plot("Adhesion", "Propellers' throttle", "adhesion/throttle"),),
     look=samples_look("check cable and supply of the propellers' Teensy"),
 )

@@ -154,6 +154,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self.overflowed = self.repeated = self.malformed = 0
         self._number = -1
         self._seq_base = 0
+        self._restarted = False
         self._timestamp_ms = -math.inf
         self._stuck.reset(self._clock.now_ns())
 
@@ -241,26 +242,21 @@ class T265Tracker(Sensor[TrackerSample]):
     def _sample(self, raw: _Raw) -> TrackerSample | None:
         """The sample of one pose; None when its number is not new."""
         host_ns, number, timestamp_ms, confidence = int(raw[0]), int(raw[1]), raw[2], int(raw[3])
-        restarted = False
         if number <= self._number:
-            restarted = timestamp_ms > self._timestamp_ms or self._number - number > _RESTART_FRAMES
-            if not restarted:
+            if timestamp_ms <= self._timestamp_ms and self._number - number <= _RESTART_FRAMES:
                 self.repeated += 1
                 return None
-            self._seq_base += self._number + 1 - number
+            self._begin_again(number)
         self._number, self._timestamp_ms = number, timestamp_ms
         device_ns, t_ns, credible = None, host_ns, abs(timestamp_ms) < _LATEST_MS
         if credible:
             device_ns = round(timestamp_ms * _NS_PER_MS)
             t_ns, credible = self._clock_map.map(device_ns, host_ns)
-        if restarted:
-            _LOG.warning("%s has started again", self.name)
-            self._jumps.distrust()
         status = self._status(raw, confidence, t_ns)
         if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
             status = Status.STALE
-        elif restarted and status is Status.JUMP:
-            status = Status.RESET
+        elif self._restarted and status is Status.JUMP:
+            status, self._restarted = Status.RESET, False
         values = np.array(raw[4:])
         if status in (Status.NOT_FINITE, Status.IMPLAUSIBLE, Status.NOT_TRACKED):
             values[:] = np.nan
@@ -273,6 +269,13 @@ class T265Tracker(Sensor[TrackerSample]):
             confidence=confidence,
             status=status,
         )
+
+    def _begin_again(self, number: int) -> None:
+        """The camera counts from the beginning, in another frame: its first usable pose says so."""
+        _LOG.warning("%s has started again", self.name)
+        self._seq_base += self._number + 1 - number
+        self._jumps.distrust()
+        self._restarted = True
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
         if not all(map(math.isfinite, raw[4:])):

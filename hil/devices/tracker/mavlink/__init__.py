@@ -80,10 +80,14 @@ def _ask(port: str, clock: Clock) -> Found | None:
 
 
 def _search(search: Search) -> Found | None:
-    """Whether somebody sends odometry to the port of ground stations."""
-    config = MavlinkTrackerConfig(open_timeout_s=_LISTEN_S)
-    search.say(f"listening for MAVLink odometry at {config.port}")
-    return _found(config, search.clock)
+    """Whether somebody sends odometry where the user says, or to the port of ground stations."""
+    named = [c for c in search.given.get("tracker", ()) if isinstance(c, MavlinkTrackerConfig)]
+    for config in named or [MavlinkTrackerConfig()]:
+        search.say(f"listening for MAVLink odometry at {config.port}")
+        found = _found(config.model_copy(update={"open_timeout_s": _LISTEN_S}), search.clock)
+        if found is not None:
+            return found
+    return None
 
 
 def _found(config: MavlinkTrackerConfig, clock: Clock) -> Found | None:

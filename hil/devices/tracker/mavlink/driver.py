@@ -157,6 +157,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._last_device_ns: int | None = None
         self._last_t_ns = -(1 << 62)
         self._resets: int | None = None
+        self._reset = False
         self._good_ns = self._clock.now_ns()
 
     def _sample(self, session: Session, received: Received) -> TrackerSample | None:
@@ -170,12 +171,12 @@ class MavlinkTracker(Sensor[TrackerSample]):
                 self._repeated += 1
                 return None
             t_ns, credible = self._bench_time(session, device_ns, host_ns)
-        reset = self._has_reset(message, device_ns if credible else None)
+        self._note_reset(message, device_ns if credible else None)
         pose, twist, status = self._judge(message, t_ns, host_ns)
         if status is Status.OK and (not credible or host_ns - t_ns > self._stale_ns):
             status = Status.STALE
-        elif reset and status is Status.JUMP:
-            status = Status.RESET
+        elif self._reset and status is Status.JUMP:
+            status, self._reset = Status.RESET, False
         if status in _NO_POSE:
             pose, twist = _NAN7, _NAN6
         self._seq += 1
@@ -207,8 +208,11 @@ class MavlinkTracker(Sensor[TrackerSample]):
             t_ns = self._last_t_ns = min(max(t_ns, self._last_t_ns + 1), max(host_ns, self._last_t_ns + 1))
         return t_ns, credible
 
-    def _has_reset(self, message: Any, device_ns: int | None) -> bool:
-        """Whether the sender says that its estimate was reset, or has started again: nothing is believed."""
+    def _note_reset(self, message: Any, device_ns: int | None) -> None:
+        """Believe nothing where the sender says that its estimate was reset, or has started again.
+
+        The first usable pose after it says so.
+        """
         resets, self._resets = self._resets, message.reset_counter
         reset = resets is not None and resets != message.reset_counter
         if device_ns is not None:
@@ -219,7 +223,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
             reset = reset or restarted
         if reset:
             self._jumps.distrust()
-        return reset
+            self._reset = True
 
     def _judge(
         self, message: Any, t_ns: int, host_ns: int

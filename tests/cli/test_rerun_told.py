@@ -1,0 +1,38 @@
+"""What `--rerun` has written is said on stderr, with the command that opens it."""
+
+import shlex
+import shutil
+
+import pytest
+
+from hil.cli import options
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch, capsys):
+    """Lines that are said of a view; files lie in the current folder."""
+    monkeypatch.chdir(tmp_path)
+
+    def tell(view):
+        options.tell_view(view)
+        said = capsys.readouterr()
+        assert said.out == ""
+        return said.err.splitlines()
+
+    return tell
+
+
+@pytest.mark.parametrize("on_path", ["/usr/bin/rerun", None])
+def test_a_file_is_named_with_a_command_that_can_be_pasted(told, tmp_path, monkeypatch, on_path):
+    (tmp_path / "my run.rrd").write_bytes(b"x" * 2_340_000)
+    monkeypatch.setattr(shutil, "which", lambda name: on_path)
+    (line,) = told("spawn, my run.rrd")
+    words = shlex.split(line.partition("open it with: ")[2])
+    assert line.startswith("hil: wrote my run.rrd (2.3 MB); ")
+    assert words[-1] == "my run.rrd"
+    assert words[0] == "rerun" if on_path else words[0].startswith("/")
+
+
+@pytest.mark.parametrize("view", ["spawn", "connect,serve", "rerun+http://host/x.rrd", "absent.rrd"])
+def test_what_left_no_file_is_not_told(told, view):
+    assert told(view) == []

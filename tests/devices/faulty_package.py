@@ -1,0 +1,126 @@
+"""A small package that adds the kind `thing`, as text, to be spoilt in one place."""
+
+PACKAGE = """
+import math
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from hil.config.device import DeviceConfig
+from hil.devices.emulated import Wired
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.kinds import Connection, DeviceKind, DeviceModel
+from hil.vocabulary.signals import Stamp, Status
+
+
+@dataclass(frozen=True)
+class Sample:
+    stamp: Stamp
+    value: float
+    status: Status = Status.OK
+
+
+class Config(DeviceConfig):
+    model: Literal["one"] = "one"
+    port: int = 47000
+
+
+class Driver(Sensor):
+    name = "thing"
+
+    def __init__(self, config, clock):
+        self.clock, self.is_open, self.seq = clock, False, 0
+
+    def open(self):
+        self.is_open = True
+
+    def close(self):
+        self.is_open = False
+
+    def identity(self):
+        return {"model": "one"} if self.is_open else {}
+
+    def sample(self, value=1.0, ahead_ns=0):
+        self.seq += 1
+        t_ns = self.clock.now_ns()
+        return Sample(Stamp(t_ns + ahead_ns, t_ns, self.seq), value)
+
+    def read(self):
+        return (self.sample(),)
+
+
+def emulate(setting):
+    return Wired(lambda: Connection(), lambda: None)
+
+
+def thing(driver=Driver, emulate=emulate, **more):
+    named = {"kind": "thing", "name": "one", "title": "a thing"}
+    model = DeviceModel(**named, config=Config, driver=driver, emulate=emulate)
+    return DeviceKind(name="thing", noun="thing", sample=Sample, models=(model,), **more)
+
+
+def fail(*given):
+    raise RuntimeError("boom")
+
+
+def endless(driver):
+    while True:
+        yield driver.sample()
+"""
+TABLES = """
+schema = 1
+name = "lab"
+
+[thing]
+backend = "emulated"
+
+[imu]
+backend = "emulated"
+"""
+DRIVE = """
+from hil.procedure import procedure
+
+
+@procedure(name="look", needs=("thing",))
+def run(ctx):
+    with ctx.step("look"):
+        ctx.bench.observe(0.1)
+"""
+CHIP = """
+from hil.devices.emulated import Face
+from hil.fakes.world import NEVER_NS, Scheduled
+
+
+class Chip(Scheduled):
+    def __init__(self, world):
+        self.at_ns = world.now_ns + 50_000_000
+
+    def next_due_ns(self):
+        return self.at_ns
+
+    def on_due(self, t_ns):
+        {body}
+
+
+class Socket(Face):
+    def filenos(self): return []
+    def on_readable(self, fd, t_ns): pass
+    def endpoint(self): return {{"port": 47000}}
+    def close(self): pass
+    def next_due_ns(self): return NEVER_NS
+    def on_due(self, t_ns): pass
+
+
+def chip(setting):
+    setting.world.add(Chip(setting.world))
+    return Wired(lambda: Connection(), Socket)
+
+
+ITEM = thing(emulate=chip)
+"""
+
+
+def driver(body):
+    return f"class Bad(Driver):\n    {body}\n\n\nITEM = thing(Bad)\n"
