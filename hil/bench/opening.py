@@ -82,10 +82,12 @@ def open_bench(
 
 def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
+    if plan:
+        check_faults(served, plan)
     try:
         emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
     except DeviceError:
-        check_faults(served, plan)  # where the bench file or a fault is at fault, that is told instead
+        check_faults(served, plan)  # where a key of the bench file is at fault, that is told instead
         raise
     clock = MonotonicClock()
     bench = Bench(config, clock, make_rig(config, clock, _reach(config, emulator.endpoints)), **common)
