@@ -48,7 +48,7 @@ def unpacked(wheel, tmp_path_factory):
 
 
 def bring_machine_code(folder):
-    """Have the unpacked package find what is compiled in the checkout: numba goes by a source's time and size."""
+    """Have the unpacked package find what the checkout compiled: numba goes by time and size of a source."""
     for index in (ROOT / "hil").rglob("__pycache__/*.nb[ci]"):
         there = folder / index.relative_to(ROOT)
         there.parent.mkdir(exist_ok=True)

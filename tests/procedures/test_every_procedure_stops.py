@@ -41,7 +41,7 @@ MOVING = [name for name in NAMES if name != "adhesion_check"]
 OTHER_WAYS = [way for way in WAYS if way != "exception"]
 
 
-@pytest.mark.parametrize(("number", "name"), enumerate(MOVING), ids=MOVING)
+@pytest.mark.parametrize(("number", "name"), list(enumerate(MOVING)), ids=MOVING)
 def test_a_procedure_struck_while_it_moves_leaves_the_robot_held(tmp_path, number, name):
     ways = [OTHER_WAYS[(number + k) % len(OTHER_WAYS)] for k in (0, 2)]
     strikes, done = struck(name, tmp_path / "run", SHORT[name], ways, first=True)
