@@ -149,12 +149,18 @@ def test_a_device_that_falls_silent_is_named_and_the_robot_held(tmp_path):
     done.assert_held()
 
 
-def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
-    small = {"encoders": None, "imu": None, "mocap": None}
-    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=small)
+SMALL = {"encoders": None, "imu": None, "mocap": None}
+
+
+def test_devices_that_a_smaller_bench_lacks_are_named_before_it_is_opened(tmp_path):
+    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=SMALL)
     assert refused.result.exit_code == 2
     assert "encoders, imu, mocap" in refused.result.error.message
     assert not refused.source.benches
-    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=small)
+
+
+@pytest.mark.long
+def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
+    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=SMALL)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()

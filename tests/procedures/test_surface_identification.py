@@ -110,7 +110,7 @@ def test_over_twenty_seeds_the_stated_intervals_cover_the_truth(tmp_path):
 SHORT = {"length_m": "0.25", "repetitions": "2", "hold": "false"}
 
 
-SHORTEST = SHORT | {"length_m": "0.11", "hold": "true", "hold_to_deg": "45", "hold_step_deg": "10"}
+SHORTEST = SHORT | QUICK | {"length_m": "0.11", "hold": "true", "hold_step_deg": "10"}
 
 
 @pytest.fixture(scope="module")
