@@ -2,11 +2,14 @@
 
 import importlib
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
+
+from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")])
@@ -56,18 +59,21 @@ def run(*command, cwd):
     return done.stdout
 
 
-def test_the_ten_line_procedure_runs_as_printed(tmp_path):
+def test_the_ten_line_procedure_runs_as_printed(tmp_path, monkeypatch, capsys):
     block = python_block("@procedure")
     assert len([line for line in block.splitlines() if line.strip()]) <= 10
     (tmp_path / "short_line.py").write_text(block)
-    assert "PASS: short_line" in run("-m", "hil.cli", "run", "short_line.py", cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "short_line.py"]) == 0
+    assert "PASS: short_line" in capsys.readouterr().out
     assert list(tmp_path.glob("out/short_line/*/report.html"))
 
 
-def test_the_script_runs_as_printed(tmp_path):
+def test_the_script_runs_as_printed(tmp_path, monkeypatch, capsys):
     (tmp_path / "script.py").write_text(python_block("open_bench"))
-    printed = run("script.py", cwd=tmp_path)
-    assert [line.split()[0] for line in printed.splitlines()] == ["truth", "EKF", "odometry"]
+    monkeypatch.chdir(tmp_path)
+    runpy.run_path("script.py", run_name="__main__")
+    assert [line.split()[0] for line in capsys.readouterr().out.splitlines()] == ["truth", "EKF", "odometry"]
 
 
 def test_the_test_runs_as_printed(tmp_path):

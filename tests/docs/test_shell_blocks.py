@@ -107,7 +107,13 @@ def tried(place, line):
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("line", README)
+def each(line):
+    """A line as a case; of those that install from somewhere, this folder is tried by default."""
+    elsewhere = "pip install" in line and ("git+" in line or "dist/" in line)
+    return pytest.param(line, marks=pytest.mark.long if elsewhere else (), id=line)
+
+
+@pytest.mark.parametrize("line", [each(line) for line in README])
 def test_every_line_of_the_readme_can_be_pasted(folder, line, monkeypatch):
     shown = rule(line)
     if shown is None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from procedure_runs import assert_covered, part, run, true_world
 
+from hil.bench import open_bench
 from hil.fakes.mocap import NatNetServer
 from hil.fakes.tracker import T265
 
@@ -14,7 +15,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib
 from hil.config.loading import load_bench
+from hil.procedure.tracking import stand
 from hil.procedures.bring_up import Parameters, measurements
+from hil.procedures.parts.bring_up_streams import judge_stream
 
 SHORT = {"watch_s": 4.0}
 BRIEF = {"watch_s": 2.0}
@@ -31,34 +34,39 @@ def believed(seed, wrong):
     return {"alignment.drive_sign": drive, "alignment.steer_sign": steer}
 
 
-def bring_up(seed, folder, wrong):
-    overrides = believed(seed, wrong)
-    done = run("bring_up", folder, SHORT, seed=seed, overrides=overrides)
+def bring_up(seed, folder, wrong, parameters=SHORT):
+    """The run; the signs that it leaves and its verdict are those of the hidden truth."""
+    done = run("bring_up", folder, parameters, seed=seed, overrides=believed(seed, wrong))
     done.assert_held()
     fragment = tomllib.loads((folder / "bench_fragment.toml").read_text())
     assert fragment["alignment"] == {"drive_sign": [1] * 4, "steer_sign": [1] * 4}
     assert done.result.verdict.value in (("FAIL",) if wrong else ("PASS", "MARGINAL")), done.failed
+    return done
+
+
+def clock_ratios(seed, done):
+    """Errors of the clocks' drifts over their stated uncertainties."""
     world = true_world("emulated", seed)
     true_ppm = {
         "tracker": 1e6 * (1.0 / part(world, T265)._stretch - 1.0),
         "mocap": 1e6 * (part(world, NatNetServer)._stretch - 1.0),
     }
-    return done, [
+    return [
         (done.values[f"{n}.clock_drift"] - true_ppm[n]) / done.values[f"{n}.clock_drift_uncertainty"]
         for n in true_ppm
     ]
 
 
 def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(tmp_path):
-    done, ratios = bring_up(3, tmp_path / "run", wrong=False)
-    assert_covered(ratios, few=True)
+    done = bring_up(3, tmp_path / "run", wrong=False)
+    assert_covered(clock_ratios(3, done), few=True)
     assert done.values["devices"] == 8
     assert done.values["encoders.clock_drift"] == pytest.approx(-30.0, abs=1.0)
+    assert done.values["tracker.age"] > done.values["encoders.age"] > done.values["mocap.age"] > 0.0
 
 
 def test_bring_up_finds_wrong_signs_and_leaves_the_right_ones(tmp_path):
-    done, ratios = bring_up(4, tmp_path / "run", wrong=True)
-    assert_covered(ratios, few=True)
+    done = bring_up(4, tmp_path / "run", True, BRIEF | {"devices": "servos,mocap"})
     assert done.result.exit_code == 1
     assert any("reversed" in note for note in done.result.facts["notes"])
     assert "body" not in [s["title"] for s in done.result.facts["steps"]]
@@ -74,26 +82,36 @@ def test_the_age_allowed_follows_from_rate_and_asking_ahead(rate_hz, ahead):
     assert limits["imu.age"] == 20.0 + period_ms
 
 
-@pytest.mark.parametrize(("rate_hz", "ahead"), [(100.0, True), (200.0, True)])
-def test_what_was_asked_for_ahead_is_a_cycle_old(tmp_path, rate_hz, ahead):
-    overrides = {"loop.rate_hz": rate_hz, "servos.prefetch": ahead}
-    parameters = BRIEF | {"devices": "servos,encoders,imu,mocap"}
-    done = run("bring_up", tmp_path / "run", parameters, overrides=overrides)
-    assert not [name for name in done.failed if name.endswith(".age")]
-    assert (done.values["servos.age"] > 5.0) is (rate_hz < 200.0)
+def ages_ms(overrides):
+    """(age at rest, age allowed) by device, as bring_up judges them."""
+    with open_bench("emulated", overrides={"tracker": None, **overrides}) as bench:
+        stand(bench)
+        motion, config = bench.observe(1.0, feedback="odometry"), bench.config
+    limits = {m.name: m.high for m in measurements(Parameters(), config)}
+    return {
+        name: (1e3 * judge_stream(name, motion, config).age_s[0], limits[f"{name}.age"])
+        for name in ("servos", "encoders", "imu", "mocap")
+    }
 
 
-def test_servos_that_answer_late_are_too_old(tmp_path):
+@pytest.mark.parametrize("rate_hz", [100.0, 200.0])
+def test_what_was_asked_for_ahead_is_a_cycle_old(rate_hz):
+    found = ages_ms({"loop.rate_hz": rate_hz, "servos.prefetch": True})
+    assert {name: age for name, (age, limit) in found.items() if not 0.0 <= age <= limit} == {}
+    assert (found["servos"][0] > 5.0) is (rate_hz < 200.0)
+
+
+def test_servos_that_answer_late_are_too_old():
     overrides = {"servos.reply_slack_s": 0.02, "emulation.servos": {"processing_s": 0.012}}
-    parameters = BRIEF | {"devices": "servos,mocap"}
-    done = run("bring_up", tmp_path / "run", parameters, overrides=overrides | {"loop.rate_hz": 50.0})
-    assert "servos.age" in done.failed
+    age, limit = ages_ms(overrides | {"loop.rate_hz": 50.0})["servos"]
+    assert age > limit
 
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
 def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
-    ratios = [r for seed in range(20) for r in bring_up(seed, tmp_path / str(seed), seed % 4 > 0)[1]]
+    runs = [(seed, bring_up(seed, tmp_path / str(seed), seed % 4 > 0)) for seed in range(20)]
+    ratios = [r for seed, done in runs for r in clock_ratios(seed, done)]
     assert_covered(ratios, few=False)
 
 
@@ -131,12 +149,18 @@ def test_a_device_that_falls_silent_is_named_and_the_robot_held(tmp_path):
     done.assert_held()
 
 
-def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
-    small = {"encoders": None, "imu": None, "mocap": None}
-    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=small)
+SMALL = {"encoders": None, "imu": None, "mocap": None}
+
+
+def test_devices_that_a_smaller_bench_lacks_are_named_before_it_is_opened(tmp_path):
+    refused = run("bring_up", tmp_path / "refused", SHORT, overrides=SMALL)
     assert refused.result.exit_code == 2
     assert "encoders, imu, mocap" in refused.result.error.message
     assert not refused.source.benches
-    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=small)
+
+
+@pytest.mark.long
+def test_bring_up_of_a_smaller_bench_looks_at_what_it_is_told(tmp_path):
+    done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,tracker"}, overrides=SMALL)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()

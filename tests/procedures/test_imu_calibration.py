@@ -17,6 +17,7 @@ else:
     import tomli as tomllib
 
 SHORT = {"rest_s": 8.0, "headings": 4, "dwell_s": 1.0, "learn_s": 6.0}
+BRIEF = {"rest_s": 5.0, "headings": 4, "heading_deg": 4.0, "dwell_s": 0.5, "learn_s": 4.0}
 LSB_DEG_S = 1.0 / 16.0
 
 
@@ -75,7 +76,7 @@ def test_imu_truth_lies_within_the_stated_intervals_over_twenty_seeds(tmp_path):
 
 
 def test_a_gyro_that_turns_while_the_robot_rests_fails(tmp_path):
-    done = run("imu_calibration", tmp_path / "run", SHORT, faults=("imu:wrong,rate_rad_s=0.05",))
+    done = run("imu_calibration", tmp_path / "run", BRIEF, faults=("imu:wrong,rate_rad_s=0.05",))
     assert done.result.exit_code == 1
     assert "gyro_bias" in done.failed
     done.assert_held()

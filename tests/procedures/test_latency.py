@@ -21,7 +21,7 @@ def recover(seed):
     return {name: (measured[name] - true[name]) / measured[f"{name}_uncertainty"] for name in true}, true
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.long) for k in (1, 2))])
 def test_every_delay_comes_back(seed):
     ratios, _ = recover(seed)
     assert_covered(list(ratios.values()), few=True)
@@ -48,7 +48,7 @@ def test_a_run_says_what_was_found_and_passes(tmp_path):
 
 def test_devices_that_are_late_fail(tmp_path):
     faults = ("imu:delayed,delay_s=0.05", "encoders:delayed,delay_s=0.03")
-    done = run("latency", tmp_path / "run", {"reversals": 8}, faults=faults)
+    done = run("latency", tmp_path / "run", {"reversals": 8, "devices": "imu,encoders"}, faults=faults)
     assert done.result.exit_code == 1
     assert set(done.failed) == {"imu.stamp_error", "imu.age", "encoders.stamp_error"}
     done.assert_held()

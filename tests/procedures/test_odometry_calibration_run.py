@@ -18,7 +18,7 @@ from hil.vocabulary.clock import MonotonicClock
 
 SMALL = {
     "motions": "line_x,line_y,rotation_ccw", "repetitions": 2, "validation_repetitions": 1,
-    "line_m": 0.5, "turns": 0.2, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
+    "line_m": 0.35, "turns": 0.15, "max_rounds": 2, "compared_methods": "ga", "processes": 1,
 }  # fmt: skip
 
 
@@ -84,7 +84,7 @@ TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_rep
 
 def test_a_bad_result_is_not_installed(tmp_path):
     target = tmp_path / "calibration.toml"
-    parameters = {**TINY, "motions": "circle_ccw", "turns": 0.25, "install": str(target)}
+    parameters = {**TINY, "motions": "circle_ccw", "turns": 0.15, "install": str(target)}
     done = run("odometry_calibration", tmp_path / "run", parameters, faults=("servos:delayed,delay_s=0.15",))
     assert done.result.verdict.value == "FAIL"
     assert not target.exists()

@@ -15,7 +15,11 @@ pytestmark = pytest.mark.timeout(600)  # the first process to start may compile 
 
 
 @pytest.mark.parametrize(
-    ("name", "parameters"), [("latency", {"reversals": 8}), ("bring_up", {"watch_s": 2.0})]
+    ("name", "parameters"),
+    [
+        ("latency", {"reversals": 8}),
+        pytest.param("bring_up", {"watch_s": 2.0}, marks=pytest.mark.long),
+    ],
 )
 def test_a_procedures_recording_verifies_from_end_to_end(name, parameters, tmp_path):
     run(name, tmp_path / name, parameters)

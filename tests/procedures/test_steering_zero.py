@@ -53,7 +53,8 @@ def test_zeros_come_back_on_the_wall_too(tmp_path):
 
 
 def test_an_encoder_with_a_wrong_zero_is_caught_by_the_motion(tmp_path):
-    done = run("steering_zero", tmp_path / "run", SHORT, faults=("encoder.BR:wrong,offset_rad=0.05",))
+    brief = SHORT | {"sweep_s": 2.0, "leg_m": 0.1}
+    done = run("steering_zero", tmp_path / "run", brief, faults=("encoder.BR:wrong,offset_rad=0.05",))
     assert done.result.exit_code == 1
     assert "common.disagreement" in done.failed
     done.assert_held()

@@ -19,6 +19,7 @@ else:
     import tomli as tomllib
 
 SHORT = {"repetitions": 1, "way_m": 0.15, "turn_deg": 60.0}
+QUICK = {"repetitions": 1, "way_m": 0.1, "turn_deg": 40.0}
 BELIEVED_M, LATENCY_S = (0.1489, 0.0092, 0.0666), 0.020
 
 
@@ -45,11 +46,10 @@ def as_bench(fragment_text, folder):
     return load_bench(folder / "bench.toml").tracker
 
 
-def recover(seed, folder, **source):
+def recover(seed, folder, parameters=SHORT, **source):
     truth, options = hidden(seed)
-    done = run(
-        "tracker_extrinsics", folder, SHORT, seed=seed, overrides={"emulation.tracker": options}, **source
-    )
+    overrides = {"emulation.tracker": options}
+    done = run("tracker_extrinsics", folder, parameters, seed=seed, overrides=overrides, **source)
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     done.assert_held()
     values = done.values
@@ -76,7 +76,7 @@ def recover(seed, folder, **source):
 
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.long)])
 def test_a_camera_is_found_where_it_is_and_how_late_it_is(tmp_path, seed):
-    ratios, done = recover(seed, tmp_path / "run")
+    ratios, done = recover(seed, tmp_path / "run", QUICK)
     assert_covered(ratios, few=True)
     assert done.values["applied.position_rmse"] < 0.5 * done.values["before.position_rmse"]
 
@@ -95,9 +95,7 @@ def test_a_camera_is_found_on_the_wall_too(tmp_path):
 
 def test_a_camera_that_measures_wrongly_and_late_fails(tmp_path):
     faults = ("tracker:wrong,scale=1.2", "tracker:delayed,delay_s=0.08")
-    done = run(
-        "tracker_extrinsics", tmp_path / "run", SHORT | {"turn_deg": 30.0, "way_m": 0.1}, faults=faults
-    )
+    done = run("tracker_extrinsics", tmp_path / "run", QUICK | {"turn_deg": 30.0}, faults=faults)
     assert done.result.exit_code == 1
     assert {"scale", "late"} <= set(done.failed)
     assert not (tmp_path / "run" / "bench_fragment.toml").exists()

@@ -48,9 +48,15 @@ def tracker_samples(motion):
     return [s for r in motion.records for s in r.inputs.tracker]
 
 
-def test_the_wall_is_driven_by_it_and_the_recording_repeats_bit_for_bit(tmp_path):
-    path = tmp_path / "drive.mcap"
-    motion, error_m = drive(recorder=path)
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """Path of the recording of a drive along the wall, the drive, and how far off its estimate ends."""
+    path = tmp_path_factory.mktemp("sideways") / "drive.mcap"
+    return path, *drive(recorder=path)
+
+
+def test_the_wall_is_driven_by_it_and_the_recording_repeats_bit_for_bit(driven):
+    path, motion, error_m = driven
     samples = tracker_samples(motion)
     assert len(samples) == pytest.approx(100 * len(motion.records) / 100, rel=0.05)
     assert {s.status for s in samples} == {Status.OK}
@@ -60,21 +66,22 @@ def test_the_wall_is_driven_by_it_and_the_recording_repeats_bit_for_bit(tmp_path
     assert opened.bench.config.tracker.model == "mavlink"
 
 
-def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits():
+def test_the_estimate_needs_it_and_the_same_seed_gives_the_same_bits(driven):
     first, again = (drive(trajectory=SHORT) for _ in range(2))
     logs = [
         pickle.dumps([(r.inputs, r.state.pose_body_in_wall) for r in m.records]) for m, _ in (first, again)
     ]
     assert logs[0] == logs[1]
     blind_m = drive(**{"estimator.tracker.use": "off"})[1]
-    assert blind_m > 3.0 * drive()[1]
+    assert blind_m > 3.0 * driven[2]
 
 
-def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays():
-    for distance_m in (0.3, 0.015):
-        motion, error_m = drive(f"tracker:jump@4,distance_m={distance_m}")
-        assert Status.RESET in {s.status for s in tracker_samples(motion)}
-        assert error_m < 0.004
+@pytest.mark.parametrize("distance_m", [0.015, pytest.param(0.3, marks=pytest.mark.long)])
+def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays(distance_m):
+    """One that is too small for a gate by far, and one that no gate would miss."""
+    motion, error_m = drive(f"tracker:jump@4,distance_m={distance_m}")
+    assert Status.RESET in {s.status for s in tracker_samples(motion)}
+    assert error_m < 0.004
 
 
 def test_the_same_drive_at_the_wire_in_real_time():
