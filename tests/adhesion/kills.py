@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hil.drivers.adhesion.keeper import client
+from hil.vocabulary.errors import DeviceError
 
 STAND_IN = Path(__file__).with_name("bench_stand_in.py")
 HELD_DUTY = 0.57
@@ -139,8 +140,11 @@ def keeping_pids(spec):
     connection = client.connect(spec)
     if connection is None:
         return []
-    with connection:
-        status = client.ask(connection, {"do": "status"}, spec)
+    try:
+        with connection:
+            status = client.ask(connection, {"do": "status"}, spec)
+    except DeviceError:  # it was killed, and hangs up
+        return []
     return [pid for pid in (status["understudy"], status["pid"]) if pid is not None]
 
 
