@@ -2,6 +2,7 @@
 
 import errno
 import os
+from collections import Counter
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy comes; as the command line does
@@ -47,6 +48,25 @@ ALONE = (
 """Tests that judge how punctual this computer is, need a port of the host that others may want, or see
 whether one that they gave back is free."""
 
+THINNED = {
+    "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies_about_the_force_is_found_against_the_others": 2,
+    "bench/test_doctor_discover_setup.py::test_a_sick_device_is_named_and_does_not_hide_the_others": 2,
+    "bench/test_held.py::test_whenever_it_happens_while_the_bench_opens_the_robot_is_held_in_the_end": 4,
+    "calibration/test_calibration_commands.py::test_the_papers_setting_by_every_method": 3,
+    "calibration/test_fit.py::test_all_four_methods_meet": 2,
+    "calibration/test_fit.py::test_all_methods_keep_to_one_box_and_meet_in_it": 2,
+    "controller/test_sensors_judge_each_other.py::test_what_the_estimator_copes_with_raises_no_doubt": 2,
+    "controller/test_tracking.py::test_tracks_without_slip": 3,
+    "estimator/test_estimator_engines.py::test_compiled_engine_equals_filterpy": 3,
+    "estimator/test_estimator_hybrid.py::test_disturbances_grow_the_end_error_by_3_mm_at_most": 3,
+    "estimator/test_kernel_cache.py::test_an_edited_inner_file_changes_what_the_outer_kernel_says": 3,
+    "plant/test_mujoco_contact.py::test_a_circle_of_three_metres_is_what_its_wheels_say": 2,
+    "recording/test_mcap_file.py::test_a_killed_process_loses_at_most_the_last_second": 2,
+    "servos/test_servo_driver_faults.py::test_a_bad_line_costs_readings_but_never_truth": 3,
+    "servos/test_servo_driver_faults.py::test_a_dead_servo_costs_little_and_takes_nobody_with_it": 5,
+}
+"""Tests with many like cases: every so many-th of them by default, all of them in the long run."""
+
 
 def pytest_configure(config):
     config.addinivalue_line("markers", "real_time: waits for a clock; not beside tests that keep a core busy")
@@ -56,9 +76,14 @@ def pytest_configure(config):
 
 
 def pytest_collection_modifyitems(items):
+    seen = Counter()
     for item in items:
         path = item.path.as_posix().removeprefix(f"{ROOT.as_posix()}/tests/")
         name, _, parameters = item.name.partition("[")
+        if every := THINNED.get(f"{path}::{name}"):
+            if seen[path, name] % every:
+                item.add_marker(pytest.mark.long)
+            seen[path, name] += 1
         if f"{path}::{name}".startswith(ALONE):
             item.add_marker(pytest.mark.alone)
         elif (

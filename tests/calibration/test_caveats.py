@@ -104,6 +104,7 @@ def test_motions_that_lose_as_a_twist_are_named():
     assert worse_as_twist(Deployed(rows(line_x=1.0), rows(line_x=1.9)), "exact") == []
 
 
+@pytest.mark.long
 def test_the_real_recordings_without_line_y_warn_under_creep(public_data):
     """Left out, line_y comes out at 244 mm where nominal odometry has 112; its absence is named."""
     recordings = read_recordings([public_data])[::2]
