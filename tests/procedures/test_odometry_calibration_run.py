@@ -109,6 +109,7 @@ def test_it_fails_under_a_fault_that_makes_it_impossible(tmp_path, fault, words)
     assert not (tmp_path / "run" / "calibration.toml").exists()
 
 
+@pytest.mark.long
 def test_two_processes_record_the_same_bytes_as_one(tmp_path):
     parameters = {**TINY, "motions": "line_x", "line_m": 0.2, "max_rounds": 1, "min_rounds": 1}
     for processes in (1, 2):
