@@ -30,13 +30,16 @@ class Pace:
     """
 
     clock: Clock
+    _begun_ns: int | None = None
     _since: tuple[int, int] | None = None
     _until_ns: int | None = None
 
     def update(self, done: int, total: int) -> None:
         """Take note of how far the work is."""
         now_ns = self.clock.now_ns()
-        if self._since is None or now_ns - self._since[0] < _FREE_S * NS_PER_S or done < self._since[1]:
+        if self._begun_ns is None or (self._since is not None and done < self._since[1]):
+            self._begun_ns = now_ns
+        if self._since is None or now_ns - self._begun_ns < _FREE_S * NS_PER_S:
             self._since, self._until_ns = (now_ns, done), None
             return
         gained = done - self._since[1]

@@ -48,6 +48,15 @@ def test_what_was_done_before_says_nothing_about_the_pace():
     assert pace.left_s == pytest.approx(9 * 6.0, rel=0.01)
 
 
+def test_work_in_quick_pieces_has_a_pace_too():
+    clock = Waiting()
+    pace = Pace(clock)
+    for done in range(11):
+        pace.update(done, 30)
+        clock.s += 0.5
+    assert pace.left_s == pytest.approx(20 * 0.5, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("left_s", "words"),
     [

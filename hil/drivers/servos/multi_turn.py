@@ -84,7 +84,7 @@ class MultiTurnCounter:
         jumped = seen & self._known & (impossible | self._restarted)
         if jumped.any():
             counts = self._bridge(counts, change, jumped, elapsed_s)
-            self._restarted &= ~jumped
+        self._restarted &= ~seen
         self._last = np.where(seen, counts, self._last)
         self._last_ns = np.where(seen, t_ns, self._last_ns)
         self._speed = np.where(seen, speed, self._speed)
