@@ -1,4 +1,4 @@
-"""Sections of `bench.toml` that belong to no device: loop, safety, alignment, emulation, exit."""
+"""Sections of `bench.toml` that belong to no device: loop, safety, alignment, emulation, record, exit."""
 
 from __future__ import annotations
 
@@ -121,6 +121,21 @@ class EmulationConfig(Strict):
     faults: tuple[str, ...] = ()
     replay: str | None = None
     replay_after_s: float = Field(4.0, ge=0.0)
+
+
+class RecordConfig(Strict):
+    """The record of the robot, in which procedures keep what they find out.
+
+    Attributes:
+        folder: of the record; need not exist yet. What is in it counts instead of what the bench file says, and a
+            procedure that passed adds its part.
+        without: parts of it that are not to be applied.
+        valid_days: for how long a part that is added may be used; without it there is no end.
+    """
+
+    folder: str | None = None
+    without: tuple[str, ...] = ()
+    valid_days: int | None = Field(None, ge=1, le=36500)
 
 
 class ExitConfig(Strict):
