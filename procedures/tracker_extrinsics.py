@@ -7,7 +7,9 @@ applied and driven again, and left as a fragment of `bench.toml`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
+from hil.config.record import Figure, RobotRecord, Spread
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series, camera, poses
 from hil.procedure.tracking import stand
 from hil.procedures.parts.tracker_hand_eye import (
@@ -42,16 +46,22 @@ from hil.vocabulary.geometry import Array
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8
 _LEAST_SCALE_SIGMA = 1e-5
+_SESSIONS_ASSUMED = 3
 
 
 class Parameters(BaseModel):
-    """How far to turn (on a wall: as far as it allows) and to drive, and how often."""
+    """How far to turn (on a wall: as far as it allows) and to drive, and how often.
+
+    `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long as the
+    robot's record does not tell: a camera builds its map anew each time.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     turn_deg: float = Field(90.0, ge=5.0, le=180.0)
     way_m: float = Field(0.4, ge=0.1, le=3.0)
     repetitions: int = Field(2, ge=1, le=20)
     speed_m_s: float = Field(0.1, gt=0, le=3.5)
+    session_spread: float = Field(0.001, gt=0, le=0.05)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -284,11 +294,13 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     x, y = found.position_m
+    own_sigma = max(0.5 * found.scale_uncertainty, _LEAST_SCALE_SIGMA)
+    spread = session_spread(ctx, found.scale)
     values: dict[str, Any] = {
         "mount_position_m": [round(float(v), 5) for v in (x, y, config.mount_position_m[2])],
         "mount_rotation_wxyz": [round(float(v), 6) for v in found.rotation_wxyz],
         "scale": round(found.scale, 5),
-        "scale_sigma": float(f"{max(0.5 * found.scale_uncertainty, _LEAST_SCALE_SIGMA):.2g}"),
+        "scale_sigma": float(f"{math.hypot(own_sigma, spread):.2g}"),
         "latency_s": round(max(0.0, config.latency_s + found.late_s), 5),
     }
     true = {
@@ -299,3 +311,39 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     bench = ctx.reopen("applied", overrides=overrides)
     ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
     write_fragment(ctx, {"tracker": values}, "Mount, scale and latency of the tracking camera.")
+    late_s = config.latency_s + found.late_s
+    figures = {
+        "scale": Figure(value=found.scale, sigma=own_sigma),
+        "scale_from_session_to_session": Figure(value=spread),
+        "latency": Figure(value=late_s, sigma=0.5 * found.late_uncertainty_s, unit="s"),
+    }
+    for k, axis in enumerate("xy"):
+        half_m = float(found.position_uncertainty_m[k])
+        figures[f"mount_{axis}"] = Figure(value=float(found.position_m[k]), sigma=0.5 * half_m, unit="m")
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        half_rad = float(found.angles_uncertainty_rad[k])
+        figures[f"mount_{axis}_correction"] = Figure(
+            value=float(found.angles_rad[k]), sigma=0.5 * half_rad, unit="rad"
+        )
+    names = ("mount_x", "mount_y", "mount_roll_correction", "mount_pitch_correction", "mount_yaw_correction",
+             "scale", "latency")  # fmt: skip
+    matrix = tuple(tuple(float(v) for v in row) for row in found.covariance)
+    leave_part(
+        ctx, "camera", values={f"tracker.{key}": value for key, value in values.items()}, figures=figures,
+        covariance=Spread(names=names, matrix=matrix),
+    )  # fmt: skip
+
+
+def session_spread(ctx: Context, scale: float) -> float:
+    """Standard deviation of the camera's scale from one session to the next.
+
+    Assumed at first (the parameter, worth three sessions); every earlier version of the record tells more.
+    """
+    assumed, folder = ctx.parameters.session_spread, ctx.source.config.record.folder
+    found = [scale]
+    if folder is not None:
+        kept = (v.file.parts.get("camera") for v in RobotRecord(Path(folder)).history().versions)
+        found += {p.measured: p.figures["scale"].value for p in kept if p is not None}.values()
+    off = np.array(found) - np.mean(found)
+    worth = _SESSIONS_ASSUMED + len(found) - 1
+    return math.sqrt((_SESSIONS_ASSUMED * assumed**2 + float(off @ off)) / worth)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hil.config.record import NewPart
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.vocabulary.errors import UsageError
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Findings:
-    """What a run has left so far; the lists hold JSON values."""
+    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record."""
 
     values: dict[str, float] = field(default_factory=dict)
     measured_in: dict[str, str] = field(default_factory=dict)
@@ -32,6 +33,7 @@ class Findings:
     attachments: list[Entry] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
+    learned: dict[str, NewPart] = field(default_factory=dict)
 
 
 class Notebook:
