@@ -85,7 +85,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="adhesion_check", needs=("servos", "mocap", "adhesion", "load_cells"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, quick={"levels": 4, "dwell_s": 0.8, "slide": False},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Adhesion: zeros of the cells, force against speed, margin, and the force at which the robot slides."""

@@ -160,7 +160,10 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
 
 
-@procedure(name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan)
+@procedure(
+    name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan,
+    quick={"watch_s": 5.0},
+)  # fmt: skip
 def run(ctx: Context) -> None:
     """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""
     p: Parameters = ctx.parameters

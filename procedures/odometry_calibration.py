@@ -121,6 +121,8 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
     plan=plan, bench="emulated_floor",
+    quick={"repetitions": 2, "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
+           "compared_methods": ()},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
@@ -155,7 +157,7 @@ def run(ctx: Context) -> None:
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
-        show(ctx, rounds, fresh, result, result.setting, p.method, p.compared_methods)
+        show(ctx, rounds, fresh, result, p.method, p.compared_methods)
         for warning in result.warnings:
             ctx.note(warning)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)

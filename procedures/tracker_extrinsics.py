@@ -134,7 +134,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, bench="emulated_floor",
+    measurements=measurements, plan=plan, bench="emulated_floor", quick={"repetitions": 1},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hil.config.values import HeadingLimit, WheelRate, Within
 
@@ -136,6 +136,12 @@ class RecordConfig(Strict):
     folder: str | None = None
     without: tuple[str, ...] = ()
     valid_days: int | None = Field(None, ge=1, le=36500)
+
+    @field_validator("without", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        """Names separated by commas, as an option gives them."""
+        return tuple(filter(None, value.split(","))) if isinstance(value, str) else value
 
 
 class ExitConfig(Strict):

@@ -297,6 +297,7 @@ def _facts(
         "figures": findings.figures,
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
+        "data": findings.data,
         "notes": findings.notes,
         "held": _held(context),
     }

@@ -234,7 +234,10 @@ def check_robot(file: RecordFile, robot: Identity, path: Path) -> None:
 
 def read_version(path: Path, remedy: str) -> RecordFile:
     """A version whose digest holds; raises `ConfigError` for one that is half-written or was changed."""
-    tree: dict[str, Any] = read_toml(path, remedy=remedy)
+    try:
+        tree: dict[str, Any] = read_toml(path)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: half-written? {error.message}", remedy=remedy) from None
     told = tree.pop("sha256", None)
     if told != digest_of(tree):
         raise ConfigError(f"{path}: half-written, or changed by hand: its digest does not hold", remedy=remedy)

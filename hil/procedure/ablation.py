@@ -1,0 +1,41 @@
+"""Settings of an ablation: which parts of a robot's record are known in each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hil.config.record import PARTS
+
+NOTHING, EVERYTHING = "nothing known", "everything known"
+Table = dict[str, dict[str, dict[str, float]]]
+"""Setting -> line -> error, as in the JSON of `hil commission`."""
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One setting: its name, and the parts that are known in it."""
+
+    name: str
+    known: tuple[str, ...]
+
+
+def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]:
+    """Nothing known, each part with what it was measured on top of, everything.
+
+    Parts without a value for the bench file change nothing and have no setting of their own.
+
+    Args:
+        known: parts of the record.
+        each_part: whether single parts are tried.
+    """
+    if not known:
+        return (Setting(NOTHING, ()),)
+    single = []
+    for name in known if each_part else ():
+        if not PARTS[name].keys or name in ("signs", "hold"):
+            continue
+        below = tuple(n for n in PARTS[name].on if n in known)
+        words = [n for n in (*below, name) if n != "signs"]
+        single.append(Setting(f"{' and '.join(words)} known", (*below, name)))
+    return (Setting(NOTHING, ()), *single, Setting(EVERYTHING, tuple(known)))
