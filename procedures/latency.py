@@ -138,7 +138,11 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="latency", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements, plan=plan,
+    name="latency",
+    needs=("servos", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
     quick={"reversals": 12},
 )
 def run(ctx: Context) -> None:

@@ -47,10 +47,10 @@ _ASSUMED_PLAY_RAD, _MOST_PLAY_RAD = math.radians(0.125), 0.05
 class Parameters(BaseModel):
     """How much to drive, how to fit, and when to stop.
 
-    `model` is how contradicting wheels are read; by evidence, held-out repetitions choose it, the loads and the tyre
-    ratio. `steering_play_rad` is the backlash of a steering gear to each side, which standard errors allow for; left
-    out, it is the robot's record's, else an eighth of a degree. `install` names a calibration.toml that takes the result, as its next version,
-    if validation passes.
+    `model` is how contradicting wheels are read; by evidence, held-out repetitions choose it, the loads and
+    the tyre ratio. `steering_play_rad` is the backlash of a steering gear to each side, which standard
+    errors allow for; left out, it is the robot's record's, else an eighth of a degree. `install` names a
+    calibration.toml that takes the result, as its next version, if validation passes.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -121,16 +121,14 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
     plan=plan, bench="emulated_floor",
-    quick={"repetitions": 2, "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
-           "compared_methods": ()},
+    quick={"repetitions": 2, "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5,
+           "max_rounds": 2, "compared_methods": ()},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
     play_rad = p.steering_play_rad if p.steering_play_rad is not None else _known_play_rad(ctx)
-    setting = replace(
-        make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad
-    )
+    setting = replace(make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
@@ -222,7 +220,9 @@ def _leave(ctx: Context, result: Calibration, path: Path) -> None:
     """The calibration as a part of the record."""
     geometry, std = result.geometry.vector(), result.intervals.std
     figures = {
-        name: Figure(value=float(v), sigma=float(s) if math.isfinite(s) else None, unit="rad" if k > 11 else "m")
+        name: Figure(
+            value=float(v), sigma=float(s) if math.isfinite(s) else None, unit="rad" if k > 11 else "m"
+        )
         for k, (name, v, s) in enumerate(zip(PARAMETER_NAMES, geometry, std, strict=False))
     }
     fresh = result.validation["fresh_run"]["mean"]

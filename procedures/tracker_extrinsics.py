@@ -52,8 +52,8 @@ _SESSIONS_ASSUMED = 3
 class Parameters(BaseModel):
     """How far to turn (on a wall: as far as it allows) and to drive, and how often.
 
-    `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long as the
-    robot's record does not tell: a camera builds its map anew each time.
+    `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long
+    as the robot's record does not tell: a camera builds its map anew each time.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)

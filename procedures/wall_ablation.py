@@ -1,7 +1,7 @@
-"""What each part of a robot's record is worth on its wall: the same lines with nothing known, with each part alone,
-with everything.
+"""What each part of a robot's record is worth: lines on its wall with nothing known, each part, everything.
 
-Lines up and across with feedback from the filter, each from the same start, in a world of the same seed. Limits
+Lines up and across with feedback from the filter, each from the same start, in a world of the same seed.
+Limits
 are on the last: what a lab may expect of a robot that was commissioned.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
@@ -46,7 +46,9 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     """Limits with everything known, for 1.5 m; they grow with the way."""
     share = max(p.length_m / _REFERENCE_M, 0.3)
     for case in p.cases:
-        yield Measurement(f"{case}.nothing_known.end", "mm", rationale="distance from the goal, for comparison")
+        yield Measurement(
+            f"{case}.nothing_known.end", "mm", rationale="distance from the goal, for comparison"
+        )
         yield Measurement(
             f"{case}.end", "mm", high=8.0 * share, marginal=1.0 * share,
             rationale="distance from the goal with everything known; 1.5 m, worst robot of ten",
@@ -171,7 +173,9 @@ def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[s
         for name, cases in table.items() for case, row in cases.items()
     ]  # fmt: skip
     head = ["known", "line", "end (mm)", "RMSE x (mm)", "RMSE y (mm)", "RMSE heading (deg)"]
-    ctx.table("Lines by what is known", head, rows, "Truth minus reference; end is the distance from the goal.")
+    ctx.table(
+        "Lines by what is known", head, rows, "Truth minus reference; end is the distance from the goal."
+    )
     ctx.leave_data("wall", table)
     ctx.figure(
         ablation_figure(table), "What is known, and where the robot ends",

@@ -104,7 +104,13 @@ def _of_fragment(path: Path, tree: Mapping[str, Any], config: BenchConfig, now: 
                           expected="what a procedure left as bench_fragment.toml")  # fmt: skip
     return {
         name: NewPart(
-            Part(procedure=PARTS[name].measured_by, verdict="PASS", measured=now, bench=config.name, values=values),
+            Part(
+                procedure=PARTS[name].measured_by,
+                verdict="PASS",
+                measured=now,
+                bench=config.name,
+                values=values,
+            ),
             files.get(name, {}),
         )
         for name, values in found.items()

@@ -1,8 +1,9 @@
 """Which forward model, wheel loads and tyre ratio: decided by recordings that the fit did not see.
 
-On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the recordings of
-the real robot dry friction does (`docs/calibration.md`). No residual tells which: a wrong model fits what it was
-fitted to about as well. So every candidate is fitted without one repetition at a time and judged on that one.
+On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
+recordings of the real robot dry friction does (`docs/calibration.md`). No residual tells which: a wrong
+model fits what it was fitted to about as well. So every candidate is fitted without one repetition at a time
+and judged on that one.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ _BOOTSTRAP = 2000
 
 @dataclass(frozen=True)
 class Candidate:
-    """A way to read the wheels: name in words, setting with its forward model, geometry with loads and ratio."""
+    """A way to read the wheels: its name, setting with forward model, geometry with loads and ratio."""
 
     name: str
     setting: Setting
@@ -56,13 +57,13 @@ class Choice:
         others = ", ".join(f"{name} {1e3 * self.held_out_m[name]:.2f} mm" for name in order[1:])
         clear = "clear" if self.confidence > 0.975 else "no clear choice"
         return (
-            f"Forward model by held-out recordings: {order[0]}, {1e3 * self.held_out_m[order[0]]:.2f} mm; {others}. "
-            f"Better than the next with a confidence of {100 * self.confidence:.0f} %: {clear}."
+            f"Forward model by held-out recordings: {order[0]}, {1e3 * self.held_out_m[order[0]]:.2f} mm; "
+            f"{others}. Better than the next with a confidence of {100 * self.confidence:.0f} %: {clear}."
         )
 
 
 def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
-    """The forward models, creep with the loads of statics and with equal ones, and with tyres alike both ways."""
+    """The forward models; creep also with equal loads, and with tyres alike lengthwise and sideways."""
     creep = replace(setting, model="creep", choose_model=False)
     equal = (1.0, 1.0, 1.0, 1.0)
     loads, ratio = tuple(nominal.load), nominal.creep_ratio

@@ -17,11 +17,15 @@ DEFAULT = "emulated_delivered"
 
 
 @click.command()
-@click.option("--bench", default=DEFAULT, show_default=True, help="Bench file of the wall, or a shipped profile.")
+@click.option(
+    "--bench", default=DEFAULT, show_default=True, help="Bench file of the wall, or a shipped profile."
+)
 @click.option("--quick", is_flag=True, help="The short form of every procedure.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/commission/TIME].")
-@click.option("--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest).")
+@click.option(
+    "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
+)
 @click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
@@ -34,7 +38,7 @@ def command(
     settings: tuple[str, ...], faults: tuple[str, ...], start_pose: str | None, answers: Path | None,
     as_json: bool,
 ) -> int:  # fmt: skip
-    """All procedures in order, each using what the others found, up to the wall lines that show what it brought."""
+    """All procedures in order, each using what the others found, up to lines on the wall."""
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
     from hil.procedure.interrupts import Interrupts
@@ -92,7 +96,9 @@ def _folder(out: Path | None, resume: bool) -> Path:
 
 
 def _text(told: dict[str, Any]) -> str:
-    lines = [f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]]
+    lines = [
+        f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]
+    ]
     if told["wall"]:
         lines.append(f"{'known':44}{'line':>8}{'end mm':>9}{'RMSE x':>9}{'RMSE y':>9}{'heading deg':>13}")
         for name, cases in told["wall"].items():

@@ -104,8 +104,10 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 @command.command()
 @_RECORD
 @click.option("--version", type=int, help="Version of the record to put in place.")
-@click.option("--from", "source", type=click.Path(path_type=Path),
-              help="Take parts from elsewhere: part_NAME.toml, calibration.toml, bench_fragment.toml, another record.")  # fmt: skip
+@click.option(
+    "--from", "source", type=click.Path(path_type=Path),
+    help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
+)  # fmt: skip
 @click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
 @_JSON
 def apply(record: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool) -> int:

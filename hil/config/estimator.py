@@ -14,7 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.vocabulary.errors import ConfigError
 
-
 PerMetre = tuple[float, float, float]
 
 
@@ -72,8 +71,8 @@ class SlipModel(_Strict):
         creep_per_sqrt_m: random walk of `creep` per square root of rolled metre; across in proportion.
         yaw_rad_m: prior standard deviation of the turn per rolled metre.
         yaw_per_sqrt_m: its random walk per square root of rolled metre.
-        known_up, known_down, known_left, known_right: slip per rolled metre when driving in that direction, as
-            `surface_identification` found it: along wall x and wall y (m/m), and turn (rad/m). `creep`,
+        known_up, known_down, known_left, known_right: slip per rolled metre when driving in that direction,
+            as `surface_identification` found it: along wall x and wall y (m/m), and turn (rad/m). `creep`,
             `creep_across` and `yaw_rad_m` are then priors of what is left.
     """
 

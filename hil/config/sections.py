@@ -127,8 +127,8 @@ class RecordConfig(Strict):
     """The record of the robot, in which procedures keep what they find out.
 
     Attributes:
-        folder: of the record; need not exist yet. What is in it counts instead of what the bench file says, and a
-            procedure that passed adds its part.
+        folder: of the record; need not exist yet. What is in it counts instead of what the bench file says,
+            and a procedure that passed adds its part.
         without: parts of it that are not to be applied.
         valid_days: for how long a part that is added may be used; without it there is no end.
     """

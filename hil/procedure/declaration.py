@@ -100,7 +100,9 @@ class Procedure:
             UsageError: it has no quick form.
         """
         if quick and not self.quick:
-            raise UsageError(f"procedure {self.name} has no quick form", remedy="leave --quick out, use --set")
+            raise UsageError(
+                f"procedure {self.name} has no quick form", remedy="leave --quick out, use --set"
+            )
         return {**(self.quick if quick else {}), **given}
 
     def check_needs(self, config: BenchConfig) -> None:

@@ -1,7 +1,7 @@
 """What a procedure found out about the robot: a part of its record, kept there once the run has passed.
 
-Each part is also left as a file of its own, `part_NAME.toml`, so that a bench without a record can take it later
-(`hil robot apply RECORD --from part_camera.toml`).
+Each part is also left as a file of its own, `part_NAME.toml`, so that a bench without a record can take it
+later (`hil robot apply RECORD --from part_camera.toml`).
 """
 
 from __future__ import annotations
@@ -89,7 +89,9 @@ def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, H
         return None, None
     recordings = _digests(ctx)
     parts = {
-        name: NewPart(one.part.model_copy(update={"verdict": verdict.value, "recordings": recordings}), one.files)
+        name: NewPart(
+            one.part.model_copy(update={"verdict": verdict.value, "recordings": recordings}), one.files
+        )
         for name, one in learned.items()
     }
     record = RobotRecord(Path(config.record.folder))

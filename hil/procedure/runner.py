@@ -106,9 +106,10 @@ def _recorded_run(
         else:
             journal.add("resume", {"started": options.started})
         context = Context(
-            parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal, clock=options.clock,
-            started=options.started, operator=options.operator, report=options.report, interrupts=interrupts,
-            past=past.checkpoints if past else {}, on_recording_failure=options.on_recording_failure,
+            parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal,
+            clock=options.clock, started=options.started, operator=options.operator, report=options.report,
+            interrupts=interrupts, past=past.checkpoints if past else {},
+            on_recording_failure=options.on_recording_failure,
         )  # fmt: skip
         begin_ns = options.clock.now_ns()
         error, late, statistics = _execute(proc, context, interrupts)

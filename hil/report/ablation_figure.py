@@ -1,4 +1,4 @@
-"""What each part of a robot's record is worth, as a figure: end errors of the wall lines by what was known."""
+"""What each part of a robot's record is worth, as a figure: ends of the wall lines by what was known."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
 
 
 def ablation_figure(table: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:

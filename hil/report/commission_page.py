@@ -53,8 +53,10 @@ def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
         ConfigError, DataError: the record cannot be read, or the page not written.
     """
     file = record.read()
-    page = environment().get_template("robot.html").render(
-        file=file, parts=part_rows(file, today), history=record.history(), folder=str(record.folder)
+    page = (
+        environment()
+        .get_template("robot.html")
+        .render(file=file, parts=part_rows(file, today), history=record.history(), folder=str(record.folder))
     )
     return write_text(path, page)
 

@@ -21,8 +21,8 @@ def part_rows(file: RecordFile, today: date) -> list[dict[str, Any]]:
         today: what validity is judged on.
 
     Returns:
-        `part`, `title`, `known`, `by`, `verdict`, `since`, `until`, `out_of_date`, `surface`, `figures` (`name`,
-        `value`, `sigma`, `unit`), `measured_by`.
+        `part`, `title`, `known`, `by`, `verdict`, `since`, `until`, `out_of_date`, `surface`, `figures`
+        (`name`, `value`, `sigma`, `unit`), `measured_by`.
     """
     return [_row(name, file.parts.get(name), today) for name in PARTS]
 
@@ -67,15 +67,17 @@ def differences(old: RecordFile, new: RecordFile) -> list[dict[str, Any]]:
     """What two versions know differently.
 
     Returns:
-        Rows of `part`, `name` (of a value or figure; empty for a part as a whole), `old`, `new`, and `sigmas`: the
-        change over its standard uncertainty, where both are known.
+        Rows of `part`, `name` (of a value or figure; empty for a part as a whole), `old`, `new`, and
+        `sigmas`: the change over its standard uncertainty, where both are known.
     """
     rows: list[dict[str, Any]] = []
     for name in PARTS:
         before, after = old.parts.get(name), new.parts.get(name)
         if before is None or after is None:
             if before is not after:
-                rows.append({"part": name, "name": "", "old": _known(before), "new": _known(after), "sigmas": None})
+                rows.append(
+                    {"part": name, "name": "", "old": _known(before), "new": _known(after), "sigmas": None}
+                )
             continue
         for key in dict.fromkeys((*before.values, *after.values)):
             a, b = before.values.get(key), after.values.get(key)

@@ -74,7 +74,7 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
 
 
 def chosen(ctx: Context, recordings: Sequence[Recording], setting: Setting, model: str) -> Candidate:
-    """The forward model to fit with, its loads and its tyre ratio: the one asked for, else by held-out data."""
+    """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data."""
     nominal = nominal_of(ctx.source.config).geometry
     if model != BY_EVIDENCE:
         return Candidate(model, replace(setting, model=model, choose_model=False), nominal)

@@ -44,7 +44,8 @@ class Slip:
 def slip_of(motion: Motion) -> Slip:
     """Truth from motion capture minus wheel odometry, which was fed back, laid along the true heading.
 
-    With the true heading a drift in heading does not appear as slip sideways. The odometry is the bench's own, with
+    With the true heading a drift in heading does not appear as slip sideways. The odometry is the bench's
+    own, with
     its wheels and its forward model: a filter that reads the wheels alike has this slip to reckon with.
 
     Raises:
@@ -62,9 +63,7 @@ def slip_of(motion: Motion) -> Slip:
     turn = 0.5 * (off[1:] + off[:-1])
     c, s = np.cos(turn), np.sin(turn)
     step = np.diff(rolled[:, :2], axis=0)
-    by_wheels = np.array(
-        [np.sum(c * step[:, 0] - s * step[:, 1]), np.sum(s * step[:, 0] + c * step[:, 1])]
-    )
+    by_wheels = np.array([np.sum(c * step[:, 0] - s * step[:, 1]), np.sum(s * step[:, 0] + c * step[:, 1])])
     way_m = float(np.hypot(step[:, 0], step[:, 1]).sum())
     if way_m < 0.05:
         raise DataError("surface_identification", f"rolled only {1e3 * way_m:.0f} mm in a motion",
@@ -116,7 +115,9 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
     rows = {name: np.asarray(found, dtype=np.float64) for name, found in every.items()}
     n = min(len(found) for found in rows.values())
     freedom = max(1, sum(len(found) - 1 for found in rows.values()))
-    spread = np.sqrt(sum(((found - found.mean(axis=0)) ** 2).sum(axis=0) for found in rows.values()) / freedom)
+    spread = np.sqrt(
+        sum(((found - found.mean(axis=0)) ** 2).sum(axis=0) for found in rows.values()) / freedom
+    )
     away = np.array([-1.0, 1.0, 1.0])
     found = {}
     for name, own in rows.items():

@@ -1,4 +1,4 @@
-"""Slip per metre that is known by direction: the filter reckons with it, whatever the heading, and with the rest as before."""
+"""Slip per metre that is known by direction: the filter reckons with it, whatever the heading."""
 
 import math
 
@@ -32,7 +32,9 @@ def slip_in_wall(direction_rad, heading_rad):
 @pytest.mark.parametrize("heading_rad", [0.0, 0.2, -1.0])
 def test_each_direction_has_its_own_slip_whatever_the_heading(heading_rad):
     for name, direction in (("up", 0.0), ("left", 0.5), ("down", 1.0), ("right", -0.5)):
-        assert slip_in_wall(direction * math.pi, heading_rad) == pytest.approx(KNOWN[f"known_{name}"], abs=1e-12)
+        assert slip_in_wall(direction * math.pi, heading_rad) == pytest.approx(
+            KNOWN[f"known_{name}"], abs=1e-12
+        )
 
 
 def test_between_the_axes_it_is_that_of_tyres_stiffer_along_than_across():
@@ -45,7 +47,9 @@ def test_between_the_axes_it_is_that_of_tyres_stiffer_along_than_across():
     for angle in (0.3, 0.9, 2.0, -2.5):
         c, s = math.cos(angle), math.sin(angle)
         memory.mean[:] = c, s, 0.0
-        want = np.array([[c, -s], [s, c]]) @ np.diag([along, across]) @ np.array([[c, s], [-s, c]]) @ [-1.0, 0.0]
+        want = (
+            np.array([[c, -s], [s, c]]) @ np.diag([along, across]) @ np.array([[c, s], [-s, c]]) @ [-1.0, 0.0]
+        )
         assert known_slip(memory, par, 1.0)[:2] == pytest.approx(want, abs=1e-12)
 
 
@@ -61,7 +65,9 @@ def test_known_slip_tells_the_cameras_scale_on_a_climb(kind):
     for name, wall in (("unknown", {}), ("known", {"known_up": (-CREEP, 0.0, 0.0), "creep": 0.001,
                                                    "creep_per_sqrt_m": 0.0005})):  # fmt: skip
         parts, start, path = climb(0.01, 1)
-        states = followed(EstimatorConfig(kind=kind, tracker=MATCHED, wall={"slip_m_s": 1e-4, **wall}), parts, start)
+        states = followed(
+            EstimatorConfig(kind=kind, tracker=MATCHED, wall={"slip_m_s": 1e-4, **wall}), parts, start
+        )
         ends[name] = 1e3 * (states[-1].pose_body_in_wall[0] - path.pose[-1, 0])
     assert abs(ends["unknown"]) > 6.0
     assert abs(ends["known"]) < 3.0

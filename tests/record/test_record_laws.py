@@ -1,4 +1,4 @@
-"""The record of a robot: what is written is read, a kill leaves the old or the new version whole, bad input is named."""
+"""The record of a robot: what is written is read, a kill leaves a whole version, bad input is named."""
 
 import os
 import shutil
@@ -23,7 +23,12 @@ SCALE = {"tracker.scale": 1.004, "tracker.scale_sigma": 0.001}
 
 
 def part(values=None, **facts):
-    given = {"procedure": "a_test", "verdict": "PASS", "measured": "2026-11-22T10:00:00+00:00", "bench": "emulated"}
+    given = {
+        "procedure": "a_test",
+        "verdict": "PASS",
+        "measured": "2026-11-22T10:00:00+00:00",
+        "bench": "emulated",
+    }
     return NewPart(Part(**{**given, "values": values or {}, **facts}))
 
 
@@ -55,7 +60,7 @@ def test_what_was_added_is_read_again_and_counts_on_the_bench(record):
 def test_a_part_that_is_left_out_is_not_applied(record):
     config = load(record, **{"record.without": ["camera"]})
     assert (config.tracker.scale, config.alignment.steer_zero_rad[0]) == (1.0, 0.01)
-    with pytest.raises(ConfigError, match="kamera: no such part.*camera"):
+    with pytest.raises(ConfigError, match=r"kamera: no such part.*camera"):
         load(record, **{"record.without": ["kamera"]})
 
 
@@ -177,7 +182,7 @@ def test_the_record_of_another_robot_is_refused_with_all_that_differs(record):
 
 def test_a_part_past_its_validity_is_named_with_how_to_measure_it_again(record):
     add(record, camera=part(SCALE, until="2026-01-01"))
-    with pytest.raises(ConfigError, match="camera: .*valid until 2026-01-01.*hil run tracker_extrinsics"):
+    with pytest.raises(ConfigError, match=r"camera: .*valid until 2026-01-01.*hil run tracker_extrinsics"):
         load(record)
     assert load(record, **{"record.without": "camera"}).alignment.steer_zero_rad[0] == 0.01
 
@@ -196,7 +201,7 @@ def test_parts_that_do_not_belong_together_are_named(record):
     other = file.parts["zeros"].model_copy(update={"made_with": {"signs": "0" * 64}})
     wrong = file.model_copy(update={"parts": {**file.parts, "zeros": other}})
     record.path.write_bytes(record._write(wrong.model_copy(update={"version": 2})).read_bytes())
-    with pytest.raises(ConfigError, match="zeros: measured .* with other signs which is gone"):
+    with pytest.raises(ConfigError, match=r"zeros: measured .* with other signs which is gone"):
         load(record)
 
 
@@ -209,12 +214,12 @@ def test_a_file_that_was_changed_after_it_was_measured_is_named(record, tmp_path
     offsets.write_text("a = 2\n")
     assert Path(path).read_text() == "a = 1\n"
     Path(path).write_text("a = 3\n")
-    with pytest.raises(ConfigError, match="inertial: .*was changed after it was measured"):
+    with pytest.raises(ConfigError, match=r"inertial: .*was changed after it was measured"):
         load(record)
 
 
 def test_a_part_that_holds_keys_of_another_is_refused(record):
-    with pytest.raises(ValueError, match="holds tracker.scale, which belongs to camera"):
+    with pytest.raises(ValueError, match=r"holds tracker.scale, which belongs to camera"):
         add(record, zeros=part(SCALE))
 
 
@@ -225,7 +230,7 @@ def test_pieces_of_a_bench_file_of_earlier_versions_are_taken(record, tmp_path):
     config = load(record)
     assert (config.tracker.scale, config.alignment.steer_zero_rad[3]) == (1.007, 0.1)
     fragment.write_text("[tracker]\nscale = 1.1\n[loop]\nrate_hz = 50.0\n")
-    with pytest.raises(ConfigError, match="loop.rate_hz: no part of a record holds it"):
+    with pytest.raises(ConfigError, match=r"loop.rate_hz: no part of a record holds it"):
         absorb(record, fragment, WALL, "2026-11-22T13:00:00+00:00")
     assert load(record).tracker.scale == 1.007
 

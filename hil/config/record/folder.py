@@ -4,8 +4,8 @@
     history/v0003.toml     every version, never changed
     files/NAME-HASH.toml   what versions name: a calibration, offsets of a chip
 
-New content is written beside, flushed to the disk and renamed, `record.toml` last. Whenever a process is struck
-down, the version in place is the old one or the new one, whole.
+New content is written beside, flushed to the disk and renamed, `record.toml` last. Whenever a process is
+struck down, the version in place is the old one or the new one, whole.
 """
 
 from __future__ import annotations
@@ -78,8 +78,8 @@ class RobotRecord:
         """The version in place.
 
         Raises:
-            ConfigError: there is none; it is half-written or was changed by hand; its parts contradict each other
-                or name files that are gone.
+            ConfigError: there is none; it is half-written or was changed by hand; its parts contradict each
+                other or name files that are gone.
         """
         if not self.exists():
             raise ConfigError(
@@ -137,9 +137,13 @@ class RobotRecord:
             if kept.file.version == version:
                 return kept
         numbers = ", ".join(str(v.file.version) for v in found)
-        raise ConfigError(f"{self.folder}: no version {version}", expected=f"one of {numbers}" if numbers else "")
+        raise ConfigError(
+            f"{self.folder}: no version {version}", expected=f"one of {numbers}" if numbers else ""
+        )
 
-    def add(self, parts: Mapping[str, NewPart], robot: Identity, *, created: str, why: str) -> tuple[str, ...]:
+    def add(
+        self, parts: Mapping[str, NewPart], robot: Identity, *, created: str, why: str
+    ) -> tuple[str, ...]:
         """Put a new version in place: the parts, beside those there are.
 
         What an older part was measured on top of may change with it: such a part is left out.
@@ -180,7 +184,9 @@ class RobotRecord:
             try:
                 content = read_bytes(path, MOST_TOML_BYTES)
             except (OSError, ValueError) as error:
-                raise ConfigError(f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})") from None
+                raise ConfigError(
+                    f"{path}: cannot be read ({getattr(error, 'strerror', None) or error})"
+                ) from None
             digests[key] = hashlib.sha256(content).hexdigest()
             values[key] = f"{path.stem}-{digests[key][:12]}{path.suffix}"
             _write_whole(self.folder / FILES / values[key], content)
@@ -240,7 +246,9 @@ def read_version(path: Path, remedy: str) -> RecordFile:
         raise ConfigError(f"{path}: half-written? {error.message}", remedy=remedy) from None
     told = tree.pop("sha256", None)
     if told != digest_of(tree):
-        raise ConfigError(f"{path}: half-written, or changed by hand: its digest does not hold", remedy=remedy)
+        raise ConfigError(
+            f"{path}: half-written, or changed by hand: its digest does not hold", remedy=remedy
+        )
     try:
         return RecordFile.model_validate({**tree, "sha256": told})
     except ValidationError as error:

@@ -1,4 +1,4 @@
-"""A record laid over a bench file: its values count instead of those in the file, `--set` counts above both."""
+"""A record laid over a bench file: its values count above those of the file, `--set` above both."""
 
 from __future__ import annotations
 
@@ -42,9 +42,11 @@ def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date
     if not record.exists():
         return None
     file = record.read()
-    parts = {name: part for name, part in file.parts.items() if name not in tuple(without)}  # type: ignore[arg-type]
+    parts = {name: part for name, part in file.parts.items() if name not in tuple(without)}
     wall = _is_wall(tree, overrides)
-    parts = {name: part for name, part in parts.items() if wall or not part.surface or part.surface == "floor"}
+    parts = {
+        name: part for name, part in parts.items() if wall or not part.surface or part.surface == "floor"
+    }
     _check_valid(record, parts, _environment(tree, overrides, "surface", "melamine"), today)
     for part in parts.values():
         for key, value in part.values.items():
@@ -67,7 +69,9 @@ def _check_valid(record: RobotRecord, parts: Mapping[str, Part], surface: object
         )  # fmt: skip
 
 
-def _environment(tree: Mapping[str, Any], overrides: Mapping[str, object], key: str, default: object) -> object:
+def _environment(
+    tree: Mapping[str, Any], overrides: Mapping[str, object], key: str, default: object
+) -> object:
     table = tree.get("environment")
     value = table.get(key, default) if isinstance(table, Mapping) else default
     return overrides.get(f"environment.{key}", value)

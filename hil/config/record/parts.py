@@ -1,8 +1,8 @@
 """One version of a record as a model: whose it is, its parts, and what must hold among them.
 
 A part is what one procedure found: values for keys of the bench file, and figures for people and other
-procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together are
-found.
+procedures. `made_with` remembers what it was measured on top of, so that parts which do not belong together
+are found.
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ PARTS: Mapping[str, PartKind] = {
     ),
     "backlash": PartKind("play of the steering gears", (), "steering_zero", ("signs",)),
     "geometry": PartKind(
-        "wheel positions, radii, loads and tyres", ("calibration",), "odometry_calibration", ("signs", "zeros")
+        "wheel positions, radii, loads and tyres", ("calibration",), "odometry_calibration",
+        ("signs", "zeros"),
     ),
     "camera": PartKind(
         "mount, scale and latency of the tracking camera",
@@ -173,7 +174,9 @@ class Identity(_Model):
             mine, theirs = getattr(self, key), getattr(other, key)
             if mine is None or theirs is None or mine == theirs:
                 continue
-            if key.startswith("wheel_") and all(abs(a - b) < _SAME_M for a, b in zip(mine, theirs, strict=True)):
+            if key.startswith("wheel_") and all(
+                abs(a - b) < _SAME_M for a, b in zip(mine, theirs, strict=True)
+            ):
                 continue
             yield f"{_KEYS[key]}: {_shown(mine)} in the record, {_shown(theirs)} here"
 
@@ -240,13 +243,13 @@ class RecordFile(_Model):
 
     def without_stale(self) -> tuple[RecordFile, tuple[str, ...]]:
         """Without parts that contradict the others, and the names of these; the others count as right."""
-        parts, gone = dict(self.parts), []
+        parts, gone = dict(self.parts), list[str]()
         while True:
             file = self.model_copy(update={"parts": parts})
             stale = [line.split(":", 1)[0] for line in file.contradictions()]
             if not stale:
                 return file, tuple(gone)
-            gone += [name for name in dict.fromkeys(stale)]
+            gone += dict.fromkeys(stale)
             parts = {name: part for name, part in parts.items() if name not in stale}
 
 

@@ -5,8 +5,8 @@ With d = (d_x, d_y, turn) in the frame half-way: rolled = d_xy - R' (s dt + c rh
 and scale times D more where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
 displacement of the wheels and D that of the body by the wheels, both at the speed of the last half second:
 with the step's own displacement, measured or estimated, its errors would correlate with the row and be taken
-for slip or scale. What is known of the slip per rolled metre, by direction of travel, is added to what the wheels
-say before it is compared; c and kappa are what is left of it.
+for slip or scale. What is known of the slip per rolled metre, by direction of travel, is added to what the
+wheels say before it is compared; c and kappa are what is left of it.
 
 `aux` is (dt_s, rho_m, D: m, m, rad).
 """
@@ -86,7 +86,8 @@ class Parameters(Record):
         friction_window_s: of `hil.estimator.friction`; 0: least squares.
         creeping: 1 for creep, 0 for dry friction.
         scaled: 1 where the state's scale error is that of the wheels, else 0.
-        known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn (rad/m).
+        known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn
+            (rad/m).
         contacts: the wheels on the surface.
         of_body: (8, 3): body displacement to what is compared.
         of_wheels: (8, 8): wheel displacements to what is compared.
@@ -248,8 +249,8 @@ def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
     """Slip (3,) of a step of `dt_s` that is known beforehand: m, m, rad, body frame.
 
     Weight pulls along wall x whatever the direction; what gives way is stiffness along the wheels and across
-    them. So the slip between two axes goes by the squares of the direction's cosines, with the product between
-    the axes that such a tensor has.
+    them. So the slip between two axes goes by the squares of the direction's cosines, with the product
+    between the axes that such a tensor has.
     """
     c, s = math.cos(m.heading_rad), math.sin(m.heading_rad)
     up, left = c * m.mean[0] - s * m.mean[1], s * m.mean[0] + c * m.mean[1]

@@ -1,4 +1,4 @@
-"""From a robot as delivered to a verified run on its wall: all procedures in order, each using what the others found."""
+"""From a robot as delivered to a verified run on its wall: every procedure uses what the others found."""
 
 from hil.procedure.commission.running import Commission, commission
 

@@ -63,8 +63,8 @@ class Commission:
     def options(self) -> dict[str, Any]:
         """What a resumed one must have alike."""
         source = self.source
-        return {"bench": str(source.bench), "emulate": source.emulate, "seed": source.seed, "quick": self.quick,
-                "realtime": source.realtime, "faults": list(source.faults)}  # fmt: skip
+        return {"bench": str(source.bench), "emulate": source.emulate, "seed": source.seed,
+                "quick": self.quick, "realtime": source.realtime, "faults": list(source.faults)}  # fmt: skip
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:
@@ -204,15 +204,17 @@ class _Running:
     def _stopped(self, stage: Stage, result: Result) -> dict[str, Any]:
         """Where it stopped, why, and what to do."""
         failed = [str(row["name"]) for row in result.measurements if row["outcome"] == "FAIL"]
-        why = result.error.message if result.error is not None else "beyond their limits: " + ", ".join(failed)
+        why = (
+            result.error.message if result.error is not None else "beyond their limits: " + ", ".join(failed)
+        )
         again = f"hil commission --resume --out {self._asked.folder}"
         return {
             "procedure": stage.name,
             "verdict": result.verdict.value,
             "why": why,
             "report": str(result.folder / "report.html"),
-            "do": f"look at {result.folder / 'report.html'} and mend what it names; then {again}, with the other "
-            "options as before. What was found up to here is in the record and stays.",
+            "do": f"look at {result.folder / 'report.html'} and mend what it names; then {again}, with the "
+            "other options as before. What was found up to here is in the record and stays.",
         }
 
 
@@ -225,13 +227,14 @@ def _unfinished(folder: Path) -> bool:
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
-    """Signs that a failed bring-up found otherwise than configured, as overrides; empty where there are none."""
+    """Signs that a failed bring-up found otherwise than configured, as overrides; empty without any."""
     path = folder / FRAGMENT
     if not path.exists():
         return {}
     encoders = config.of(EncodersConfig)
     believed = {
-        "alignment.drive_sign": config.alignment.drive_sign, "alignment.steer_sign": config.alignment.steer_sign,
+        "alignment.drive_sign": config.alignment.drive_sign,
+        "alignment.steer_sign": config.alignment.steer_sign,
         **({} if encoders is None else {"encoders.sign": encoders.sign}),
     }  # fmt: skip
     try:

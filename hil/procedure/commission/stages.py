@@ -1,7 +1,7 @@
 """The order of a commissioning: which procedure when, where the robot stands for it, and on which bench.
 
-Each builds on those before it: signs before zeros, zeros before wheels, wheels before slip. The floor comes first,
-because circles are possible there and nothing creeps.
+Each builds on those before it: signs before zeros, zeros before wheels, wheels before slip. The floor comes
+first, because circles are possible there and nothing creeps.
 """
 
 from __future__ import annotations
