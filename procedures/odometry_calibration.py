@@ -156,8 +156,6 @@ def run(ctx: Context) -> None:
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
         show(ctx, rounds, fresh, result, p.method, p.compared_methods)
-        for warning in result.warnings:
-            ctx.note(warning)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
         _install(ctx, replace(result, validation={"fresh_run": judged}))
 

@@ -112,7 +112,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"repetitions": 2, "hold": False},
+    measurements=measurements, plan=plan, quick={"hold": False},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
-from hil.config.record import Figure, RobotRecord, Spread
+from hil.config.record import Figure, Spread
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
@@ -28,15 +27,13 @@ from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
     Truth,
-    camera_path,
     intervals,
     join,
-    laid_over,
-    lateness_curve,
     shifted,
     solve,
 )
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.procedures.parts.tracker_report import draw_lateness, draw_path, table
+from hil.procedures.parts.tracker_scale import by_whole_legs, session_spread
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.clock import NS_PER_S
@@ -46,7 +43,6 @@ from hil.vocabulary.geometry import Array
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8
 _LEAST_SCALE_SIGMA = 1e-5
-_SESSIONS_ASSUMED = 3
 
 
 class Parameters(BaseModel):
@@ -134,7 +130,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, bench="emulated_floor", quick={"repetitions": 1},
+    measurements=measurements, plan=plan, bench="emulated_floor", quick={"repetitions": 1, "way_m": 0.8},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""
@@ -192,6 +188,7 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     truth_series, seen, parts = collected(motions)
     truth = Truth(truth_series)
     found = solve(parts, truth, config.mount_position_m, config.mount_rotation_wxyz)
+    found = by_whole_legs(motions, found)
     for k, axis in enumerate("xy"):
         ctx.measure(f"mount_{axis}", 1e3 * found.position_m[k])
         ctx.measure(f"mount_{axis}_uncertainty", 1e3 * found.position_uncertainty_m[k])
@@ -205,71 +202,11 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     ctx.measure("residual_position", 1e3 * found.position_rms_m)
     ctx.measure("residual_angle", 1e3 * found.angle_rms_rad)
     ctx.measure("outliers", found.outliers)
-    _table(ctx, found)
-    _draw_path(ctx, truth, seen, found)
-    _draw_lateness(ctx, parts, truth, found)
+    table(ctx, found)
+    draw_path(ctx, truth, seen, found)
+    draw_lateness(ctx, parts, truth, found)
     ctx.measure("before.position_rmse", 1e3 * disagreement_m(motions[:5]))
     return found
-
-
-def _table(ctx: Context, found: Extrinsics) -> None:
-    config = ctx.source.config.of(TrackerConfig)
-    assert config is not None
-    rows = [
-        [axis, f"{1e3 * config.mount_position_m[k]:+.1f}", f"{1e3 * found.position_m[k]:+.2f}",
-         f"± {1e3 * found.position_uncertainty_m[k]:.2f}", "mm"]
-        for k, axis in enumerate("xy")
-    ]  # fmt: skip
-    rows += [
-        [name, "0", f"{found.angles_rad[k] * _DEG:+.3f}",
-         f"± {found.angles_uncertainty_rad[k] * _DEG:.3f}", "deg"]
-        for k, name in enumerate(("roll", "pitch", "yaw"))
-    ]  # fmt: skip
-    rows.append(
-        ["scale", f"{config.scale:.5f}", f"{found.scale:.5f}", f"± {found.scale_uncertainty:.5f}", "1"]
-    )
-    rows.append(
-        ["latency", f"{1e3 * config.latency_s:.1f}", f"{1e3 * (config.latency_s + found.late_s):.2f}",
-         f"± {1e3 * found.late_uncertainty_s:.2f}", "ms"]
-    )  # fmt: skip
-    ctx.table(
-        "Camera on the body", ["", "believed", "found", "95 %", "unit"], rows,
-        "Angles are the turn of the mount against the one believed, about body axes. The height above the "
-        "surface cannot be seen from motion along it.",
-    )  # fmt: skip
-
-
-def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
-    """Path of the camera by motion capture, and by the camera, aligned to it."""
-    by_truth = camera_path(truth, seen.t_s - found.late_s, found)
-    laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
-    figure = new_figure(6.4, 4.2)
-    axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
-    x, y = thin(*by_truth.T)
-    axes.plot(y, x, color=PALETTE["truth"], lw=2.2, label="motion capture and mount found")
-    x, y = thin(*laid.T)
-    axes.plot(y, x, color=SERIES[0], lw=1.2, label="camera, aligned to it")
-    axes.invert_xaxis()
-    axes.set_aspect("equal", adjustable="datalim")
-    legend(axes)
-    ctx.figure(figure, "Path of the camera", "The camera's own path as a whole turned and shifted to fit.")
-
-
-def _draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsics) -> None:
-    config = ctx.source.config.of(TrackerConfig)
-    assert config is not None
-    late = found.late_s + np.linspace(-0.03, 0.03, 61)
-    curve = lateness_curve(parts, truth, found, config.mount_rotation_wxyz, late)
-    figure = new_figure(6.4, 3.0)
-    axes = style(figure.add_subplot(), "lateness of the camera's stamps (ms)", "error of the turn (mrad)")
-    axes.plot(1e3 * late, 1e3 * curve, color=SERIES[0], lw=1.5)
-    axes.axvline(1e3 * found.late_s, color=PALETTE["reference"], lw=1.2, ls="--", label="found")
-    axes.axvline(0.0, color=PALETTE["truth"], lw=0.8, label="believed")
-    axes.set_ylim(bottom=0.0)
-    legend(axes)
-    ctx.figure(
-        figure, "Time offset", "RMS over all intervals; the valley is where camera and body turn together."
-    )
 
 
 def disagreement_m(motions: list[Motion]) -> float:
@@ -311,6 +248,21 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     bench = ctx.reopen("applied", overrides=overrides)
     ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
     write_fragment(ctx, {"tracker": values}, "Mount, scale and latency of the tracking camera.")
+    _leave(ctx, found, values, own_sigma, spread)
+
+
+def _leave(ctx: Context, found: Extrinsics, values: dict[str, Any], own_sigma: float, spread: float) -> None:
+    """The camera's part of the record.
+
+    Args:
+        ctx: of the run.
+        found: mount, scale and lateness.
+        values: keys of `[tracker]`.
+        own_sigma: of the scale in this session.
+        spread: of the scale from session to session.
+    """
+    config = ctx.source.config.of(TrackerConfig)
+    assert config is not None
     late_s = config.latency_s + found.late_s
     figures = {
         "scale": Figure(value=found.scale, sigma=own_sigma),
@@ -332,18 +284,3 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
         ctx, "camera", values={f"tracker.{key}": value for key, value in values.items()}, figures=figures,
         covariance=Spread(names=names, matrix=matrix),
     )  # fmt: skip
-
-
-def session_spread(ctx: Context, scale: float) -> float:
-    """Standard deviation of the camera's scale from one session to the next.
-
-    Assumed at first (the parameter, worth three sessions); every earlier version of the record tells more.
-    """
-    assumed, folder = ctx.parameters.session_spread, ctx.source.config.record.folder
-    found = [scale]
-    if folder is not None:
-        kept = (v.file.parts.get("camera") for v in RobotRecord(Path(folder)).history().versions)
-        found += {p.measured: p.figures["scale"].value for p in kept if p is not None}.values()
-    off = np.array(found) - np.mean(found)
-    worth = _SESSIONS_ASSUMED + len(found) - 1
-    return math.sqrt((_SESSIONS_ASSUMED * assumed**2 + float(off @ off)) / worth)

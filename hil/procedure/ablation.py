@@ -23,7 +23,8 @@ class Setting:
 def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]:
     """Nothing known, each part with what it was measured on top of, everything.
 
-    Parts without a value for the bench file change nothing and have no setting of their own.
+    Parts without a value for the bench file change nothing and have no setting of their own, and neither have signs
+    (without them nothing moves as it should) and what holds the robot.
 
     Args:
         known: parts of the record.
@@ -36,6 +37,8 @@ def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]
         if not PARTS[name].keys or name in ("signs", "hold"):
             continue
         below = tuple(n for n in PARTS[name].on if n in known)
+        if {*below, name} == set(known):
+            continue
         words = [n for n in (*below, name) if n != "signs"]
         single.append(Setting(f"{' and '.join(words)} known", (*below, name)))
     return (Setting(NOTHING, ()), *single, Setting(EVERYTHING, tuple(known)))

@@ -15,7 +15,7 @@ from typing import Any
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
 from hil.procedure.bench_source import BenchSource
-from hil.procedure.commission.stages import PROMPTS, Place, Stage, placed, stages
+from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
 from hil.procedure.commission.state import PASSED, State, state_of
 from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts
@@ -48,6 +48,7 @@ class Commission:
         operator: who answers prompts.
         report: progress.
         interrupts: signals.
+        order: what is run.
     """
 
     source: BenchSource
@@ -59,6 +60,7 @@ class Commission:
     operator: Operator = field(default_factory=Terminal)
     report: Report = silent
     interrupts: Interrupts = field(default_factory=Interrupts)
+    order: tuple[Stage, ...] = STAGES
 
     def options(self) -> dict[str, Any]:
         """What a resumed one must have alike."""
@@ -84,7 +86,7 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     source = asked.source.changed(overrides={"record.folder": str(record)})
     source.check_faults()
     state = state_of(asked.folder, asked.options(), resume=asked.resume)
-    _check_all(source, config)
+    _check_all(asked, source, config)
     run = _Running(replace(asked, source=source), state, config)
     code, stopped = run.all()
     told = summary(state, record, stopped)
@@ -92,9 +94,9 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     return told | {"page": str(page)}, code
 
 
-def _check_all(source: BenchSource, config: BenchConfig) -> None:
+def _check_all(asked: Commission, source: BenchSource, config: BenchConfig) -> None:
     """Every bench that will be needed can be configured, before anything moves."""
-    for number, (stage, why) in enumerate(stages(config), start=1):
+    for number, (stage, why) in enumerate(stages(config, asked.order), start=1):
         if not why:
             stage.procedure.check_needs(source.changed(overrides=placed(stage, number, config)).config)
 
@@ -124,7 +126,7 @@ class _Running:
     def __init__(self, asked: Commission, state: State, config: BenchConfig) -> None:
         self._asked, self._state, self._config = asked, state, config
         self._place: Place | None = None
-        every = list(stages(config))
+        every = list(stages(config, asked.order))
         self._stages = every
         self._total = sum(stage.weight for stage, why in every if not why)
         self._before = 0.0

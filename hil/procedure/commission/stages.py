@@ -6,7 +6,7 @@ first, because circles are possible there and nothing creeps.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -70,22 +70,25 @@ STAGES = (
     Stage("bring_up", "floor", 8.0),
     Stage("steering_zero", "floor", 8.0),
     Stage("odometry_calibration", "floor", 45.0, {"repetitions": 3, "max_rounds": 3, "compared_methods": ()}),
-    Stage("tracker_extrinsics", "floor", 12.0, {"repetitions": 3}),
+    Stage("tracker_extrinsics", "floor", 12.0, {"repetitions": 3, "way_m": 0.8}),
     Stage("adhesion_check", "wall", 5.0),
     Stage("imu_calibration", "wall", 10.0),
     Stage("latency", "wall", 6.0),
     Stage("surface_identification", "wall", 14.0, {"hold": False, "repetitions": 4}),
     Stage("wall_ablation", "wall", 30.0),
 )
-ESSENTIAL = ("bring_up", "odometry_calibration", "wall_ablation")
 
 
-def stages(config: BenchConfig) -> Iterator[tuple[Stage, str]]:
+def stages(config: BenchConfig, order: Sequence[Stage]) -> Iterator[tuple[Stage, str]]:
     """Every stage, and why it is left out on this bench (empty where it is not).
 
     A bench on a floor has no wall; its robot is verified by odometry alone.
+
+    Args:
+        config: of the bench.
+        order: all stages.
     """
-    for stage in STAGES:
+    for stage in order:
         why = stage.lacking(config)
         if not why and stage.place == "wall" and not config.environment.on_wall:
             why = "the bench stands on the floor"
