@@ -1,7 +1,8 @@
 """What the wall does to the robot: slip and sag per metre, and the heading up to which it holds.
 
-Lines up, down, left and right with feedback from odometry, which sees neither slip nor sag; motion
-capture does. Then the robot is set on the wall under growing headings, where thrust carries less of
+Lines up, down, left and right; motion capture sees what the wheels do not. A filter that holds the heading
+is fed back where the bench has IMU and camera, because thrust that turns with the robot pushes it aside; else
+odometry. Then the robot is set on the wall under growing headings, where thrust carries less of
 its weight: a search for the heading at which it begins to slide. On a real wall this needs a tether.
 """
 
@@ -30,6 +31,7 @@ from hil.vocabulary.geometry import Array
 DIRECTIONS = ("up", "down", "left", "right")
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 _WITHOUT = {"encoders": None, "tracker": None}
+_FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
 _STAGGER_S = 0.13
@@ -144,13 +146,18 @@ def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float
     driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
     every repetition, so that two worlds of one seed do not repeat each other's noise.
     """
-    bench = ctx.reopen(f"lines {number}", overrides=_WITHOUT)
+    filtered = all(name in ctx.source.config.devices() for name in _FOR_A_FILTER)
+    bench = ctx.reopen(f"lines {number}", overrides={"encoders": None} if filtered else _WITHOUT)
+    feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
     stand(bench, 0.5 + _STAGGER_S * number)
     found = {}
     for k, direction in enumerate(DIRECTIONS):
         pose = stand(bench)
-        motion = bench.drive(motions(p, pose)[direction], feedback="odometry", hold_s=0.5, start_pose=pose)
-        found[direction] = list(slip_of(motion).per_metre())
+        motion = bench.drive(
+            motions(p, pose)[direction], feedback=feedback, observers=observers, hold_s=0.5, start_pose=pose
+        )
+        rolled = motion.observer("odometry") if filtered else motion.estimate
+        found[direction] = list(slip_of(motion, rolled).per_metre())
         ctx.progress(f"repetition {number}", k + 1, len(DIRECTIONS))
     return found
 

@@ -23,8 +23,8 @@ class Setting:
 def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]:
     """Nothing known, each part with what it was measured on top of, everything.
 
-    Parts without a value for the bench file change nothing and have no setting of their own, and neither have signs
-    (without them nothing moves as it should) and what holds the robot.
+    Parts without a value for the bench file change nothing and have no setting of their own, and neither have
+    signs (without them nothing moves as it should) and what holds the robot.
 
     Args:
         known: parts of the record.

@@ -15,6 +15,7 @@ from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 
 _HELD_M = 2e-3
+_TILT_RAD = 0.02  # how far the direction of slip may be off that of gravity in the next line
 
 
 @dataclass(frozen=True)
@@ -41,18 +42,21 @@ class Slip:
         )
 
 
-def slip_of(motion: Motion) -> Slip:
-    """Truth from motion capture minus wheel odometry, which was fed back, laid along the true heading.
+def slip_of(motion: Motion, rolled: Array) -> Slip:
+    """Truth from motion capture minus wheel odometry, laid along the true heading.
 
     With the true heading a drift in heading does not appear as slip sideways. The odometry is the bench's
     own, with
     its wheels and its forward model: a filter that reads the wheels alike has this slip to reckon with.
 
+    Args:
+        motion: driven.
+        rolled: (n, 3) poses by odometry, one per cycle.
+
     Raises:
         DataError: wheels or motion capture are missing for part of the motion, or nothing was rolled.
     """
     wheels, truth = motion.wheels, motion.mocap
-    rolled = motion.estimate
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
     if np.count_nonzero(known) < 10:
         raise DataError("surface_identification", "has no wheels or no ground truth for a whole motion",
@@ -122,7 +126,9 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
     found = {}
     for name, own in rows.items():
         mean = own.mean(axis=0)
-        sigma = np.hypot(spread * math.sqrt(1.0 + 1.0 / n), 0.5 * systematic * np.abs(mean))
+        unseen = 0.5 * systematic * np.abs(mean)
+        unseen[1] = math.hypot(unseen[1], _TILT_RAD * mean[0])
+        sigma = np.hypot(spread * math.sqrt(1.0 + 1.0 / n), unseen)
         found[name] = NextLine(away * mean, sigma)
     return found
 

@@ -1,4 +1,4 @@
-"""Commissioning: each procedure uses what the others found; it stops at the first failure and goes on from there."""
+"""Commissioning: each procedure uses what the others found; the first failure ends it, resuming goes on."""
 
 import json
 from dataclasses import replace
