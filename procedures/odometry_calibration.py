@@ -121,8 +121,9 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
     plan=plan, bench="emulated_floor",
-    quick={"repetitions": 2, "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5,
-           "max_rounds": 2, "compared_methods": ()},
+    quick={"motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"), "repetitions": 2,
+           "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
+           "compared_methods": ()},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""

@@ -106,7 +106,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="steering_zero", needs=("servos", "encoders", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan, bench="emulated_floor",
-    quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3},
+    quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3, "legs": 1},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Steering zeros from the external encoders, checked by motion, applied and driven."""
