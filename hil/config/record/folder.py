@@ -1,10 +1,10 @@
 """A record on disk: versions that appear whole or not at all, one of them in place.
 
-    record.toml            the version in place, a copy of one in history
-    history/v0003.toml     every version, never changed
-    files/NAME-HASH.toml   what versions name: a calibration, offsets of a chip
+    record      the version in place (TOML), a copy of one in `history`
+    history/    every version, by its number, never changed
+    files/      what versions name, by name and hash: a calibration, offsets of a chip
 
-New content is written beside, flushed to the disk and renamed, `record.toml` last. Whenever a process is
+New content is written beside, flushed to the disk and renamed, the version in place last. Whenever a process is
 struck down, the version in place is the old one or the new one, whole.
 """
 
