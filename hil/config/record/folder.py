@@ -4,8 +4,8 @@
     history/    every version, by its number, never changed
     files/      what versions name, by name and hash: a calibration, offsets of a chip
 
-New content is written beside, flushed to the disk and renamed, the version in place last. Whenever a process is
-struck down, the version in place is the old one or the new one, whole.
+New content is written beside, flushed to the disk and renamed, the version in place last. Whenever a
+process is struck down, the version in place is the old one or the new one, whole.
 """
 
 from __future__ import annotations
