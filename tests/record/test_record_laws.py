@@ -152,6 +152,23 @@ def test_kill_9_in_the_middle_of_it_leaves_a_version_that_can_be_read(record):
     assert load(record).tracker.scale == 1.004
 
 
+def test_processes_that_add_at_the_same_time_lose_nothing_of_each_other(record):
+    children = []
+    for k in range(4):
+        child = os.fork()
+        if child == 0:
+            try:
+                for n in range(5):
+                    add(record, camera=part({"tracker.scale": 1.0 + 0.01 * k + 0.001 * n}))
+                os._exit(0)
+            finally:
+                os._exit(1)
+        children.append(child)
+    assert [os.waitpid(child, 0)[1] for child in children] == [0] * 4
+    assert [v.file.version for v in record.history().versions] == list(range(1, 22))
+    assert sorted(record.read().parts) == ["camera", "zeros"]
+
+
 def test_a_half_written_version_is_named_and_the_one_before_it_can_be_put_back(record):
     add(record, camera=part({"tracker.scale": 0.99}))
     text = record.path.read_text()

@@ -10,10 +10,12 @@ process is struck down, the version in place is the old one or the new one, whol
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import os
 import re
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -160,6 +162,12 @@ class RobotRecord:
         Raises:
             ConfigError: the record is of another robot, or cannot be used.
         """
+        with _alone(self.folder):
+            return self._added(parts, robot, created, why)
+
+    def _added(
+        self, parts: Mapping[str, NewPart], robot: Identity, created: str, why: str
+    ) -> tuple[str, ...]:
         before = self.read() if self.exists() else None
         if before is not None:
             check_robot(before, robot, self.path)
@@ -254,6 +262,21 @@ def read_version(path: Path, remedy: str) -> RecordFile:
     except ValidationError as error:
         problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise ConfigError(f"{path}: no record of schema 1", problems=problems, remedy=remedy) from None
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other processes out that add to the same record; one that is struck down lets go by itself."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        lock = os.open(folder, os.O_RDONLY)
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror or error})") from None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(lock)
 
 
 def _write_whole(path: Path, content: bytes) -> None:
