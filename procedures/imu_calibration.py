@@ -133,7 +133,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="imu_calibration", needs=("servos", "imu", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
-    quick={"rest_s": 30.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
+    quick={"rest_s": 20.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""

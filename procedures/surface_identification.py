@@ -114,7 +114,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"hold": False},
+    measurements=measurements, plan=plan, quick={"hold": False, "length_m": 0.5},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""

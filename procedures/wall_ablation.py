@@ -31,14 +31,14 @@ _REFERENCE_M = 1.5
 
 
 class Parameters(BaseModel):
-    """What to drive; `each_part` also drives with one part of the record at a time."""
+    """What to drive; `single` are the parts of the record that are tried by themselves."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     cases: tuple[Case, ...] = ("x_line", "y_line")
     length_m: float = Field(1.5, gt=0, le=3.0)
     duration_s: float = Field(30.0, gt=1.0, le=3600)
     hold_s: float = Field(1.0, ge=0.5, le=600)
-    each_part: bool = True
+    single: tuple[str, ...] = tuple(PARTS)
     processes: int = Field(2, ge=1, le=8)
 
 
@@ -85,12 +85,13 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
     known: tuple[str, ...] = ()
     if settings.folder is not None and (record := RobotRecord(Path(settings.folder))).exists():
         known = tuple(name for name in record.read().parts if name not in settings.without)
-    return settings_of(known, each_part=p.each_part)
+    return settings_of(known, p.single)
 
 
 @procedure(
     name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"duration_s": 26.0, "hold_s": 0.5},
+    measurements=measurements, plan=plan,
+    quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """The same lines on the wall with nothing known of the robot, with each part, with everything."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from hil.config.record import PARTS
@@ -20,7 +20,7 @@ class Setting:
     known: tuple[str, ...]
 
 
-def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]:
+def settings_of(known: Sequence[str], alone: Collection[str]) -> tuple[Setting, ...]:
     """Nothing known, each part with what it was measured on top of, everything.
 
     Parts without a value for the bench file change nothing and have no setting of their own, and neither have
@@ -28,13 +28,13 @@ def settings_of(known: Sequence[str], *, each_part: bool) -> tuple[Setting, ...]
 
     Args:
         known: parts of the record.
-        each_part: whether single parts are tried.
+        alone: parts that are tried by themselves.
     """
     if not known:
         return (Setting(NOTHING, ()),)
     single = []
-    for name in known if each_part else ():
-        if not PARTS[name].keys or name in ("signs", "hold"):
+    for name in known:
+        if name not in alone or not PARTS[name].keys or name in ("signs", "hold"):
             continue
         below = tuple(n for n in PARTS[name].on if n in known)
         if {*below, name} == set(known):

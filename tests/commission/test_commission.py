@@ -134,7 +134,7 @@ def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is
 
 def test_settings_of_an_ablation_hold_what_a_part_was_measured_on_top_of():
     known = ("signs", "zeros", "backlash", "geometry", "camera", "slip", "hold")
-    found = {s.name: s.known for s in settings_of(known, each_part=True)}
+    found = {s.name: s.known for s in settings_of(known, PARTS)}
     assert found == {
         NOTHING: (), "zeros known": ("signs", "zeros"),
         "zeros and geometry known": ("signs", "zeros", "geometry"), "camera known": ("camera",),
@@ -163,7 +163,7 @@ def test_the_command_refuses_what_cannot_be_meant(tmp_path, capsys):
 @pytest.mark.timeout(3600)
 @pytest.mark.parametrize("seed", range(3))
 def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
-    """The whole quick form. Figures of ten robots: docs/commissioning.md."""
+    """The whole quick form; `benchmarks/commissioned_robots.py` does it for many."""
     assert main(["commission", "--quick", "--seed", str(seed), "--out", str(tmp_path / "out"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     known, nothing = told["wall"][EVERYTHING], told["wall"][NOTHING]
