@@ -1,7 +1,7 @@
 """What commissioning brings, over many emulated robots as delivered.
 
 `python benchmarks/commissioned_robots.py 0 1 2 3` commissions the robots of these seeds by the quick form
-(`--full` for the long one) and prints ends and errors of their wall lines with nothing and with everything known.
+(`--full` for the long one) and prints ends and errors of their wall lines, nothing and everything known.
 """
 
 import json
@@ -61,10 +61,9 @@ def run(words):
     for k, name in enumerate(NAMES):
         for j, line in enumerate(("X", "Y")):
             ends, rest = every[:, k, j, 0], every[:, k, j, 1:]
-            print(
-                f"{name}, {line} line: end {np.sqrt(np.mean(ends**2)):.2f} mm rms, {ends.max():.2f} worst; RMSE "
-                f"x {rest[:, 0].mean():.2f}, y {rest[:, 1].mean():.2f} mm, heading {rest[:, 2].mean():.3f} deg (means)"
-            )
+            print(f"{name}, {line} line: end {np.sqrt(np.mean(ends**2)):.2f} mm rms, {ends.max():.2f} worst")
+            x_mm, y_mm, heading_deg = rest.mean(axis=0)
+            print(f"    means: RMSE x {x_mm:.2f} mm, y {y_mm:.2f} mm, heading {heading_deg:.3f} deg")
     return 0 if len(found) == len(seeds) else 1
 
 
