@@ -162,11 +162,11 @@ def run(ctx: Context) -> None:
 
 
 def _known_play_rad(ctx: Context) -> float:
-    """Backlash of the steering gears to each side, as `steering_zero` found it, else as assumed."""
+    """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
     known = known_part(ctx.source.config, "backlash")
     if known is None or not known.figures:
         return _ASSUMED_PLAY_RAD
-    return min(max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)
+    return min(0.5 * max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)
 
 
 def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None) -> Driven:

@@ -129,4 +129,4 @@ def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
                 figures={"FL": Figure(value=0.003), "BL": Figure(value=0.005)})  # fmt: skip
     record.add({"backlash": NewPart(part)}, identity(load_bench("emulated")), created="2026-02-01", why="t")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
-    assert _known_play_rad(asked) == 0.005
+    assert _known_play_rad(asked) == 0.0025

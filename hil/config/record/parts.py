@@ -47,7 +47,7 @@ PARTS: Mapping[str, PartKind] = {
     "zeros": PartKind(
         "zeros of the steering axes", ("alignment.steer_zero_rad",), "steering_zero", ("signs",)
     ),
-    "backlash": PartKind("play of the steering gears", (), "steering_zero", ("signs",)),
+    "backlash": PartKind("whole backlash of the steering gears", (), "steering_zero", ("signs",)),
     "geometry": PartKind(
         "wheel positions, radii, loads and tyres", ("calibration",), "odometry_calibration",
         ("signs", "zeros"),
