@@ -15,8 +15,10 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedures.parts.adhesion_levels import Fit, Level, draw, fit, levels_n, needs_of, rest, visit
 
 _LEVEL_STEP_N, _LEVEL_S, _LEAST = 0.5, 0.3, 0.4
@@ -83,7 +85,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="adhesion_check", needs=("servos", "mocap", "adhesion", "load_cells"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, quick={"levels": 4, "dwell_s": 0.8, "slide": False},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Adhesion: zeros of the cells, force against speed, margin, and the force at which the robot slides."""
@@ -162,3 +164,10 @@ def evaluate(ctx: Context, config: BenchConfig, found: Fit, slid: dict[str, floa
         "load_cells": {"zero_n": [round(z, 3) for z in found.zero_n]},
     }
     write_fragment(ctx, values, "Zeros of the load cells, and the force that belongs to a speed of the fan")
+    flat = {f"{table}.{key}": value for table, keys in values.items() for key, value in keys.items()}
+    half_n = found.zero_uncertainty_n
+    figures = {"cells_zero": Figure(value=sum(found.zero_n), sigma=0.5 * half_n, unit="N"),
+               "rated_force": Figure(value=rated_n, unit="N")}  # fmt: skip
+    if slid is not None:
+        figures["friction"] = Figure(value=ctx.findings.values["friction"])
+    leave_part(ctx, "hold", values=flat, figures=figures)

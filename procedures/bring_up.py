@@ -20,6 +20,7 @@ from hil.config.encoders import EncodersConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.devices import Device, only
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import inertial, poses
 from hil.procedure.tracking import stand
 from hil.procedures.parts.bring_up_jogs import (
@@ -159,7 +160,10 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     yield PlannedStep("body", tuple(steps(p, np.array(config.environment.start_pose))))
 
 
-@procedure(name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan)
+@procedure(
+    name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan,
+    quick={"watch_s": 5.0},
+)  # fmt: skip
 def run(ctx: Context) -> None:
     """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""
     p: Parameters = ctx.parameters
@@ -180,6 +184,20 @@ def run(ctx: Context) -> None:
         return
     with ctx.step("body", timeout_s=120.0):
         move_body(ctx, bench)
+    leave_part(ctx, "signs", values=_signs(ctx))
+
+
+def _signs(ctx: Context) -> dict[str, Any]:
+    """Signs that were seen to be right: as configured."""
+    config = ctx.source.config
+    encoders = config.of(EncodersConfig)
+    values: dict[str, Any] = {
+        "alignment.drive_sign": list(config.alignment.drive_sign),
+        "alignment.steer_sign": list(config.alignment.steer_sign),
+    }
+    if "encoders" in ctx.parameters.devices and encoders is not None:
+        values["encoders.sign"] = list(encoders.sign)
+    return values
 
 
 def identify(ctx: Context, bench: Bench) -> None:

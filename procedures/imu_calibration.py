@@ -21,8 +21,10 @@ from scipy.stats import t as student
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.imu import Bno055Config
+from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import inertial, poses
 from hil.procedure.tracking import stand
 from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
@@ -131,6 +133,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="imu_calibration", needs=("servos", "imu", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
+    quick={"rest_s": 20.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """IMU calibration: offsets stored and restored, noise by Allan deviation, heading from gravity."""
@@ -289,3 +292,15 @@ def restore(ctx: Context, stored: Any, path: Path, offset_rad: float) -> None:
     ctx.measure("restored_bias", data.mean(0) * _DEG)
     ctx.measure("corrected_heading", (data.mean(1) - truth.mean(2)) * _DEG)
     write_fragment(ctx, values, "Offsets for the chip, written at every start, and the corrected mount.")
+    measured = ctx.findings.values
+    figures = {
+        name: Figure(value=measured[name], sigma=sigma, unit=unit)
+        for name, unit, sigma in (
+            ("heading_offset", "deg", 0.5 * measured["heading_offset_uncertainty"]),
+            ("gyro_noise", "deg/s/√Hz", 0.5 * measured["gyro_noise_uncertainty"]),
+            ("gyro_bias", "deg/s", None), ("gyro_bias_instability", "deg/h", None),
+            ("accelerometer_noise", "mg/√Hz", None),
+        )
+    }  # fmt: skip
+    mounted = {"imu.mount_rotation_wxyz": values["imu"]["mount_rotation_wxyz"]}
+    leave_part(ctx, "inertial", values=mounted, figures=figures, files={"imu.calibration_file": path})

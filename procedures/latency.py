@@ -21,9 +21,11 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
+from hil.config.record import Figure
 from hil.controller.allocation import ModuleLimits, optimize
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.devices import only
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series, encoders, inertial, poses, wheels
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
@@ -136,7 +138,12 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 @procedure(
-    name="latency", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements, plan=plan
+    name="latency",
+    needs=("servos", "mocap"),
+    parameters=Parameters,
+    measurements=measurements,
+    plan=plan,
+    quick={"reversals": 12},
 )
 def run(ctx: Context) -> None:
     """Latency: command to motion and motion to knowledge, per device, on the bench clock."""
@@ -275,7 +282,8 @@ def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> N
     p: Parameters = ctx.parameters
     command, body = body_signals(bench, turning, p)
     axis_command, axes = steering_signals(bench, steering, p)
-    for name, value in values_ms(p, body, axes).items():
+    measured_ms = values_ms(p, body, axes)
+    for name, value in measured_ms.items():
         ctx.measure(name, value)
     every: Mapping[str, Signal] = {**body, **{f"{n}, steering": s for n, s in axes.items()}}
     ctx.measure("worst_misfit", max(s.delay.misfit for s in every.values()))
@@ -292,3 +300,15 @@ def evaluate(ctx: Context, bench: Bench, turning: Motion, steering: Motion) -> N
         "sum of the angle (deg s)",
         float(np.degrees(1.0)),
     )
+    leave_part(ctx, "delays", figures=_figures(measured_ms))
+
+
+def _figures(measured_ms: Mapping[str, float]) -> dict[str, Figure]:
+    """Delays with their standard uncertainties, in s."""
+    half_ms = {name: measured_ms.get(f"{name}_uncertainty") for name in measured_ms}
+    return {
+        name: Figure(value=1e-3 * value, sigma=None if half is None else 0.5e-3 * half, unit="s")
+        for name, value in measured_ms.items()
+        if not name.endswith("_uncertainty") and math.isfinite(value)
+        for half in (half_ms[name],)
+    }

@@ -20,16 +20,19 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
-from hil.calibration.problem import make_setting
+from hil.calibration.problem import PARAMETER_NAMES, make_setting
 from hil.calibration.validation import score
 from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
+from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.learning import known_part, leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
 from hil.procedures.parts.odometry_rounds import (
     Driven,
+    chosen,
     improve,
     odometry_in,
     rise_beyond_chance,
@@ -38,14 +41,16 @@ from hil.procedures.parts.odometry_rounds import (
 from hil.vocabulary.versions import versions
 
 _SIMILAR_MM = 0.5
+_ASSUMED_PLAY_RAD, _MOST_PLAY_RAD = math.radians(0.125), 0.05
 
 
 class Parameters(BaseModel):
     """How much to drive, how to fit, and when to stop.
 
-    `steering_play_rad` is the backlash of a steering gear to each side, which
-    standard errors allow for. `install` names a calibration.toml that takes the result, as its next version,
-    if validation passes.
+    `model` is how contradicting wheels are read; by evidence, held-out repetitions choose it, the loads and
+    the tyre ratio. `steering_play_rad` is the backlash of a steering gear to each side, which standard
+    errors allow for; left out, it is the robot's record's, else an eighth of a degree. `install` names a
+    calibration.toml that takes the result, as its next version, if validation passes.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -56,7 +61,8 @@ class Parameters(BaseModel):
     radius_m: float = Field(0.5, gt=0.1, le=5)
     turns: float = Field(1.0, gt=0, le=3)
     speed_m_s: float = Field(0.118, gt=0, le=3.5)
-    steering_play_rad: float = Field(math.radians(0.125), ge=0, le=0.05)
+    model: Literal["by evidence", "creep", "dry-friction", "exact"] = "by evidence"
+    steering_play_rad: float | None = Field(None, ge=0, le=_MOST_PLAY_RAD)
     min_rounds: int = Field(2, ge=1)
     max_rounds: int = Field(4, ge=1)
     method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
@@ -115,13 +121,15 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
     plan=plan, bench="emulated_floor",
+    quick={"motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"), "repetitions": 2,
+           "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
+           "compared_methods": ()},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    setting = replace(
-        make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=p.steering_play_rad
-    )
+    play_rad = p.steering_play_rad if p.steering_play_rad is not None else _known_play_rad(ctx)
+    setting = replace(make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad)
     rounds: list[Driven] = []
     results: list[Calibration] = []
     files: list[Path | None] = [ctx.source.calibration]
@@ -136,7 +144,7 @@ def run(ctx: Context) -> None:
             break
         with ctx.step(f"fit {number}"):
             driven = [r for d in rounds for r in d.recordings]
-            results.append(improve(ctx, driven, setting, p.method))
+            results.append(improve(ctx, driven, chosen(ctx, driven, setting, p.model), p.method))
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):
@@ -148,13 +156,17 @@ def run(ctx: Context) -> None:
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
-        show(ctx, rounds, fresh, result, setting, p.method, p.compared_methods)
-        _install(
-            ctx,
-            replace(
-                result, validation={"fresh_run": score(fresh.recordings, fresh.odometry.geometry, setting)}
-            ),
-        )
+        show(ctx, rounds, fresh, result, p.method, p.compared_methods)
+        judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
+        _install(ctx, replace(result, validation={"fresh_run": judged}))
+
+
+def _known_play_rad(ctx: Context) -> float:
+    """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
+    known = known_part(ctx.source.config, "backlash")
+    if known is None or not known.figures:
+        return _ASSUMED_PLAY_RAD
+    return min(0.5 * max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)
 
 
 def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None) -> Driven:
@@ -203,6 +215,21 @@ def _measure(ctx: Context, rounds: list[Driven], fresh: Driven) -> None:
     ctx.measure("rounds", len(rounds))
 
 
+def _leave(ctx: Context, result: Calibration, path: Path) -> None:
+    """The calibration as a part of the record."""
+    geometry, std = result.geometry.vector(), result.intervals.std
+    figures = {
+        name: Figure(
+            value=float(v), sigma=float(s) if math.isfinite(s) else None, unit="rad" if k > 11 else "m"
+        )
+        for k, (name, v, s) in enumerate(zip(PARAMETER_NAMES, geometry, std, strict=False))
+    }
+    fresh = result.validation["fresh_run"]["mean"]
+    figures["validation_position_rmse"] = Figure(value=fresh["rmse_position_m"], unit="m")
+    figures["validation_heading_rmse"] = Figure(value=fresh["rmse_theta_rad"], unit="rad")
+    leave_part(ctx, "geometry", figures=figures, files={"calibration": path})
+
+
 def _install(ctx: Context, result: Calibration) -> None:
     """The transaction: a file that others use changes only when every limit holds."""
     p: Parameters = ctx.parameters
@@ -213,6 +240,7 @@ def _install(ctx: Context, result: Calibration) -> None:
     path = ctx.folder / "calibration.toml"
     save_calibration(path, file)
     ctx.attach("calibration", path)
+    _leave(ctx, result, path)
     if not p.install:
         return
     target = Path(p.install)

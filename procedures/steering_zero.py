@@ -16,8 +16,10 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.bench.settings import load_shares
 from hil.config.bench import BenchConfig
+from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import encoders, wheels
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
@@ -104,6 +106,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="steering_zero", needs=("servos", "encoders", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan, bench="emulated_floor",
+    quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3, "legs": 1},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Steering zeros from the external encoders, checked by motion, applied and driven."""
@@ -257,6 +260,16 @@ def apply(ctx: Context, fits: Sequence[AxisFit], unused: dict[str, object]) -> N
     found = drive_legs(ctx, bench, _WAYS[:2], "applied")
     ctx.measure("applied.direction", np.mean([f.common_rad for f in found]) * _DEG)
     write_fragment(ctx, values, "Steering zeros, wheel order FL, BL, BR, FR.")
+    _leave(ctx, zeros, fits)
     ctx.note(
         "A calibration.toml that was made with other zeros no longer fits: run odometry_calibration next."
     )
+
+
+def _leave(ctx: Context, zeros: list[float], fits: Sequence[AxisFit]) -> None:
+    """Zeros and backlash for the record."""
+    axes = list(zip(WHEELS, zeros, fits, strict=True))
+    found = {w: Figure(value=z, sigma=0.5 * f.uncertainty_rad, unit="rad") for w, z, f in axes}
+    leave_part(ctx, "zeros", values={"alignment.steer_zero_rad": zeros}, figures=found)
+    play = {w: Figure(value=abs(f.backlash_rad), unit="rad") for w, _, f in axes}
+    leave_part(ctx, "backlash", figures=play)

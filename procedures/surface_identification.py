@@ -1,7 +1,8 @@
 """What the wall does to the robot: slip and sag per metre, and the heading up to which it holds.
 
-Lines up, down, left and right with feedback from odometry, which sees neither slip nor sag; motion
-capture does. Then the robot is set on the wall under growing headings, where thrust carries less of
+Lines up, down, left and right; motion capture sees what the wheels do not. A filter that holds the heading
+is fed back where the bench has IMU and camera, because thrust that turns with the robot pushes it aside; else
+odometry. Then the robot is set on the wall under growing headings, where thrust carries less of
 its weight: a search for the heading at which it begins to slide. On a real wall this needs a tether.
 """
 
@@ -17,18 +18,25 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
+from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.tracking import stand
-from hil.procedures.parts.surface_slip import downhill, draw, held, rate, slip_of
+from hil.procedures.parts.surface_slip import downhill, draw, held, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.errors import ConfigError, SafetyStop
+from hil.vocabulary.geometry import Array
 
 DIRECTIONS = ("up", "down", "left", "right")
 _TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 _WITHOUT = {"encoders": None, "tracker": None}
+_FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
 _MARGIN_DEG = 5.0
 _STAGGER_S = 0.13
+_LEAST_SIGMA = 5e-4
+_WANDERING = 0.5  # of what is left of slip, per square root of a metre
 
 
 class Parameters(BaseModel):
@@ -106,7 +114,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, quick={"hold": False, "length_m": 0.5},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""
@@ -138,13 +146,18 @@ def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float
     driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
     every repetition, so that two worlds of one seed do not repeat each other's noise.
     """
-    bench = ctx.reopen(f"lines {number}", overrides=_WITHOUT)
+    filtered = all(name in ctx.source.config.devices() for name in _FOR_A_FILTER)
+    bench = ctx.reopen(f"lines {number}", overrides={"encoders": None} if filtered else _WITHOUT)
+    feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
     stand(bench, 0.5 + _STAGGER_S * number)
     found = {}
     for k, direction in enumerate(DIRECTIONS):
         pose = stand(bench)
-        motion = bench.drive(motions(p, pose)[direction], feedback="odometry", hold_s=0.5, start_pose=pose)
-        found[direction] = list(slip_of(motion, bench.geometry).per_metre())
+        motion = bench.drive(
+            motions(p, pose)[direction], feedback=feedback, observers=observers, hold_s=0.5, start_pose=pose
+        )
+        rolled = motion.observer("odometry") if filtered else motion.estimate
+        found[direction] = list(slip_of(motion, rolled).per_metre())
         ctx.progress(f"repetition {number}", k + 1, len(DIRECTIONS))
     return found
 
@@ -214,6 +227,31 @@ def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, 
     draw(ctx, rows)
     if holds:
         _hold(ctx, holds)
+    _leave(ctx, every)
+
+
+def _leave(ctx: Context, every: dict[str, Array]) -> None:
+    """Slip by direction for the estimator, with what the next line may differ by."""
+    found = next_lines(every, _SYSTEMATIC)
+    sigma = np.max([f.sigma for f in found.values()], axis=0)
+    along, across = (max(float(s), _LEAST_SIGMA) for s in sigma[:2])
+    table: dict[str, Any] = {
+        "creep": round(along, 6), "creep_across": round(across, 6),
+        "creep_per_sqrt_m": round(_WANDERING * along, 6),
+        **{f"known_{name}": [round(float(v), 6) for v in f.mean] for name, f in found.items()},
+    }  # fmt: skip
+    figures = {}
+    for name, line_slip in found.items():
+        for k, (axis, unit) in enumerate((("x", "m/m"), ("y", "m/m"), ("turn", "rad/m"))):
+            figures[f"{name}_{axis}"] = Figure(
+                value=float(line_slip.mean[k]), sigma=float(line_slip.sigma[k]), unit=unit
+            )
+    values: dict[str, Any] = {f"estimator.wall.{key}": value for key, value in table.items()}
+    friction = ctx.findings.values.get("friction", math.nan)
+    if math.isfinite(friction):
+        values["environment.friction"] = round(friction, 4)
+    leave_part(ctx, "slip", values=values, figures=figures, surface=ctx.source.config.environment.surface)
+    write_fragment(ctx, {"estimator": {"wall": table}}, "Slip per rolled metre, by direction of travel.")
 
 
 def _hold(ctx: Context, holds: dict[str, list[float | None]]) -> None:

@@ -7,6 +7,7 @@ applied and driven again, and left as a fragment of `bench.toml`.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any
 
@@ -16,23 +17,23 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
+from hil.config.record import Figure, Spread
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
+from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series, camera, poses
 from hil.procedure.tracking import stand
 from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
     Truth,
-    camera_path,
     intervals,
     join,
-    laid_over,
-    lateness_curve,
     shifted,
     solve,
 )
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.procedures.parts.tracker_report import draw_lateness, draw_path, table
+from hil.procedures.parts.tracker_scale import by_whole_legs, session_spread
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.clock import NS_PER_S
@@ -45,13 +46,18 @@ _LEAST_SCALE_SIGMA = 1e-5
 
 
 class Parameters(BaseModel):
-    """How far to turn (on a wall: as far as it allows) and to drive, and how often."""
+    """How far to turn (on a wall: as far as it allows) and to drive, and how often.
+
+    `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long
+    as the robot's record does not tell: a camera builds its map anew each time.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     turn_deg: float = Field(90.0, ge=5.0, le=180.0)
     way_m: float = Field(0.4, ge=0.1, le=3.0)
     repetitions: int = Field(2, ge=1, le=20)
     speed_m_s: float = Field(0.1, gt=0, le=3.5)
+    session_spread: float = Field(0.001, gt=0, le=0.05)
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:
@@ -124,7 +130,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, bench="emulated_floor",
+    measurements=measurements, plan=plan, bench="emulated_floor", quick={"repetitions": 1, "way_m": 0.8},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""
@@ -182,6 +188,7 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     truth_series, seen, parts = collected(motions)
     truth = Truth(truth_series)
     found = solve(parts, truth, config.mount_position_m, config.mount_rotation_wxyz)
+    found = by_whole_legs(motions, found)
     for k, axis in enumerate("xy"):
         ctx.measure(f"mount_{axis}", 1e3 * found.position_m[k])
         ctx.measure(f"mount_{axis}_uncertainty", 1e3 * found.position_uncertainty_m[k])
@@ -195,71 +202,11 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     ctx.measure("residual_position", 1e3 * found.position_rms_m)
     ctx.measure("residual_angle", 1e3 * found.angle_rms_rad)
     ctx.measure("outliers", found.outliers)
-    _table(ctx, found)
-    _draw_path(ctx, truth, seen, found)
-    _draw_lateness(ctx, parts, truth, found)
+    table(ctx, found)
+    draw_path(ctx, truth, seen, found)
+    draw_lateness(ctx, parts, truth, found)
     ctx.measure("before.position_rmse", 1e3 * disagreement_m(motions[:5]))
     return found
-
-
-def _table(ctx: Context, found: Extrinsics) -> None:
-    config = ctx.source.config.of(TrackerConfig)
-    assert config is not None
-    rows = [
-        [axis, f"{1e3 * config.mount_position_m[k]:+.1f}", f"{1e3 * found.position_m[k]:+.2f}",
-         f"± {1e3 * found.position_uncertainty_m[k]:.2f}", "mm"]
-        for k, axis in enumerate("xy")
-    ]  # fmt: skip
-    rows += [
-        [name, "0", f"{found.angles_rad[k] * _DEG:+.3f}",
-         f"± {found.angles_uncertainty_rad[k] * _DEG:.3f}", "deg"]
-        for k, name in enumerate(("roll", "pitch", "yaw"))
-    ]  # fmt: skip
-    rows.append(
-        ["scale", f"{config.scale:.5f}", f"{found.scale:.5f}", f"± {found.scale_uncertainty:.5f}", "1"]
-    )
-    rows.append(
-        ["latency", f"{1e3 * config.latency_s:.1f}", f"{1e3 * (config.latency_s + found.late_s):.2f}",
-         f"± {1e3 * found.late_uncertainty_s:.2f}", "ms"]
-    )  # fmt: skip
-    ctx.table(
-        "Camera on the body", ["", "believed", "found", "95 %", "unit"], rows,
-        "Angles are the turn of the mount against the one believed, about body axes. The height above the "
-        "surface cannot be seen from motion along it.",
-    )  # fmt: skip
-
-
-def _draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
-    """Path of the camera by motion capture, and by the camera, aligned to it."""
-    by_truth = camera_path(truth, seen.t_s - found.late_s, found)
-    laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
-    figure = new_figure(6.4, 4.2)
-    axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
-    x, y = thin(*by_truth.T)
-    axes.plot(y, x, color=PALETTE["truth"], lw=2.2, label="motion capture and mount found")
-    x, y = thin(*laid.T)
-    axes.plot(y, x, color=SERIES[0], lw=1.2, label="camera, aligned to it")
-    axes.invert_xaxis()
-    axes.set_aspect("equal", adjustable="datalim")
-    legend(axes)
-    ctx.figure(figure, "Path of the camera", "The camera's own path as a whole turned and shifted to fit.")
-
-
-def _draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsics) -> None:
-    config = ctx.source.config.of(TrackerConfig)
-    assert config is not None
-    late = found.late_s + np.linspace(-0.03, 0.03, 61)
-    curve = lateness_curve(parts, truth, found, config.mount_rotation_wxyz, late)
-    figure = new_figure(6.4, 3.0)
-    axes = style(figure.add_subplot(), "lateness of the camera's stamps (ms)", "error of the turn (mrad)")
-    axes.plot(1e3 * late, 1e3 * curve, color=SERIES[0], lw=1.5)
-    axes.axvline(1e3 * found.late_s, color=PALETTE["reference"], lw=1.2, ls="--", label="found")
-    axes.axvline(0.0, color=PALETTE["truth"], lw=0.8, label="believed")
-    axes.set_ylim(bottom=0.0)
-    legend(axes)
-    ctx.figure(
-        figure, "Time offset", "RMS over all intervals; the valley is where camera and body turn together."
-    )
 
 
 def disagreement_m(motions: list[Motion]) -> float:
@@ -284,11 +231,13 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
     x, y = found.position_m
+    own_sigma = max(0.5 * found.scale_uncertainty, _LEAST_SCALE_SIGMA)
+    spread = session_spread(ctx, found.scale)
     values: dict[str, Any] = {
         "mount_position_m": [round(float(v), 5) for v in (x, y, config.mount_position_m[2])],
         "mount_rotation_wxyz": [round(float(v), 6) for v in found.rotation_wxyz],
         "scale": round(found.scale, 5),
-        "scale_sigma": float(f"{max(0.5 * found.scale_uncertainty, _LEAST_SCALE_SIGMA):.2g}"),
+        "scale_sigma": float(f"{math.hypot(own_sigma, spread):.2g}"),
         "latency_s": round(max(0.0, config.latency_s + found.late_s), 5),
     }
     true = {
@@ -299,3 +248,39 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
     bench = ctx.reopen("applied", overrides=overrides)
     ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
     write_fragment(ctx, {"tracker": values}, "Mount, scale and latency of the tracking camera.")
+    _leave(ctx, found, values, own_sigma, spread)
+
+
+def _leave(ctx: Context, found: Extrinsics, values: dict[str, Any], own_sigma: float, spread: float) -> None:
+    """The camera's part of the record.
+
+    Args:
+        ctx: of the run.
+        found: mount, scale and lateness.
+        values: keys of `[tracker]`.
+        own_sigma: of the scale in this session.
+        spread: of the scale from session to session.
+    """
+    config = ctx.source.config.of(TrackerConfig)
+    assert config is not None
+    late_s = config.latency_s + found.late_s
+    figures = {
+        "scale": Figure(value=found.scale, sigma=own_sigma),
+        "scale_from_session_to_session": Figure(value=spread),
+        "latency": Figure(value=late_s, sigma=0.5 * found.late_uncertainty_s, unit="s"),
+    }
+    for k, axis in enumerate("xy"):
+        half_m = float(found.position_uncertainty_m[k])
+        figures[f"mount_{axis}"] = Figure(value=float(found.position_m[k]), sigma=0.5 * half_m, unit="m")
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        half_rad = float(found.angles_uncertainty_rad[k])
+        figures[f"mount_{axis}_correction"] = Figure(
+            value=float(found.angles_rad[k]), sigma=0.5 * half_rad, unit="rad"
+        )
+    names = ("mount_x", "mount_y", "mount_roll_correction", "mount_pitch_correction", "mount_yaw_correction",
+             "scale", "latency")  # fmt: skip
+    matrix = tuple(tuple(float(v) for v in row) for row in found.covariance)
+    leave_part(
+        ctx, "camera", values={f"tracker.{key}": value for key, value in values.items()}, figures=figures,
+        covariance=Spread(names=names, matrix=matrix),
+    )  # fmt: skip

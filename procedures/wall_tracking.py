@@ -27,7 +27,7 @@ from hil.procedure.tracking import (
     time_figure,
     tracking_errors,
 )
-from hil.procedures.parts.workers import worker_pool
+from hil.procedure.workers import worker_pool
 from hil.robot.trajectories import Trajectory, line, scan
 from hil.vocabulary.geometry import ArrayLike
 

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 @click.option(
     "--dry-run", "dry", is_flag=True, help="Print steps, check limits and trajectories, move nothing."
 )
+@click.option("--quick", is_flag=True, help="The procedure's quick form; --set counts above it.")
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
 @click.option("--on-recording-failure", "on_failure", type=click.Choice(["stop", "go-on"]), default="stop",
               show_default=True, help="When the disk no longer takes recording or journal.")  # fmt: skip
@@ -46,7 +47,7 @@ def command(
     script: str, bench: str | None, emulate: str | None, settings: tuple[str, ...], seed: int,
     start_pose: str | None, realtime: bool,
     faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
-    answers: Path | None, on_failure: OnFailure, as_json: bool,
+    quick: bool, answers: Path | None, on_failure: OnFailure, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure: a path to a Python file, or the name of a shipped one."""
     from hil.procedure.bench_source import BenchSource
@@ -55,7 +56,8 @@ def command(
     from hil.procedure.scripts import load_procedure
 
     proc = load_procedure(script)
-    parameters, overrides = split_settings(settings)
+    given, overrides = split_settings(settings)
+    parameters = proc.settings(given, quick=quick)
     source = BenchSource(
         bench or proc.bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
         overrides={**overrides, **start.start_override(start_pose)}, calibration=calibration,
@@ -87,7 +89,7 @@ def _tell(text: str) -> None:
 
 
 def _run(
-    proc: Procedure, source: Any, folder: Path, parameters: dict[str, str], answers: Path | None,
+    proc: Procedure, source: Any, folder: Path, parameters: dict[str, Any], answers: Path | None,
     resume: bool, on_failure: OnFailure, interrupts: Interrupts,
 ) -> Result:  # fmt: skip
     from hil.procedure.operator import Answers, Terminal

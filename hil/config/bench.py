@@ -21,6 +21,7 @@ from hil.config.sections import (
     EmulationConfig,
     ExitConfig,
     LoopConfig,
+    RecordConfig,
     SafetyConfig,
     Strict,
 )
@@ -51,6 +52,7 @@ class BenchConfig(Strict):
     safety: SafetyConfig = SafetyConfig()
     alignment: AlignmentConfig = AlignmentConfig()
     emulation: EmulationConfig = EmulationConfig()
+    record: RecordConfig = RecordConfig()
     exit: ExitConfig = ExitConfig()
     robot: RobotConfig = RobotConfig()
     control: ControlConfig = ControlConfig()

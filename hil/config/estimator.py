@@ -14,6 +14,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.vocabulary.errors import ConfigError
 
+PerMetre = tuple[float, float, float]
+
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -69,6 +71,9 @@ class SlipModel(_Strict):
         creep_per_sqrt_m: random walk of `creep` per square root of rolled metre; across in proportion.
         yaw_rad_m: prior standard deviation of the turn per rolled metre.
         yaw_per_sqrt_m: its random walk per square root of rolled metre.
+        known_up, known_down, known_left, known_right: slip per rolled metre when driving in that direction,
+            as `surface_identification` found it: along wall x and wall y (m/m), and turn (rad/m). `creep`,
+            `creep_across` and `yaw_rad_m` are then priors of what is left.
     """
 
     slip_m_s: float = Field(ge=0)
@@ -79,6 +84,10 @@ class SlipModel(_Strict):
     creep_per_sqrt_m: float = Field(0.01, ge=0)
     yaw_rad_m: float = Field(0.01, ge=0)
     yaw_per_sqrt_m: float = Field(0.002, ge=0)
+    known_up: PerMetre = (0.0, 0.0, 0.0)
+    known_down: PerMetre = (0.0, 0.0, 0.0)
+    known_left: PerMetre = (0.0, 0.0, 0.0)
+    known_right: PerMetre = (0.0, 0.0, 0.0)
 
 
 class GyroNoise(_Strict):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from datetime import date
 from importlib import resources
 from pathlib import Path
 from typing import Any, get_args
@@ -16,11 +17,12 @@ from pydantic import BaseModel, ValidationError
 from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
 from hil.config.older import area_twice, lifted, told_where_now
+from hil.config.record.overlay import check_record, laid_over
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml, toml_tables
 
-_PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh")
+_PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
 """Tables of `estimator` that speak of a device."""
 
@@ -62,18 +64,21 @@ def load_bench(
     *,
     emulate: str | tuple[str, ...] | None = None,
     overrides: Mapping[str, object] | None = None,
+    today: date | None = None,
 ) -> BenchConfig:
-    """Read and check a bench configuration.
+    """Read and check a bench configuration, with what the record that it names knows of the robot.
 
     Args:
         source: path, profile name, or a model that is already built.
         emulate: `all` or device names whose backend is switched to emulated.
         overrides: dotted key -> value, applied before validation. With another model of a device
             (`imu.model`) the keys of its table that only the model of the source has are left out.
+        today: what the validity of the record's parts is judged on, today by default.
 
     Raises:
-        ConfigError: listing every problem with its dotted path.
+        ConfigError: listing every problem with its dotted path, or a record that cannot be used.
     """
+    record = None
     if isinstance(source, BenchConfig):
         tree, origin = source.model_dump(by_alias=True, exclude_unset=True), source.name
     else:
@@ -83,12 +88,16 @@ def load_bench(
         else:
             _forget_noise(tree, overrides or {})
     _change_models(tree, overrides or {})
+    if not isinstance(source, BenchConfig):
+        record = laid_over(tree, overrides or {}, today or date.today())
     for dotted, value in (overrides or {}).items():
         _overlay(tree, dotted, value)
     _anchor(tree, Path.cwd())
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"
-    return validate(tree, origin)
+    config = validate(tree, origin)
+    check_record(record, config)
+    return config
 
 
 def _change_models(tree: dict[str, Any], overrides: Mapping[str, object]) -> None:

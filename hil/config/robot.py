@@ -28,6 +28,7 @@ class RobotConfig(BaseModel):
     """Nominal robot; body frame x forward, y left, wheels FL, BL, BR, FR; figures of arXiv 2509.04016.
 
     Attributes:
+        name: of this very robot; its record is refused to others. Left out, the bench's name.
         wheel_x_m, wheel_y_m, wheel_radius_m: contact points in the body, and radii.
         mass_kg: with payload.
         centre_of_mass_m: x, y in the body, height above the surface.
@@ -44,6 +45,7 @@ class RobotConfig(BaseModel):
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
+    name: str = ""
     wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
     wheel_y_m: Wheels = (0.1125, 0.1125, -0.1125, -0.1125)
     wheel_radius_m: tuple[Positive, Positive, Positive, Positive] = (0.0254, 0.0254, 0.0254, 0.0254)

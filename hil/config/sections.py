@@ -1,10 +1,10 @@
-"""Sections of `bench.toml` that belong to no device: loop, safety, alignment, emulation, exit."""
+"""Sections of `bench.toml` that belong to no device: loop, safety, alignment, emulation, record, exit."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from hil.config.values import HeadingLimit, WheelRate, Within
 
@@ -121,6 +121,27 @@ class EmulationConfig(Strict):
     faults: tuple[str, ...] = ()
     replay: str | None = None
     replay_after_s: float = Field(4.0, ge=0.0)
+
+
+class RecordConfig(Strict):
+    """The record of the robot, in which procedures keep what they find out.
+
+    Attributes:
+        folder: of the record; need not exist yet. What is in it counts instead of what the bench file says,
+            and a procedure that passed adds its part.
+        without: parts of it that are not to be applied.
+        valid_days: for how long a part that is added may be used; without it there is no end.
+    """
+
+    folder: str | None = None
+    without: tuple[str, ...] = ()
+    valid_days: int | None = Field(None, ge=1, le=36500)
+
+    @field_validator("without", mode="before")
+    @classmethod
+    def _listed(cls, value: Any) -> Any:
+        """Names separated by commas, as an option gives them."""
+        return tuple(filter(None, value.split(","))) if isinstance(value, str) else value
 
 
 class ExitConfig(Strict):

@@ -32,7 +32,7 @@ class Context(Notebook):
     """One run of a procedure, as seen from inside.
 
     Args:
-        parameters, source, folder, clock, started: as in the attributes.
+        parameters, source, folder, procedure, clock, started: as in the attributes.
         declared: measurements that may be left.
         journal: where finished checkpoints are noted.
         operator: who answers prompts.
@@ -42,6 +42,7 @@ class Context(Notebook):
         on_recording_failure: what a disk that takes no more means for the run.
 
     Attributes:
+        procedure: its name.
         parameters: the procedure's, typed.
         source: which bench, to open it again (`reopen`) or in another process.
         clock: for how long computing takes; the bench has its own.
@@ -55,6 +56,7 @@ class Context(Notebook):
         source: BenchSource,
         folder: Path,
         *,
+        procedure: str = "",
         declared: Sequence[Measurement],
         journal: Journal,
         clock: Clock,
@@ -66,6 +68,7 @@ class Context(Notebook):
         on_recording_failure: OnFailure = "stop",
     ) -> None:
         super().__init__(folder, declared, journal)
+        self.procedure = procedure
         self.parameters, self.source = parameters, source
         self.guard = LoopGuard(interrupts)
         self._operator = operator

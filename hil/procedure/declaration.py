@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
@@ -60,6 +60,7 @@ class Procedure:
         plan: steps and trajectories from parameters and bench configuration, for a dry run.
         teardown_s: time limit of each teardown action.
         bench: profile that it runs on when no bench is named.
+        quick: parameters of its quick form (`hil run NAME --quick`); empty for one that has none.
         summary: first line of the function's docstring.
     """
 
@@ -71,6 +72,7 @@ class Procedure:
     plan: Plan | None = None
     teardown_s: float = 30.0
     bench: str = "emulated"
+    quick: Mapping[str, Any] = field(default_factory=dict)
     summary: str = ""
 
     def declared(self, parameters: Any, config: BenchConfig) -> tuple[Measurement, ...]:
@@ -91,6 +93,18 @@ class Procedure:
             return ()
         return tuple(PlannedStep(m["title"]) for m in _STEP_CALL.finditer(source))
 
+    def settings(self, given: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
+        """Parameters to run with: those given, over those of the quick form where that is asked for.
+
+        Raises:
+            UsageError: it has no quick form.
+        """
+        if quick and not self.quick:
+            raise UsageError(
+                f"procedure {self.name} has no quick form", remedy="leave --quick out, use --set"
+            )
+        return {**(self.quick if quick else {}), **given}
+
     def check_needs(self, config: BenchConfig) -> None:
         """Raise `ConfigError` naming the devices that the bench lacks."""
         missing = [n for n in self.needs if getattr(config, n, None) is None]
@@ -110,6 +124,7 @@ def procedure(
     plan: Plan | None = None,
     teardown_s: float = 30.0,
     bench: str = "emulated",
+    quick: Mapping[str, Any] | None = None,
 ) -> Callable[[Body], Procedure]:
     """Declare a function as a procedure.
 
@@ -121,6 +136,7 @@ def procedure(
         plan: steps and trajectories, for a dry run.
         teardown_s: time limit of each teardown action, s.
         bench: profile that it runs on when no bench is named.
+        quick: parameters of its quick form.
 
     Raises:
         UsageError: a name or device that does not exist, or measurements that contradict themselves.
@@ -140,7 +156,8 @@ def procedure(
     def declare(body: Body) -> Procedure:
         summary = (inspect.getdoc(body) or "").partition("\n")[0]
         return Procedure(
-            name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, summary
+            name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, dict(quick or {}),
+            summary,
         )  # fmt: skip
 
     return declare

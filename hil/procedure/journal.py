@@ -24,7 +24,7 @@ LOG = logging.getLogger(__name__)
 SCHEMA = 1
 NAME = "journal.jsonl"
 _KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
-                    "figure", "note", "recording", "answer", "end"})  # fmt: skip
+                    "figure", "data", "note", "recording", "answer", "end"})  # fmt: skip
 
 _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "checkpoint": {"title": str},
@@ -33,6 +33,7 @@ _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "attach": {"name": str, "path": str},
     "figure": {"title": str, "caption": str, "path": str},
     "table": {"title": str, "head": list, "rows": list, "note": str},
+    "data": {"name": str, "value": object},
     "note": {"text": str},
     "recording": {"path": str},
     "end": {"verdict": str},

@@ -10,8 +10,9 @@ import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from hil.config.record import NewPart
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.vocabulary.errors import UsageError
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Findings:
-    """What a run has left so far; the lists hold JSON values."""
+    """What a run has left so far; the lists hold JSON values, `learned` parts of the robot's record."""
 
     values: dict[str, float] = field(default_factory=dict)
     measured_in: dict[str, str] = field(default_factory=dict)
@@ -30,8 +31,10 @@ class Findings:
     tables: list[Entry] = field(default_factory=list)
     figures: list[Entry] = field(default_factory=list)
     attachments: list[Entry] = field(default_factory=list)
+    data: dict[str, Any] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
+    learned: dict[str, NewPart] = field(default_factory=dict)
 
 
 class Notebook:
@@ -131,6 +134,11 @@ class Notebook:
         self.findings.attachments.append(entry)
         return inside
 
+    def leave_data(self, name: str, value: Any) -> None:
+        """Leave JSON values for other programs, as `data` of `result.json`."""
+        self._journal.add("data", {"name": name, "value": value})
+        self.findings.data[name] = value
+
     def note(self, text: str) -> None:
         """Leave a sentence for the reader of the report."""
         self._journal.add("note", {"text": text})
@@ -149,6 +157,8 @@ class Notebook:
                 self._keep_value(data["name"], data["value"], title)
             elif kind in lists:
                 lists[kind].append(data)
+            elif kind == "data":
+                self.findings.data[data["name"]] = data["value"]
             elif kind == "note":
                 self.findings.notes.append(data["text"])
 

@@ -22,6 +22,7 @@ from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
+from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
@@ -105,21 +106,35 @@ def _recorded_run(
         else:
             journal.add("resume", {"started": options.started})
         context = Context(
-            parameters, source, options.folder, declared=declared, journal=journal, clock=options.clock,
-            started=options.started, operator=options.operator, report=options.report, interrupts=interrupts,
-            past=past.checkpoints if past else {}, on_recording_failure=options.on_recording_failure,
+            parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal,
+            clock=options.clock, started=options.started, operator=options.operator, report=options.report,
+            interrupts=interrupts, past=past.checkpoints if past else {},
+            on_recording_failure=options.on_recording_failure,
         )  # fmt: skip
         begin_ns = options.clock.now_ns()
         error, late, statistics = _execute(proc, context, interrupts)
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
-        facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics}
         late += _not_held(context, error or next(iter(late), None))
+        kept = _learnt(proc, context, declared, error, late)
+        facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics, "record": kept}
         result = _kept(conclude(proc, context, declared, error, late, facts))
         with suppress(RecordingError):
             journal.add("end", {"verdict": result.verdict.value})
     finally:
         journal.close()
     return result
+
+
+def _learnt(
+    proc: Procedure, context: Context, declared: tuple[Measurement, ...], error: Failure | None,
+    late: list[Failure],
+) -> dict[str, Any] | None:  # fmt: skip
+    """What the run adds to the record of the robot; a record that does not take it is one of `late`."""
+    verdict = conclude(proc, context, declared, error, late, {}).verdict
+    kept, problem = keep_parts(context, verdict)
+    if problem is not None:
+        late.append(_failure(problem, context, "keeping what was found in the record"))
+    return kept
 
 
 def _kept(result: Result) -> Result:
@@ -283,6 +298,7 @@ def _facts(
         "figures": findings.figures,
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
+        "data": findings.data,
         "notes": findings.notes,
         "held": _held(context),
     }

@@ -10,7 +10,7 @@ from pathlib import Path
 from hil.calibration.datasets import Recording
 from hil.procedure import BenchSource, Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedures.parts.workers import worker_pool
+from hil.procedure.workers import worker_pool
 from hil.recording.plain_csv import read_plain
 from hil.vocabulary.clock import NS_PER_S
 

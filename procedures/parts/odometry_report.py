@@ -8,22 +8,23 @@ from typing import Any
 import numpy as np
 
 from hil.calibration.calibrate import Calibration
+from hil.calibration.choice import Candidate
 from hil.calibration.evaluation import Track, evaluate
-from hil.calibration.problem import Setting
 from hil.procedure import Context
 from hil.procedures.parts.odometry_rounds import Driven, Odometry, improve
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 
 def show(
-    ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, setting: Setting,
-    method: str, compared_methods: Sequence[str],
+    ctx: Context, rounds: Sequence[Driven], fresh: Driven, result: Calibration, method: str,
+    compared_methods: Sequence[str],
 ) -> None:  # fmt: skip
     """Everything that a person needs to judge the result."""
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
+    used = Candidate(model, result.setting, result.nominal)
     for other in compared_methods:
-        columns[other] = Odometry(improve(ctx, result.recordings, setting, other).geometry, model)
+        columns[other] = Odometry(improve(ctx, result.recordings, used, other).geometry, model)
     parameter_table(ctx, columns, result)
     before, after = rounds[0].tracks(), fresh.tracks()
     error_table(ctx, "Table II: errors before calibration", evaluate(before))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -11,11 +11,11 @@ import numpy as np
 from scipy import stats
 
 from hil.ring.motion import Motion
-from hil.robot.kinematics import WheelGeometry, twist_of_vectors, wheel_vectors
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 
 _HELD_M = 2e-3
+_TILT_RAD = 0.02  # how far the direction of slip may be off that of gravity in the next line
 
 
 @dataclass(frozen=True)
@@ -42,10 +42,16 @@ class Slip:
         )
 
 
-def slip_of(motion: Motion, geometry: WheelGeometry) -> Slip:
-    """Truth from motion capture minus wheel odometry that is laid along the true heading.
+def slip_of(motion: Motion, rolled: Array) -> Slip:
+    """Truth from motion capture minus wheel odometry, laid along the true heading.
 
-    With the true heading a drift in heading does not appear as slip sideways.
+    With the true heading a drift in heading does not appear as slip sideways. The odometry is the bench's
+    own, with
+    its wheels and its forward model: a filter that reads the wheels alike has this slip to reckon with.
+
+    Args:
+        motion: driven.
+        rolled: (n, 3) poses by odometry, one per cycle.
 
     Raises:
         DataError: wheels or motion capture are missing for part of the motion, or nothing was rolled.
@@ -55,22 +61,19 @@ def slip_of(motion: Motion, geometry: WheelGeometry) -> Slip:
     if np.count_nonzero(known) < 10:
         raise DataError("surface_identification", "has no wheels or no ground truth for a whole motion",
                         remedy="hil run bring_up")  # fmt: skip
-    wheels, truth = wheels[known], truth[known]
-    heading = np.unwrap(truth[:, 2])
-    middle = 0.5 * (wheels[1:, 4:] + wheels[:-1, 4:]) - geometry.steering_zero_rad
-    u = wheel_vectors(np.diff(wheels[:, :4], axis=0) * geometry.radius_m, middle)
-    rolled = twist_of_vectors(geometry, u)
-    along = 0.5 * (heading[1:] + heading[:-1])
-    c, s = np.cos(along), np.sin(along)
-    by_wheels = np.array(
-        [np.sum(c * rolled[:, 0] - s * rolled[:, 1]), np.sum(s * rolled[:, 0] + c * rolled[:, 1])]
-    )
-    way_m = float(np.hypot(rolled[:, 0], rolled[:, 1]).sum())
+    rolled, truth = rolled[known], truth[known]
+    heading, believed = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
+    off = heading - believed
+    turn = 0.5 * (off[1:] + off[:-1])
+    c, s = np.cos(turn), np.sin(turn)
+    step = np.diff(rolled[:, :2], axis=0)
+    by_wheels = np.array([np.sum(c * step[:, 0] - s * step[:, 1]), np.sum(s * step[:, 0] + c * step[:, 1])])
+    way_m = float(np.hypot(step[:, 0], step[:, 1]).sum())
     if way_m < 0.05:
         raise DataError("surface_identification", f"rolled only {1e3 * way_m:.0f} mm in a motion",
                         expected="the wheels to drive the line")  # fmt: skip
     lost = truth[-1, :2] - truth[0, :2] - by_wheels
-    turned = heading[-1] - heading[0] - float(np.sum(rolled[:, 2]))
+    turned = off[-1] - off[0]
     return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
 
 
@@ -96,6 +99,38 @@ def rate(there: ArrayLike, back: ArrayLike, systematic: float) -> Rate:
         quantile = float(stats.t.ppf(0.975, len(pairs) - 1))
         spread = quantile * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))
     return Rate(mean, math.hypot(spread, systematic * mean))
+
+
+@dataclass(frozen=True)
+class NextLine:
+    """What a line in one direction will slip: (3,) per metre along wall x, wall y, and turning; its sigma."""
+
+    mean: Array
+    sigma: Array
+
+
+def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, NextLine]:
+    """What the next line will slip in each direction, from those that were driven.
+
+    Args:
+        every: downhill, leftward (m/m) and turning (rad/m) of each repetition, (n, 3) by direction.
+        systematic: as for `rate`.
+    """
+    rows = {name: np.asarray(found, dtype=np.float64) for name, found in every.items()}
+    n = min(len(found) for found in rows.values())
+    freedom = max(1, sum(len(found) - 1 for found in rows.values()))
+    spread = np.sqrt(
+        sum(((found - found.mean(axis=0)) ** 2).sum(axis=0) for found in rows.values()) / freedom
+    )
+    away = np.array([-1.0, 1.0, 1.0])
+    found = {}
+    for name, own in rows.items():
+        mean = own.mean(axis=0)
+        unseen = 0.5 * systematic * np.abs(mean)
+        unseen[1] = math.hypot(unseen[1], _TILT_RAD * mean[0])
+        sigma = np.hypot(spread * math.sqrt(1.0 + 1.0 / n), unseen)
+        found[name] = NextLine(away * mean, sigma)
+    return found
 
 
 def moved_at_rest(motion: Motion) -> float:

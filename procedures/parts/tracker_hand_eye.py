@@ -57,6 +57,7 @@ class Extrinsics:
         late_s, late_uncertainty_s: by how much the camera's stamps are later than the truth.
         position_rms_m, angle_rms_rad: what is left, per interval and axis.
         outliers: share of intervals beyond four sigma.
+        covariance: (7, 7) of x, y, roll, pitch, yaw, scale, lateness: m, m, rad, rad, rad, 1, s.
     """
 
     position_m: Array
@@ -71,6 +72,7 @@ class Extrinsics:
     position_rms_m: float
     angle_rms_rad: float
     outliers: float
+    covariance: Array
 
 
 def intervals(seen: Series, span_s: float = INTERVAL_S) -> Intervals:
@@ -163,12 +165,14 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
         moved, turned = errors(z)
         sigma = _scatter(moved), _scatter(turned)
     jacobian: Array = np.asarray(least_squares(residuals, z, x_scale=_SCALES, max_nfev=1).jac)
-    half = 2.0 * np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
+    covariance = np.linalg.inv(jacobian.T @ jacobian)
+    half = 2.0 * np.sqrt(np.diag(covariance))
     far = (np.abs(moved) > 4.0 * sigma[0]).any(axis=1) | (np.abs(turned) > 4.0 * sigma[1]).any(axis=1)
     return Extrinsics(
         z[0:2], half[0:2], quat_multiply(quat_from_rotvec(z[2:5]), believed_wxyz), z[2:5], half[2:5],
         1.0 + float(z[5]), float(half[5]), float(z[6]), float(half[6]),
         float(np.sqrt(np.mean(moved**2))), float(np.sqrt(np.mean(turned**2))), float(far.mean()),
+        covariance,
     )  # fmt: skip
 
 

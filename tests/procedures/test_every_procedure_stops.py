@@ -28,6 +28,7 @@ SHORT = {
     "steering_zero": {"sweep_s": 2.0, "sweeps": 1, "leg_m": 0.1, "legs": 1},
     "surface_identification": {"length_m": 0.2, "repetitions": 4, "hold_step_deg": 2.0},
     "tracker_extrinsics": {"turn_deg": 30.0, "way_m": 0.1, "repetitions": 1},
+    "wall_ablation": {"cases": "y_line", "length_m": 0.1, "duration_s": 3.0, "hold_s": 0.5, "processes": 1},
     "wall_tracking": {
         "cases": "y_line", "feedbacks": "odometry", "optimal": False, "length_m": 0.1, "duration_s": 3.0,
         "hold_s": 0.5,

@@ -5,7 +5,8 @@ With d = (d_x, d_y, turn) in the frame half-way: rolled = d_xy - R' (s dt + c rh
 and scale times D more where the wheel scale is free; s, c and kappa are the slip states. rho is the mean
 displacement of the wheels and D that of the body by the wheels, both at the speed of the last half second:
 with the step's own displacement, measured or estimated, its errors would correlate with the row and be taken
-for slip or scale.
+for slip or scale. What is known of the slip per rolled metre, by direction of travel, is added to what the
+wheels say before it is compared; c and kappa are what is left of it.
 
 `aux` is (dt_s, rho_m, D: m, m, rad).
 """
@@ -67,6 +68,7 @@ FIGURES = {
 }  # fmt: skip
 
 ROLLING_S = 0.5
+SLOWEST_M_S = 1e-5
 BODY_ROWS = 3
 _FOUR = (4,)
 
@@ -84,6 +86,8 @@ class Parameters(Record):
         friction_window_s: of `hil.estimator.friction`; 0: least squares.
         creeping: 1 for creep, 0 for dry friction.
         scaled: 1 where the state's scale error is that of the wheels, else 0.
+        known: slip per rolled metre when driving up, down, left and right: wall x, wall y (m/m), turn
+            (rad/m).
         contacts: the wheels on the surface.
         of_body: (8, 3): body displacement to what is compared.
         of_wheels: (8, 8): wheel displacements to what is compared.
@@ -99,6 +103,7 @@ class Parameters(Record):
     friction_window_s: float
     creeping: float
     scaled: float
+    known: Annotated[Array, 4, 3]
     contacts: Contacts
     of_body: Annotated[Array, 8, 3]
     of_wheels: Annotated[Array, 8, 8]
@@ -113,6 +118,7 @@ class Memory(Record):
         speed_m_s: mean speed of the wheels over the last half second.
         ahead_m_s, left_m_s: velocity of the body between the last two reads, by the wheels alone.
         mean: velocity of the body (m/s, m/s, rad/s) by the wheels over the last half second.
+        heading_rad: of the estimate at that read.
         window_m: sum of the last displacements, for friction.
         innovation_m: of the first two rows, as a length.
         refused: how often each wheel's equations were left out.
@@ -126,6 +132,7 @@ class Memory(Record):
     ahead_m_s: float
     left_m_s: float
     mean: Annotated[Array, 3]
+    heading_rad: float
     window_m: Eight
     innovation_m: float
     refused: Four
@@ -143,7 +150,7 @@ class Row(Record):
 
 def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, Any]:
     """Values of `Parameters`."""
-    w = config.wheels
+    w, slip = config.wheels, config.wall if surface == "wall" else config.floor
     of_body, of_wheels = np.zeros((ROWS, BODY_ROWS)), np.zeros((ROWS, ROWS))
     if w.model == "equations":
         of_body[:], of_wheels[:] = projection(geometry.x_m, geometry.y_m), np.eye(ROWS)
@@ -157,6 +164,7 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
         "from_rate": w.source == "velocity", "rows": ROWS if w.model == "equations" else BODY_ROWS,
         "friction_window_s": w.friction_window_s if w.model in ("dry-friction", "creep") else 0.0,
         "creeping": w.model == "creep", "scaled": config.wheel_scale_sigma > 0,
+        "known": np.array([slip.known_up, slip.known_down, slip.known_left, slip.known_right]),
         "contacts": contact_values(geometry), "of_body": of_body, "of_wheels": of_wheels,
     }  # fmt: skip
 
@@ -237,6 +245,31 @@ def body_rows(
 
 
 @compiled
+def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
+    """Slip (3,) of a step of `dt_s` that is known beforehand: m, m, rad, body frame.
+
+    Weight pulls along wall x whatever the direction; what gives way is stiffness along the wheels and across
+    them. So the slip between two axes goes by the squares of the direction's cosines, with the product
+    between the axes that such a tensor has.
+    """
+    c, s = math.cos(m.heading_rad), math.sin(m.heading_rad)
+    up, left = c * m.mean[0] - s * m.mean[1], s * m.mean[0] + c * m.mean[1]
+    speed = math.hypot(up, left)
+    out = np.zeros(BODY_ROWS)
+    if speed < SLOWEST_M_S:
+        return out
+    up, left = up / speed, left / speed
+    k, along, across = par.known, 0 if up > 0.0 else 1, 2 if left > 0.0 else 3
+    for j in range(BODY_ROWS):
+        out[j] = up * up * k[along, j] + left * left * k[across, j]
+    x, y, turn = out[0], out[1], out[2]
+    y += 0.5 * up * left * (k[0, 0] + k[1, 0] - k[2, 0] - k[3, 0])
+    rolled_m = speed * dt_s
+    out[0], out[1], out[2] = (c * x + s * y) * rolled_m, (c * y - s * x) * rolled_m, turn * rolled_m
+    return out
+
+
+@compiled
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """Wheel displacements since the last read as eight or three rows."""
     dt = (t_ns - m.t_ns) * 1e-9
@@ -272,8 +305,13 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     if par.rows > BODY_ROWS:
         z[:] = u
         var[:] = noise
-        return ROWS
-    return body_rows(u, noise, count, dt, m, par, z, var)
+        rows = ROWS
+    else:
+        rows = body_rows(u, noise, count, dt, m, par, z, var)
+    slipped, f = known_slip(m, par, dt), par.of_body
+    for j in range(rows):
+        z[j] += f[j, 0] * slipped[0] + f[j, 1] * slipped[1] + f[j, 2] * slipped[2]
+    return rows
 
 
 @compiled
@@ -371,6 +409,7 @@ def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramete
         valid = row.valid[i] > 0.0
         m.angle_rad[i] = row.angle_rad[i] if valid else math.nan
         m.steering_rad[i] = row.steering_rad[i] if valid else math.nan
+    m.heading_rad = x[THETA]
     clone_pose(x, p)
 
 

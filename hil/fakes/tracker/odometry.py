@@ -72,6 +72,9 @@ class VisualOdometry:
         self._options, self._rng = options, rng
         self._mount_m, self._mount_wxyz = mount_position_m, mount_rotation_wxyz
         self.scale = 1.0 + options.scale_sigma * float(rng.standard_normal())
+        if options.session_scale_sigma > 0.0:
+            session = np.random.default_rng((options.session, int(self.scale * 1e12)))
+            self.scale += options.session_scale_sigma * float(session.standard_normal())
         self._yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
         self._draws: list[list[float]] = []
         self._started = False

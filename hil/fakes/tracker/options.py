@@ -11,6 +11,8 @@ class TrackerTruthOptions:
 
     Attributes:
         scale_sigma: relative scale error of the visual odometry, standard deviation over cameras.
+        session_scale_sigma, session: the scale differs from one session to the next, this much (one sigma);
+            each `session` has its own.
         yaw_rate_sigma_rad_s: constant heading drift about gravity, standard deviation over cameras.
         yaw_walk_rad_sqrt_s: random walk of that heading.
         position_walk_m_sqrt_m: random walk of the position per square root of the travelled metre.
@@ -29,6 +31,8 @@ class TrackerTruthOptions:
     """
 
     scale_sigma: float = 0.005
+    session_scale_sigma: float = 0.0
+    session: int = 0
     yaw_rate_sigma_rad_s: float = 5e-5
     yaw_walk_rad_sqrt_s: float = 2e-4
     position_walk_m_sqrt_m: float = 0.002

@@ -1,0 +1,122 @@
+"""Which forward model, wheel loads and tyre ratio: decided by recordings that the fit did not see.
+
+On the emulated wall's own plant creep under unequal loads predicts best, in another physics and on the
+recordings of the real robot dry friction does (`docs/calibration.md`). No residual tells which: a wrong
+model fits what it was fitted to about as well. So every candidate is fitted without one repetition at a time
+and judged on that one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hil.calibration.blocks import reduce_recordings
+from hil.calibration.datasets import Recording
+from hil.calibration.evaluation import position_rmse, track
+from hil.calibration.fitting import fit
+from hil.calibration.problem import Setting
+from hil.calibration.validation import repetition_numbers
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.progress import Report, silent
+
+_MOST_FOLDS = 5
+_BOOTSTRAP = 2000
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A way to read the wheels: its name, setting with forward model, geometry with loads and ratio."""
+
+    name: str
+    setting: Setting
+    nominal: WheelGeometry
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The candidate that predicts best, and how all did.
+
+    Attributes:
+        best: the one chosen.
+        held_out_m: position RMSE on recordings left out of the fit, mean, by candidate.
+        confidence: share of bootstrap draws over recordings in which it predicts better than the runner-up.
+    """
+
+    best: Candidate
+    held_out_m: dict[str, float]
+    confidence: float
+
+    def in_words(self) -> str:
+        """One sentence for a report."""
+        order = sorted(self.held_out_m, key=lambda name: self.held_out_m[name])
+        others = ", ".join(f"{name} {1e3 * self.held_out_m[name]:.2f} mm" for name in order[1:])
+        clear = "clear" if self.confidence > 0.975 else "no clear choice"
+        return (
+            f"Forward model by held-out recordings: {order[0]}, {1e3 * self.held_out_m[order[0]]:.2f} mm; "
+            f"{others}. Better than the next with a confidence of {100 * self.confidence:.0f} %: {clear}."
+        )
+
+
+def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
+    """The forward models; creep also with equal loads, and with tyres alike lengthwise and sideways."""
+    creep = replace(setting, model="creep", choose_model=False)
+    equal = (1.0, 1.0, 1.0, 1.0)
+    loads, ratio = tuple(nominal.load), nominal.creep_ratio
+    return (
+        Candidate("exact", replace(creep, model="exact"), nominal),
+        Candidate("dry friction", replace(creep, model="dry-friction"), nominal),
+        Candidate(f"creep, loads by statics, tyre ratio {ratio:g}", creep, nominal),
+        Candidate("creep, loads by statics, tyre ratio 1", creep, nominal.with_tyres(loads, 1.0)),
+        Candidate("creep, equal loads, tyre ratio 1", creep, nominal.with_tyres(equal, 1.0)),
+    )
+
+
+def choose(
+    recordings: Sequence[Recording], among: Sequence[Candidate], *, seed: int, report: Report = silent
+) -> Choice:
+    """Fit every candidate without one group of repetitions at a time, and judge it on these.
+
+    Args:
+        recordings: at least two repetitions.
+        among: candidates.
+        seed: of the bootstrap.
+        report: progress.
+
+    Raises:
+        DataError: nothing can be left out.
+    """
+    numbers = repetition_numbers([r.motion for r in recordings])
+    groups = [n % _MOST_FOLDS for n in numbers]
+    if len(set(groups)) < 2:
+        raise DataError("", "one repetition only: no forward model can be chosen", expected="at least two")
+    errors = []
+    for done, candidate in enumerate(among):
+        report("forward models", done, len(among))
+        errors.append(_held_out(recordings, groups, candidate))
+    report("forward models", len(among), len(among))
+    means = [float(e.mean()) for e in errors]
+    first, second, *_ = (*np.argsort(means), -1)
+    picks = np.random.default_rng(seed).integers(0, len(recordings), (_BOOTSTRAP, len(recordings)))
+    better = (errors[second] - errors[first])[picks].mean(axis=1) > 0.0
+    return Choice(
+        among[first], {c.name: m for c, m in zip(among, means, strict=True)}, float(np.mean(better))
+    )
+
+
+def _held_out(recordings: Sequence[Recording], groups: Sequence[int], candidate: Candidate) -> Array:
+    """Position RMSE (n,), m, of each recording by the fit to the other groups."""
+    setting, nominal = candidate.setting, candidate.nominal
+    blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
+    start = nominal.vector()[: 16 if setting.offsets else 12]
+    found = np.zeros(len(recordings))
+    for label in dict.fromkeys(groups):
+        inside = [k for k, g in enumerate(groups) if g != label]
+        geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
+        for k in (k for k, g in enumerate(groups) if g == label):
+            found[k] = position_rmse(track(recordings[k], geometry, setting.model, setting.signal))
+    return found

@@ -1,0 +1,114 @@
+"""`hil commission`: from a robot as delivered to a verified run on its wall."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.cli import start
+from hil.cli.options import SEED
+from hil.cli.progress import reporting
+
+DEFAULT = "emulated_delivered"
+
+
+@click.command()
+@click.option(
+    "--bench", default=DEFAULT, show_default=True, help="Bench file of the wall, or a shipped profile."
+)
+@click.option("--quick", is_flag=True, help="The short form of every procedure.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/commission/TIME].")
+@click.option(
+    "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
+)
+@click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
+@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
+@click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
+@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@start.option
+@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    bench: str, quick: bool, seed: int, out: Path | None, resume: bool, emulate: str | None, realtime: bool,
+    settings: tuple[str, ...], faults: tuple[str, ...], start_pose: str | None, answers: Path | None,
+    as_json: bool,
+) -> int:  # fmt: skip
+    """All procedures in order, each using what the others found, up to lines on the wall."""
+    from hil.procedure.bench_source import BenchSource
+    from hil.procedure.commission import Commission, commission
+    from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import Answers, Terminal
+    from hil.vocabulary.clock import MonotonicClock
+
+    source = BenchSource(
+        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
+        overrides={**_overrides(settings), **start.start_override(start_pose)},
+    )  # fmt: skip
+    source = source.changed(overrides=start.asked_start(source.config))
+    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    with interrupts.installed(), interrupts.deferred(), reporting() as report:
+        told, code = commission(
+            Commission(
+                source, _folder(out, resume), MonotonicClock(), _now, quick=quick, resume=resume,
+                operator=Terminal() if answers is None else Answers(answers), report=report,
+                interrupts=interrupts,
+            )
+        )  # fmt: skip
+    click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
+    return code
+
+
+def _overrides(settings: tuple[str, ...]) -> dict[str, object]:
+    from hil.procedure.parameters import split_settings
+    from hil.vocabulary.errors import UsageError
+
+    parameters, overrides = split_settings(settings)
+    if parameters:
+        raise UsageError(
+            f"--set {next(iter(parameters))}: commissioning has no parameters",
+            expected="bench.KEY=VALUE, a key of the bench file",
+        )
+    return overrides
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _folder(out: Path | None, resume: bool) -> Path:
+    from hil.procedure.commission.state import NAME
+    from hil.vocabulary.errors import UsageError
+
+    if out is not None:
+        return out
+    base = Path("out") / "commission"
+    if not resume:
+        return base / datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    found = sorted(p.parent for p in base.glob(f"*/{NAME}"))
+    if not found:
+        raise UsageError(f"nothing to resume in {base}", remedy="name the results folder with --out")
+    return found[-1]
+
+
+def _text(told: dict[str, Any]) -> str:
+    lines = [
+        f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]
+    ]
+    if told["wall"]:
+        lines.append(f"{'known':44}{'line':>8}{'end mm':>9}{'RMSE x':>9}{'RMSE y':>9}{'heading deg':>13}")
+        for name, cases in told["wall"].items():
+            for case, row in cases.items():
+                numbers = "".join(f"{1e3 * row[key]:9.2f}" for key in ("end_m", "rmse_x_m", "rmse_y_m"))
+                heading = f"{57.29578 * row['rmse_heading_rad']:13.3f}"
+                lines.append(f"{name:44}{case:>8}{numbers}{heading}")
+    if told["stopped"] is not None:
+        stopped = told["stopped"]
+        lines.append(f"stopped at {stopped['procedure']} ({stopped['verdict']}): {stopped['why']}")
+        lines.append(f"what to do: {stopped['do']}")
+    lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, the page {told['page']}")
+    return "\n".join(lines)

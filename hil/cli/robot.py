@@ -1,0 +1,157 @@
+"""`hil robot`: the record of a robot: what is known of it, what changed, and back again."""
+
+from __future__ import annotations
+
+import json
+from datetime import date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.options import SuggestingGroup
+
+if TYPE_CHECKING:
+    from hil.config.record import KeptVersion, RecordFile
+
+_RECORD = click.argument("record", type=click.Path(path_type=Path))
+_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+
+
+@click.group(cls=SuggestingGroup)
+def command() -> None:
+    """Show, compare, apply and roll back versions of the record of a robot (a folder)."""
+
+
+@command.command()
+@_RECORD
+@click.option("--version", type=int, help="Another version than the one in place.")
+@click.option("--page", type=click.Path(path_type=Path), help="Write an HTML page, too.")
+@_JSON
+def show(record: Path, version: int | None, page: Path | None, as_json: bool) -> int:
+    """What is known of the robot, how well, since when, and what is out of date."""
+    from hil.config.record import RobotRecord
+    from hil.report.commission_page import write_robot_page
+    from hil.report.robot_table import part_rows
+
+    found = RobotRecord(record)
+    file = found.read() if version is None else found.find(version).file
+    rows, history = part_rows(file, date.today()), found.history()
+    if page is not None:
+        write_robot_page(page, found, date.today())
+    if as_json:
+        told = {
+            "record": str(record), "version": file.version, "created": file.created, "by": file.why,
+            "robot": file.robot.model_dump(mode="json", exclude_none=True), "parts": rows,
+            "versions": [_described(v) for v in history.versions],
+            "damaged": [{"path": str(path), "why": why} for path, why in history.damaged],
+        }  # fmt: skip
+        click.echo(json.dumps(told, allow_nan=False))
+        return 0
+    click.echo(f"{file.robot.name}: version {file.version} of {record}, {file.created}, by {file.why}")
+    for row in rows:
+        click.echo(_line(row))
+        for figure in row.get("figures", ()):
+            click.echo(f"    {figure['name'].replace('_', ' '):36}{figure['words']}")
+    for path, why in history.damaged:
+        click.echo(f"hil: {path}: {why}", err=True)
+    return 0
+
+
+def _line(row: dict[str, Any]) -> str:
+    if not row["known"]:
+        return f"{row['part']:12}not known: hil run {row['measured_by']}"
+    until = "out of date" if row["out_of_date"] else f"until {row['until']}" if row["until"] else "no end"
+    on = f", on {row['surface']}" if row["surface"] else ""
+    return f"{row['part']:12}{row['since'][:10]}  {row['by']} ({row['verdict']}), {until}{on}: {row['title']}"
+
+
+@command.command()
+@_RECORD
+@click.argument("first", type=int, required=False)
+@click.argument("second", type=int, required=False)
+@_JSON
+def diff(record: Path, first: int | None, second: int | None, as_json: bool) -> int:
+    """What two versions know differently [default: the one in place and the one before it]."""
+    from hil.report.robot_table import differences
+
+    old, new = _two(record, first, second)
+    rows = differences(old, new)
+    if as_json:
+        click.echo(json.dumps({"old": old.version, "new": new.version, "differences": rows}, allow_nan=False))
+        return 0
+    click.echo(f"version {old.version} ({old.why}) and version {new.version} ({new.why})")
+    for row in rows:
+        sigmas = "" if row["sigmas"] is None else f"  ({row['sigmas']:+.1f} sigma)"
+        click.echo(f"{row['part']:12}{row['name']:36}{row['old']} -> {row['new']}{sigmas}")
+    return 0
+
+
+def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFile, RecordFile]:
+    from hil.config.record import RobotRecord
+    from hil.vocabulary.errors import ConfigError
+
+    found = RobotRecord(record)
+    new = found.read() if second is None else found.find(second).file
+    if first is not None:
+        return found.find(first).file, new
+    earlier = [v.file for v in found.history().versions if v.file.version < new.version]
+    if not earlier:
+        raise ConfigError(f"{record}: no version before {new.version}", remedy="name two versions")
+    return earlier[-1], new
+
+
+@command.command()
+@_RECORD
+@click.option("--version", type=int, help="Version of the record to put in place.")
+@click.option(
+    "--from", "source", type=click.Path(path_type=Path),
+    help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
+)  # fmt: skip
+@click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
+@_JSON
+def apply(record: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool) -> int:
+    """Put a version in place, or take parts from older files as a new version."""
+    from hil.bench.absorbing import absorb
+    from hil.config.loading import load_bench
+    from hil.config.record import RobotRecord
+    from hil.vocabulary.errors import UsageError
+
+    if (version is None) == (source is None):
+        raise UsageError("what is to be applied?", expected="either --version N or --from FILE")
+    found = RobotRecord(record)
+    if version is not None:
+        return _done(found.apply(version), as_json)
+    if bench is None:
+        raise UsageError("whose parts are these?", expected="--bench FILE, the bench of the robot")
+    assert source is not None
+    config = load_bench(bench)
+    now = datetime.now().astimezone().isoformat(timespec="seconds")
+    absorb(found, source, config, now)
+    return _done(found.find(found.read().version), as_json)
+
+
+@command.command()
+@_RECORD
+@click.option("--version", type=int, help="Version to go back to [default: the one before].")
+@_JSON
+def rollback(record: Path, version: int | None, as_json: bool) -> int:
+    """Put an earlier version back in place, also when the one in place is damaged."""
+    from hil.config.record import RobotRecord
+
+    return _done(RobotRecord(record).rollback(version), as_json)
+
+
+def _done(kept: KeptVersion, as_json: bool) -> int:
+    row = _described(kept) | {"in_place": True}
+    words = f"version {row['version']} is in place: {', '.join(row['parts'])} ({row['created']}, {row['by']})"
+    click.echo(json.dumps(row) if as_json else words)
+    return 0
+
+
+def _described(kept: KeptVersion) -> dict[str, Any]:
+    file = kept.file
+    return {
+        "version": file.version, "created": file.created, "by": file.why, "parts": list(file.parts),
+        "in_place": kept.in_place, "path": str(kept.path), "sha256": file.sha256,
+    }  # fmt: skip

@@ -1,0 +1,92 @@
+"""The page of a commissioning: what the robot does now, what is known of it, and how that was found.
+
+And the page of a record by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+from markupsafe import Markup
+
+from hil.config.record import RobotRecord
+from hil.report.ablation_figure import ablation_figure
+from hil.report.figures import figure_image
+from hil.report.robot_table import part_rows
+from hil.report.run_page import duration, environment
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.files import write_text
+
+PAGE, FIGURE = "commission.html", "ablation.svg"
+NOTHING, EVERYTHING = "nothing known", "everything known"
+
+
+def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:
+    """Write `commission.html`; returns its path.
+
+    Args:
+        folder: of the commissioning.
+        told: as `hil commission --json` prints it.
+        bench: its name.
+        now: date and time, ISO 8601.
+        seed: of the emulated world.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    wall = told["wall"]
+    page = environment().get_template("commission.html").render(
+        told=told, bench=bench, now=now, seed=seed, headline=headline(wall),
+        figure=_figure(folder, wall) if wall else None, parts=_parts(Path(told["robot"]), now),
+        stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
+    )  # fmt: skip
+    return write_text(folder / PAGE, page)
+
+
+def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
+    """Write the page of a record; returns its path.
+
+    Raises:
+        ConfigError, DataError: the record cannot be read, or the page not written.
+    """
+    file = record.read()
+    page = (
+        environment()
+        .get_template("robot.html")
+        .render(file=file, parts=part_rows(file, today), history=record.history(), folder=str(record.folder))
+    )
+    return write_text(path, page)
+
+
+def headline(wall: Mapping[str, Any]) -> str:
+    """One sentence: what the commissioning brought."""
+    if NOTHING not in wall or EVERYTHING not in wall:
+        return ""
+    ways = []
+    for case, words in (("x_line", "up"), ("y_line", "across")):
+        if case in wall[NOTHING] and case in wall[EVERYTHING]:
+            before, after = (1e3 * wall[name][case]["end_m"] for name in (NOTHING, EVERYTHING))
+            ways.append(f"{after:.1f} mm from its goal {words} the wall ({before:.1f} mm with nothing known)")
+    return "The robot ends " + " and ".join(ways) + "." if ways else ""
+
+
+def _figure(folder: Path, wall: Mapping[str, Any]) -> Markup:
+    import matplotlib as mpl
+
+    path = folder / FIGURE
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "ablation"}):
+        ablation_figure(wall).savefig(
+            path, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
+        )
+    return figure_image(path, "What is known, and where the robot ends")
+
+
+def _parts(folder: Path, now: str) -> list[dict[str, Any]]:
+    record = RobotRecord(folder)
+    try:
+        return part_rows(record.read(), date.fromisoformat(now[:10])) if record.exists() else []
+    except ConfigError:
+        return []

@@ -1,0 +1,184 @@
+"""What each part of a robot's record is worth: lines on its wall with nothing known, each part, everything.
+
+Lines up and across with feedback from the filter, each from the same start, in a world of the same seed.
+Limits
+are on the last: what a lab may expect of a robot that was commissioned.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field
+
+from hil.bench import Bench
+from hil.config.bench import BenchConfig
+from hil.config.record import PARTS, RobotRecord
+from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
+from hil.procedure.ablation import EVERYTHING, NOTHING, Setting, Table, settings_of
+from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
+from hil.procedure.workers import worker_pool
+from hil.report.ablation_figure import ablation_figure
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.geometry import ArrayLike
+
+Case = Literal["x_line", "y_line"]
+_REFERENCE_M = 1.5
+
+
+class Parameters(BaseModel):
+    """What to drive; `single` are the parts of the record that are tried by themselves."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+    cases: tuple[Case, ...] = ("x_line", "y_line")
+    length_m: float = Field(1.5, gt=0, le=3.0)
+    duration_s: float = Field(30.0, gt=1.0, le=3600)
+    hold_s: float = Field(1.0, ge=0.5, le=600)
+    single: tuple[str, ...] = tuple(PARTS)
+    processes: int = Field(2, ge=1, le=8)
+
+
+def measurements(p: Parameters) -> Iterator[Measurement]:
+    """Limits with everything known, for 1.5 m; they grow with the way."""
+    share = max(p.length_m / _REFERENCE_M, 0.3)
+    for case in p.cases:
+        yield Measurement(
+            f"{case}.nothing_known.end", "mm", rationale="distance from the goal, for comparison"
+        )
+        yield Measurement(
+            f"{case}.end", "mm", high=8.0 * share, marginal=1.0 * share,
+            rationale="distance from the goal with everything known; 1.5 m, worst robot of ten",
+        )  # fmt: skip
+        for axis in "xy":
+            yield Measurement(
+                f"{case}.rmse_{axis}", "mm", high=5.0 * share, marginal=0.5 * share,
+                rationale="with everything known; twice the mean of ten robots",
+            )  # fmt: skip
+        yield Measurement(f"{case}.rmse_heading", "deg", high=0.2, marginal=0.05, rationale="as above")
+
+
+def reference(case: str, p: Parameters, start: ArrayLike) -> Trajectory:
+    """The line of a case from where the robot stands."""
+    pose = np.asarray(start, dtype=np.float64)
+    step_m = np.array([p.length_m, 0, 0]) if case == "x_line" else np.array([0, p.length_m, 0])
+    return line(pose, pose + step_m, duration_s=p.duration_s, name=case)
+
+
+def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
+    """The lines from the configured start."""
+    return tuple(reference(case, p, config.environment.start_pose) for case in p.cases)
+
+
+def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
+    """Every setting's lines, and the evaluation."""
+    for setting in _settings(p, config):
+        yield PlannedStep(setting.name, references(p, config))
+    yield PlannedStep("evaluate")
+
+
+def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
+    settings = config.record
+    known: tuple[str, ...] = ()
+    if settings.folder is not None and (record := RobotRecord(Path(settings.folder))).exists():
+        known = tuple(name for name in record.read().parts if name not in settings.without)
+    return settings_of(known, p.single)
+
+
+@procedure(
+    name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
+    measurements=measurements, plan=plan,
+    quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
+)  # fmt: skip
+def run(ctx: Context) -> None:
+    """The same lines on the wall with nothing known of the robot, with each part, with everything."""
+    p: Parameters = ctx.parameters
+    config = ctx.source.config
+    refuse_what_cannot_be_followed(config, references(p, config))
+    settings = _settings(p, config)
+    jobs = [(setting, case) for setting in settings for case in p.cases]
+    if p.processes > 1 and ctx.source.virtual:
+        errors = ctx.checkpoint("lines", partial(_at_once, ctx, jobs))
+    else:
+        errors = [
+            ctx.checkpoint(f"{setting.name}, {case}", partial(_here, ctx, setting, case, number, len(jobs)))
+            for number, (setting, case) in enumerate(jobs, start=1)
+        ]
+    with ctx.step("evaluate"):
+        evaluate(ctx, jobs, errors)
+
+
+def drive(bench: Bench, case: str, p: Parameters) -> dict[str, float]:
+    """Drive one line on a fresh bench; returns its errors."""
+    start = stand(bench)
+    motion = bench.drive(reference(case, p, start), feedback="ekf", hold_s=p.hold_s, start_pose=start)
+    return tracking_errors(motion)
+
+
+def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
+    own = config.record.without
+    return {"record.without": (*own, *(n for n in PARTS if n not in setting.known and n not in own))}
+
+
+def _here(ctx: Context, setting: Setting, case: str, number: int, total: int) -> dict[str, float]:
+    bench = ctx.reopen(f"{case} {setting.name}", overrides=_without(ctx.source.config, setting))
+    found = drive(bench, case, ctx.parameters)
+    ctx.progress("lines", number, total, (number, total))
+    return found
+
+
+def _at_once(ctx: Context, jobs: list[tuple[Setting, Case]]) -> list[dict[str, float]]:
+    p: Parameters = ctx.parameters
+    config = ctx.source.config
+    work = [(ctx.source.changed(overrides=_without(config, s)), case, p) for s, case in jobs]
+    found = []
+    with worker_pool(min(p.processes, len(work))) as pool:
+        for number, one in enumerate(pool.imap(_elsewhere, work), start=1):
+            found.append(one)
+            ctx.progress("lines", number, len(jobs), (number, len(jobs)))
+    return found
+
+
+def _elsewhere(job: tuple[BenchSource, str, Parameters]) -> dict[str, float]:
+    source, case, p = job
+    with source.open() as bench:
+        return drive(bench, case, p)
+
+
+def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[str, float]]) -> None:
+    """Measurements, the table that other programs read, and the figure."""
+    p: Parameters = ctx.parameters
+    table: Table = {}
+    for (setting, case), own in zip(jobs, errors, strict=True):
+        table.setdefault(setting.name, {})[case] = {
+            "end_m": 1e-3 * float(np.hypot(own["end_x"], own["end_y"])),
+            "rmse_x_m": 1e-3 * own["rmse_x"],
+            "rmse_y_m": 1e-3 * own["rmse_y"],
+            "rmse_heading_rad": float(np.radians(own["rmse_heading"])),
+            "end_x_m": 1e-3 * own["end_x"],
+            "end_y_m": 1e-3 * own["end_y"],
+        }
+    best = table.get(EVERYTHING, table[NOTHING])
+    for case in p.cases:
+        ctx.measure(f"{case}.nothing_known.end", 1e3 * table[NOTHING][case]["end_m"])
+        ctx.measure(f"{case}.end", 1e3 * best[case]["end_m"])
+        for axis in "xy":
+            ctx.measure(f"{case}.rmse_{axis}", 1e3 * best[case][f"rmse_{axis}_m"])
+        ctx.measure(f"{case}.rmse_heading", float(np.degrees(best[case]["rmse_heading_rad"])))
+    rows = [
+        [name, case.replace("_", " "), *(f"{1e3 * row[k]:.2f}" for k in ("end_m", "rmse_x_m", "rmse_y_m")),
+         f"{np.degrees(row['rmse_heading_rad']):.3f}"]
+        for name, cases in table.items() for case, row in cases.items()
+    ]  # fmt: skip
+    head = ["known", "line", "end (mm)", "RMSE x (mm)", "RMSE y (mm)", "RMSE heading (deg)"]
+    ctx.table(
+        "Lines by what is known", head, rows, "Truth minus reference; end is the distance from the goal."
+    )
+    ctx.leave_data("wall", table)
+    ctx.figure(
+        ablation_figure(table), "What is known, and where the robot ends",
+        "Distance from the goal at the end of each line; shorter is better.",
+    )  # fmt: skip

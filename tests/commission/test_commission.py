@@ -1,0 +1,174 @@
+"""Commissioning: each procedure uses what the others found; the first failure ends it, resuming goes on."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.config.record import PARTS, RobotRecord
+from hil.procedure import BenchSource
+from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
+from hil.procedure.commission import Commission, commission
+from hil.procedure.commission.running import found_signs
+from hil.procedure.commission.stages import STAGES, Stage, placed, stages
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.progress import WHOLE
+
+TINY = (
+    Stage("tracker_extrinsics", "floor", 1.0, {"turn_deg": 30.0, "way_m": 0.15, "repetitions": 1}),
+    Stage("wall_ablation", "wall", 1.0,
+          {"length_m": 0.1, "duration_s": 4.0, "hold_s": 0.5, "cases": ("x_line",), "processes": 1}),
+)  # fmt: skip
+SOURCE = BenchSource("emulated_delivered", seed=1)
+
+
+class Nobody:
+    def ask(self, question):
+        raise AssertionError(f"asked {question!r}")
+
+
+def asked(folder, **changes):
+    given = {"source": SOURCE, "operator": Nobody(), "order": TINY, **changes}
+    return Commission(folder=folder, clock=MonotonicClock(), now=lambda: "2026-11-22T12:00:00+00:00", **given)
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("commission") / "out"
+    said = []
+    told, code = commission(asked(folder, report=lambda *what: said.append(what)))
+    return folder, told, code, said
+
+
+def test_what_one_procedure_finds_the_next_one_uses(tiny):
+    _, told, code, _ = tiny
+    assert (told["verdict"], code, told["stopped"]) == ("PASS", 0, None), told
+    assert told["procedures"] == {"tracker_extrinsics": "PASS", "wall_ablation": "PASS"}
+    assert list(RobotRecord(Path(told["robot"])).read().parts) == ["camera"]
+    assert list(told["wall"]) == [NOTHING, EVERYTHING]
+    assert set(told["wall"][NOTHING]["x_line"]) >= {"end_m", "rmse_x_m", "rmse_y_m", "rmse_heading_rad"}
+    assert told["wall"][NOTHING] != told["wall"][EVERYTHING]
+
+
+def test_its_page_has_the_figure_the_record_and_a_way_to_every_report(tiny):
+    folder, told, _, _ = tiny
+    page = Path(told["page"]).read_text()
+    assert page.count("data:image/svg+xml;base64,") == 1
+    assert "mm from its goal up the wall" in page
+    assert "scale" in page
+    assert "not known: hil run steering_zero" in page
+    for stage in ("01_tracker_extrinsics", "02_wall_ablation"):
+        assert f'href="{stage}/report.html"' in page
+        assert (folder / stage / "report.html").exists()
+
+
+def test_it_says_how_far_the_whole_is(tiny):
+    said = tiny[3]
+    whole = [(done, total) for what, done, total in said if what == WHOLE]
+    assert whole[-1] == (2, 2)
+    assert [done for done, _ in whole] == sorted(done for done, _ in whole)
+
+
+def test_what_has_passed_is_not_repeated(tiny):
+    folder, told, _, _ = tiny
+    before = {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")}
+    again, code = commission(asked(folder, resume=True))
+    assert code == 0
+    assert again["wall"] == told["wall"]
+    assert {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")} == before
+    with pytest.raises(ConfigError, match="had another seed"):
+        commission(asked(folder, resume=True, source=SOURCE.changed(seed=2)))
+    with pytest.raises(ConfigError, match="holds a commissioning"):
+        commission(asked(folder))
+
+
+def test_the_first_failure_ends_it_with_what_to_do_and_resuming_goes_on_there(tmp_path):
+    blind = replace(SOURCE, faults=("tracker:off@0",))
+    told, code = commission(asked(tmp_path / "out", source=blind))
+    assert (told["verdict"], code) == ("ERROR", 3)
+    assert list(told["procedures"]) == ["tracker_extrinsics"]
+    assert "hil commission --resume --out" in told["stopped"]["do"]
+    assert "tracker" in told["stopped"]["why"]
+    assert not Path(told["robot"]).exists()
+    assert told["stopped"]["report"].endswith("01_tracker_extrinsics/report.html")
+    assert "Stopped at tracker extrinsics" in Path(told["page"]).read_text()
+
+
+def test_a_procedure_that_does_not_pass_leaves_the_record_as_it_was(tmp_path):
+    wrong = replace(SOURCE, faults=("tracker:wrong,scale=1.2",))
+    told, code = commission(asked(tmp_path / "out", source=wrong))
+    assert (told["verdict"], code) == ("FAIL", 1)
+    assert "scale" in told["stopped"]["why"]
+    assert not Path(told["robot"]).exists()
+
+
+def test_what_the_bench_lacks_is_left_out_and_said():
+    config = load_bench(
+        "emulated_delivered", overrides={"load_cells": None, "adhesion": None, "thrust": None}
+    )
+    left_out = {stage.name: why for stage, why in stages(config, STAGES) if why}
+    assert left_out == {"adhesion_check": "the bench has no adhesion, load_cells"}
+    floor = load_bench("emulated_floor")
+    assert {stage.place for stage, why in stages(floor, STAGES) if not why} == {"floor"}
+
+
+def test_what_is_measured_on_top_of_something_comes_after_it():
+    order = [stage.name for stage in STAGES]
+    for kind in PARTS.values():
+        for below in kind.on:
+            assert order.index(PARTS[below].measured_by) <= order.index(kind.measured_by)
+    assert {kind.measured_by for kind in PARTS.values()} | {"wall_ablation"} == set(order)
+
+
+def test_on_the_floor_nothing_holds_the_robot_and_every_session_of_the_camera_is_another():
+    config = load_bench("emulated_delivered")
+    floor = load_bench("emulated_delivered", overrides=placed(STAGES[0], 1, config))
+    assert not floor.environment.on_wall
+    assert {"adhesion", "thrust", "load_cells"} & set(floor.devices()) == set()
+    assert placed(STAGES[-1], 9, config) == {"emulation.tracker.session": 9}
+
+
+def test_settings_of_an_ablation_hold_what_a_part_was_measured_on_top_of():
+    known = ("signs", "zeros", "backlash", "geometry", "camera", "slip", "hold")
+    found = {s.name: s.known for s in settings_of(known, PARTS)}
+    assert found == {
+        NOTHING: (), "zeros known": ("signs", "zeros"),
+        "zeros and geometry known": ("signs", "zeros", "geometry"), "camera known": ("camera",),
+        "zeros and geometry and slip known": ("signs", "zeros", "geometry", "slip"), EVERYTHING: known,
+    }  # fmt: skip
+
+
+def test_signs_that_bring_up_found_are_told_from_those_believed(tmp_path):
+    config = load_bench("emulated")
+    (tmp_path / "bench_fragment.toml").write_text(
+        "[alignment]\ndrive_sign = [1, -1, 1, 1]\nsteer_sign = [1, 1, 1, 1]\n"
+    )
+    assert found_signs(tmp_path, config)["alignment.drive_sign"] == [1, -1, 1, 1]
+    assert found_signs(tmp_path / "none", config) == {}
+
+
+def test_the_command_refuses_what_cannot_be_meant(tmp_path, capsys):
+    assert main(["commission", "--set", "repetitions=2", "--out", str(tmp_path / "a")]) == 2
+    assert "bench.KEY=VALUE" in capsys.readouterr().err
+    assert main(["commission", "--resume", "--out", str(tmp_path / "b"), "--json"]) == 2
+    assert "no commissioning to resume" in json.loads(capsys.readouterr().out)["error"]["message"]
+    assert main(["commission", "--bench", "no_such_bench"]) == 2
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("seed", range(3))
+def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
+    """The whole quick form; `benchmarks/commissioned_robots.py` does it for many."""
+    assert main(["commission", "--quick", "--seed", str(seed), "--out", str(tmp_path / "out"), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    known, nothing = told["wall"][EVERYTHING], told["wall"][NOTHING]
+    assert known["x_line"]["end_m"] < 8e-3
+    assert known["y_line"]["end_m"] < 5e-3
+    assert known["x_line"]["rmse_heading_rad"] < 0.002
+    assert known["x_line"]["end_m"] < nothing["x_line"]["end_m"]
+    assert set(told["procedures"].values()) <= {"PASS", "MARGINAL"}

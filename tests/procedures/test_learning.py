@@ -1,0 +1,132 @@
+"""What a procedure finds gets into the record of its bench once it has passed, and the next run knows it."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from procedure_runs import Nobody
+
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.config.record import Figure, NewPart, Part, RobotRecord
+from hil.config.record.overlay import identity
+from hil.procedure import BenchSource, Measurement, procedure
+from hil.procedure.learning import known_part, leave_part
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedures.parts.surface_slip import next_lines
+from hil.procedures.parts.tracker_scale import session_spread
+from hil.procedures.tracker_extrinsics import Parameters
+from hil.vocabulary.clock import MonotonicClock
+
+
+@procedure(name="learns", measurements=[Measurement("off", "mm", high=1.0)])
+def learns(ctx):
+    """Finds a scale, and passes where the seed is 0."""
+    scale = Figure(value=1.01, sigma=0.001)
+    leave_part(ctx, "camera", values={"tracker.scale": 1.01}, figures={"scale": scale})
+    ctx.measure("off", 10.0 * ctx.seed)
+
+
+def ran(folder, record, seed=0, proc=learns, **overrides):
+    source = BenchSource("emulated", seed=seed, overrides={"record.folder": str(record), **overrides})
+    options = RunOptions(folder, MonotonicClock(), "2026-11-22T10:00:00", {}, operator=Nobody())
+    return run_procedure(proc, source, options), source
+
+
+def test_a_run_that_passes_adds_its_part_and_the_bench_then_has_it(tmp_path):
+    result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 30})
+    assert result.verdict.value == "PASS"
+    assert result.facts["record"]["parts"] == ["camera"]
+    part = known_part(source.config, "camera")
+    assert (part.procedure, part.measured, part.until) == ("learns", "2026-11-22T10:00:00", "2026-12-22")
+    config = load_bench("emulated", overrides={"record.folder": str(tmp_path / "robot")})
+    assert config.tracker.scale == 1.01
+    assert any("is now version 1, with camera" in note for note in result.facts["notes"])
+
+
+def test_a_run_that_fails_leaves_the_record_as_it_was(tmp_path):
+    ran(tmp_path / "run", tmp_path / "robot")
+    before = (tmp_path / "robot" / "record.toml").read_bytes()
+    result, _ = ran(tmp_path / "again", tmp_path / "robot", seed=1)
+    assert (result.verdict.value, result.facts["record"]) == ("FAIL", None)
+    assert (tmp_path / "robot" / "record.toml").read_bytes() == before
+    assert any("was left as it is" in note for note in result.facts["notes"])
+
+
+def test_a_record_that_does_not_take_it_is_an_error_of_the_run(tmp_path):
+    ran(tmp_path / "run", tmp_path / "robot")
+    (tmp_path / "robot" / "record.toml.part").mkdir()
+    result, _ = ran(tmp_path / "again", tmp_path / "robot")
+    assert result.verdict.value == "ERROR"
+    assert result.teardown_errors[0].step == "keeping what was found in the record"
+    assert RobotRecord(tmp_path / "robot").read().version == 1
+
+
+def test_a_part_that_was_left_can_be_taken_later(tmp_path):
+    result, _ = ran(tmp_path / "run", tmp_path / "robot")
+    other = tmp_path / "other"
+    source = str(result.folder / "part_camera.toml")
+    assert main(["robot", "apply", str(other), "--from", source, "--bench", "emulated"]) == 0
+    assert RobotRecord(other).read().parts["camera"].figures["scale"].sigma == 0.001
+
+
+@dataclass
+class Asked:
+    """As much of a context as is asked of it."""
+
+    source: BenchSource
+    parameters: Parameters
+
+
+def test_the_scale_from_session_to_session_is_assumed_until_versions_of_the_record_show_it(tmp_path):
+    config = load_bench("emulated")
+    record = RobotRecord(tmp_path / "robot")
+    source = BenchSource("emulated", overrides={"record.folder": str(record.folder)})
+    asked = Asked(source, Parameters())
+    assert session_spread(asked, 1.0) == pytest.approx(0.001)
+    for number in range(12):
+        scale = 1.004 if number % 2 else 0.996
+        part = Part(procedure="a", verdict="PASS", measured=f"2026-01-{number + 1:02d}", bench="b",
+                    figures={"scale": Figure(value=scale)})  # fmt: skip
+        record.add({"camera": NewPart(part)}, identity(config), created="2026-02-01", why="a test")
+    assert session_spread(asked, 1.0) == pytest.approx(0.004, rel=0.15)
+
+
+def test_the_next_line_is_known_no_better_than_lines_repeat():
+    """Mean by direction in wall axes; sigma from repetitions, from what they cannot show, and from tilt."""
+    every = {
+        "up": [[0.034, 0.001, 0.02], [0.036, 0.003, 0.04]],
+        "left": [[0.05, -0.001, 0.0], [0.05, 0.001, 0.0]],
+    }
+    found = next_lines(every, 0.05)
+    assert found["up"].mean == pytest.approx([-0.035, 0.002, 0.03])
+    spread_x = np.sqrt(2 * 0.001**2 / 2 * 1.5)
+    assert found["up"].sigma[0] == pytest.approx(np.hypot(spread_x, 0.025 * 0.035))
+    assert found["left"].sigma[1] > 0.02 * 0.05
+
+
+def test_the_quick_form_is_that_of_the_procedure_and_set_counts_above_it(capsys):
+    words = ["run", "odometry_calibration", "--dry-run", "--json"]
+    shown = {}
+    for name, more in (("long", []), ("quick", ["--quick"]), ("both", ["--quick", "--set", "line_m=0.7"])):
+        assert main([*words, *more]) == 0
+        shown[name] = json.loads(capsys.readouterr().out)["parameters"]
+    assert shown["long"]["repetitions"] == 5
+    assert (shown["quick"]["repetitions"], shown["quick"]["line_m"]) == (2, 1.0)
+    assert (shown["both"]["repetitions"], shown["both"]["line_m"]) == (2, 0.7)
+    assert main(["run", "grid_scan", "--quick", "--dry-run"]) == 2
+    assert "no quick form" in capsys.readouterr().err
+
+
+def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
+    from hil.procedures.odometry_calibration import _known_play_rad
+
+    record = RobotRecord(tmp_path / "robot")
+    asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
+    assert _known_play_rad(asked) == pytest.approx(np.radians(0.125))
+    part = Part(procedure="a", verdict="PASS", measured="2026-01-01", bench="b",
+                figures={"FL": Figure(value=0.003), "BL": Figure(value=0.005)})  # fmt: skip
+    record.add({"backlash": NewPart(part)}, identity(load_bench("emulated")), created="2026-02-01", why="t")
+    asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
+    assert _known_play_rad(asked) == 0.0025
