@@ -64,7 +64,7 @@ test-slowest: $(BIN)/.installed
 	$(BIN)/python tests/slowest.py out/durations; exit $$failed
 
 test-long: $(BIN)/.installed
-	$(BIN)/python -m pytest -m "long or not long" --timeout 3600
+	$(BIN)/python -m pytest -m "long or not long" --hypothesis-profile thorough --timeout 3600
 
 lint: $(BIN)/.installed
 	$(BIN)/ruff check .

@@ -1,6 +1,7 @@
 """For all tests: public recordings, property tests without limits of wall-clock time, who needs the clock."""
 
 import errno
+import gc
 import os
 from collections import Counter
 from pathlib import Path
@@ -12,8 +13,10 @@ from hypothesis import settings
 
 from hil.recording import mcap_file
 
-settings.register_profile("hil", deadline=None)
+settings.register_profile("hil", deadline=None, max_examples=50)
+settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("hil")
+gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which there is no garbage
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
     "adhesion/test_adhesion_command.py", "adhesion/test_keeper_process.py",
@@ -61,6 +64,17 @@ THINNED = {
     "estimator/test_estimator_hybrid.py::test_disturbances_grow": 3,
     "estimator/test_kernel_cache.py::test_an_edited_inner_file": 3,
     "plant/test_mujoco_contact.py::test_a_circle_of_three_metres": 2,
+    "bench/test_doctor_discover_setup.py::test_a_device_that_falls_ill": 2,
+    "bench/test_doctor_discover_setup.py::test_nothing_is_told_twice": 2,
+    "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy": 2,
+    "live/test_live_command.py::test_a_disk_that_fills_up": 2,
+    "live/test_live_command.py::test_a_second_signal": 2,
+    "live/test_live_command.py::test_a_signal_holds_the_robot": 2,
+    "live/test_live_remote.py::test_a_drive_on_a_remote_bench": 2,
+    "procedure/test_procedures_page.py::test_the_printed_procedure_passes": 2,
+    "procedures/test_every_procedure_stops.py::test_a_procedure_struck_while_it_moves": 2,
+    "procedures/test_odometry_calibration_run.py::test_it_fails_under_a_fault": 3,
+    "procedures/test_surface_identification.py::test_it_fails_under_a_fault": 2,
     "recording/test_mcap_file.py::test_a_killed_process": 2,
     "servos/test_servo_driver_faults.py::test_a_bad_line": 3,
     "servos/test_servo_driver_faults.py::test_a_dead_servo_costs_little": 5,

@@ -190,6 +190,7 @@ def test_text_and_json_name_the_robot_and_what_is_missing(data, tmp_path, capsys
     assert line.split(":")[0] in (tmp_path / "e" / "index.html").read_text()
 
 
+@pytest.mark.long
 def test_evaluation_says_where_a_twist_loses(tmp_path, capsys):
     folder, out = tmp_path / "d", tmp_path / "c.toml"
     args = ["--contact", "coulomb", "--seed", "3", "--repetitions", "2"]

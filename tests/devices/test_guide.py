@@ -61,6 +61,7 @@ def installed(reader):
     return reader("pip install ./examples/rangefinder")
 
 
+@pytest.mark.long
 def test_another_model_is_installed_examined_and_keeps_the_contract(reader):
     assert [name for name, _ in FILES if "imu" in name] == [
         "my-imu/pyproject.toml", "my-imu/my_imu.py", "my-imu/bench.toml", "my-imu/test_contract.py",

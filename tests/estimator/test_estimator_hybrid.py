@@ -48,6 +48,7 @@ def assert_good(found):
     assert 1.5 <= nees <= 4.5
 
 
+@pytest.mark.long
 def test_held_out_repetitions(prepared):
     assert_good(scores(prepared, (0,)))
 

@@ -102,6 +102,7 @@ def test_up_a_wall_with_it_in_virtual_time():
     assert truth[0] == pytest.approx(0.2, abs=0.01)
 
 
+@pytest.mark.long
 def test_the_same_seed_gives_the_same_drive():
     def driven(seed):
         with wall(seed=seed) as bench:
@@ -111,6 +112,7 @@ def test_the_same_seed_gives_the_same_drive():
     assert driven(4) != driven(5)
 
 
+@pytest.mark.long
 def test_up_a_wall_with_it_at_the_wire_in_real_time():
     with wall(seed=1, realtime=True) as bench:
         motion = bench.drive(line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0), hold_s=0.5)

@@ -135,7 +135,7 @@ def _moved(path):
     return bool(found) and found[-1].reference.pose_in_wall[0] > found[0].reference.pose_in_wall[0] + 0.015
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+@pytest.mark.parametrize("name", ["SIGHUP", "SIGTERM"])
 def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
     """Only watching; a signal ends it with the summary and exit code 4."""
     process = live(tmp_path, "--record", str(tmp_path / "run.mcap"))
@@ -158,7 +158,7 @@ def test_a_signal_holds_the_robot_and_tells_all(tmp_path, name):
     assert verified(tmp_path / "run.mcap")[1]["identical"]
 
 
-@pytest.mark.parametrize("names", ["SIGTERM SIGHUP", "SIGINT SIGINT SIGINT"])
+@pytest.mark.parametrize("names", ["SIGINT SIGINT SIGINT", "SIGTERM SIGHUP"])
 def test_a_second_signal_does_not_cut_short_how_the_robot_is_left(tmp_path, names):
     """The terminal's Ctrl-C goes to the emulated devices, too: they have to live for as long as the robot."""
     process = live(tmp_path, "--record", str(tmp_path / "run.mcap"), start_new_session=True)

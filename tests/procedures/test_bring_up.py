@@ -115,6 +115,7 @@ def test_hidden_signs_and_clocks_come_back_over_twenty_seeds(tmp_path):
     assert_covered(ratios, few=False)
 
 
+@pytest.mark.long
 def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
     swapped = {"emulation.servos": {"ids": [2, 1, 3, 4, 5, 6, 7, 8]}}
     done = run("bring_up", tmp_path / "run", BRIEF | {"devices": "servos,mocap"}, overrides=swapped)

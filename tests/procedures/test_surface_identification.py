@@ -118,6 +118,7 @@ def undisturbed(tmp_path_factory):
     return identify(tmp_path_factory.mktemp("whole") / "run", seed=3, parameters=SHORTEST)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("steps_done", [1, 3, *(pytest.param(k, marks=pytest.mark.long) for k in (2, 4))])
 def test_interrupted_after_any_step_it_finds_what_it_finds_undisturbed(tmp_path, undisturbed, steps_done):
     whole, found = undisturbed

@@ -59,6 +59,7 @@ def test_figures_and_table_are_those_of_the_paper(lines):
     ]  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_scan_covers_its_rectangle(tmp_path):
     result = run("grid_scan", tmp_path / "run", **SHORT_SCAN)
     assert result.verdict is Verdict.PASS, result.measurements

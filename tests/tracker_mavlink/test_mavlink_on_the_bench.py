@@ -84,6 +84,7 @@ def test_a_correction_of_the_senders_map_is_told_and_the_estimate_stays(distance
     assert error_m < 0.004
 
 
+@pytest.mark.long
 def test_the_same_drive_at_the_wire_in_real_time():
     with hil.open_bench("emulated", seed=1, realtime=True, overrides={**MODEL, **PATIENT}) as bench:
         motion = bench.drive(SHORT, hold_s=0.5)
