@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 
 import hil
 from hil.robot.trajectories import line
@@ -25,12 +26,20 @@ def joules(by_need: bool, seed: int) -> tuple[float, float]:
     return energy_j, margin_n
 
 
-def main() -> None:
-    print("| force | J per metre climbed | least margin (N) |\n|---|---|---|")
+def rows() -> Iterator[str]:
+    """The lines of the table."""
+    yield "| force | J per metre climbed | least margin (N) |"
+    yield "|---|---|---|"
     for name, by_need in (("constant", False), ("by need", True)):
-        rows = [joules(by_need, seed) for seed in SEEDS]
-        energy = sum(r[0] for r in rows) / len(rows) / LENGTH_M
-        print(f"| {name} | {energy:.0f} | {min(r[1] for r in rows):.1f} |")
+        climbs = [joules(by_need, seed) for seed in SEEDS]
+        energy = sum(climb[0] for climb in climbs) / len(climbs) / LENGTH_M
+        yield f"| {name} | {energy:.0f} | {min(climb[1] for climb in climbs):.1f} |"
+
+
+def main() -> None:
+    """Print the table."""
+    for row in rows():
+        print(row, flush=True)
 
 
 if __name__ == "__main__":

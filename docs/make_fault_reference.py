@@ -102,7 +102,7 @@ OPTIONS = {
     "scale": "factor on every step seen",
 }
 SHARED = {"period_s": "0.5", "duty": "0.5", "probability": "0.1", "factor": "5", "delay_s": "0.1"}
-_INHERITED = re.compile(r"from (hil[\w.]+\.faulty) import")
+_INHERITED = re.compile(r"from (hil[\w.]+\.faulty|hil\.fakes\.adhesion\.(?:vesc|motor)) import")
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
 
 
@@ -178,6 +178,8 @@ def _defaults(room: str) -> dict[tuple[str, str], str]:
     texts |= {name: _source(name) for name in sorted(built_on)}
     for name, text in texts.items():
         module, kind = importlib.import_module(name), ""
+        if ".slowness" in text:
+            found.setdefault(("slow", "factor"), SHARED["factor"])
         for match in _ASKED.finditer(text):
             asked, option, value, delay = match.groups()
             kind = asked or kind

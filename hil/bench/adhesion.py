@@ -1,4 +1,4 @@
-"""The fan of a bench outside any run: what `hil adhesion` does, by its keeper and the bench's own devices."""
+"""Fan and propellers of a bench outside any run: what `hil adhesion` does, by their keepers and devices."""
 
 from __future__ import annotations
 
@@ -14,13 +14,28 @@ from hil.bench.settings import force_wanted_n
 from hil.config.adhesion import AdhesionConfig, MotorConfig
 from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig
+from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper import client
-from hil.drivers.adhesion.keeper.core import DEVICE
+from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
 from hil.vocabulary.geometry import rotated
-from hil.vocabulary.signals import Status, worst
+from hil.vocabulary.signals import Status as SampleStatus
+from hil.vocabulary.signals import worst
+
+__all__ = [
+    "Spec",
+    "Status",
+    "described",
+    "keeper_command",
+    "keeper_spec",
+    "keeper_status",
+    "kept_specs",
+    "seen_off_the_wall",
+    "switch_off",
+    "switch_on",
+]
 
 _STEP_NS = nanoseconds(0.02)
 _WATCH_S = 2.0
@@ -29,9 +44,24 @@ _LEVEL_RAD = math.radians(15.0)
 _NO_FORCE = 0.2
 """Share of what the fan's speed would press with: less of it in the cells means that nothing is sucked at."""
 _CELLS_REST_N = 1.0
+DEVICE = "adhesion"
 _TETHERED = "say --tethered once the robot is tethered or off the wall"
 
 Say = Callable[[str], None]
+
+
+def kept_specs(config: BenchConfig) -> dict[str, Spec]:
+    """What is kept running of a bench, by kind: the fan first, and propellers behind VESCs.
+
+    Raises:
+        ConfigError: it has neither, or a fan that no other program can reach.
+    """
+    found = {
+        name: Spec(**table.keeper())
+        for name, table in config.devices().items()
+        if isinstance(table, KeptMotorConfig) and table.backend == "real"
+    }
+    return found if found and config.of(AdhesionConfig) is None else {DEVICE: keeper_spec(config), **found}
 
 
 def keeper_spec(config: BenchConfig) -> Spec:
@@ -61,8 +91,8 @@ def _fan(config: BenchConfig) -> AdhesionConfig:
     return table
 
 
-def keeper_status(spec: Spec) -> client.Status | None:
-    """What the fan's keeper says; None where there is none. Raises `DeviceError`."""
+def keeper_status(spec: Spec) -> Status | None:
+    """What a keeper says; None where there is none. Raises `DeviceError`."""
     connection = client.connect(spec)
     if connection is None:
         return None
@@ -125,11 +155,11 @@ def _not_reached(newest: Any, wanted: str, wait_s: float) -> DeviceError:
     )  # fmt: skip
 
 
-def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> client.Status | None:
-    """Let the fan come to rest along the ramp and wait for it; None where it has no keeper.
+def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
+    """Let a fan or propellers come to rest along the ramp and wait for it; None where they have no keeper.
 
     Args:
-        spec: the fan.
+        spec: what is kept.
         confirmed_by: why nothing hangs by it.
         say: told how far it is.
     """
@@ -143,7 +173,7 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> client.Status | No
             time.sleep(0.5)
             status = client.ask(connection, {"do": "status"}, spec)
             if status["state"] == "keeping":
-                raise UsageError("somebody has asked for the fan again", remedy="`hil adhesion status`")
+                raise UsageError(f"somebody has asked for {spec.noun} again", remedy="`hil adhesion status`")
         return status
 
 
@@ -190,7 +220,7 @@ def _watched(device: Any, clock: MonotonicClock) -> list[Any]:
     while clock.now_ns() < end_ns:
         samples += device.read()
         clock.sleep_until_ns(clock.now_ns() + _STEP_NS)
-    return [s for s in samples if worst(s) is Status.OK]
+    return [s for s in samples if worst(s) is SampleStatus.OK]
 
 
 def _tilt(config: BenchConfig, samples: list[Any]) -> float:

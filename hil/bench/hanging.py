@@ -7,6 +7,8 @@ from typing import Any
 
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
+from hil.config.kept_motor import KeptMotorConfig
+from hil.config.thrust import ThrustConfig
 from hil.ring.adhesion import AdhesionLimits, apart
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -17,6 +19,8 @@ _STEP_NS = nanoseconds(0.01)
 _PATIENCE_NS = nanoseconds(12.0)
 _STEADY_NS = nanoseconds(0.1)
 _TETHERED_SHARE = 0.9
+_PUSHES = 0.9
+"""Share of the wanted push with which propellers count as running."""
 _NO_SAMPLE_NS = nanoseconds(1.0)
 
 
@@ -33,6 +37,9 @@ class Hanging:
         self._config, self._rig, self._clock = config, rig, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
+        propellers = config.of(ThrustConfig)
+        self._propellers = propellers if isinstance(propellers, KeptMotorConfig) else None
+        self._push_n = 0.0
 
     def hold(self) -> str:
         """Ask for the working forces, and wait until the robot is pressed firmly enough.
@@ -48,26 +55,27 @@ class Hanging:
             DeviceError: a device fails.
         """
         limits = self._limits
-        if limits is None or not self._config.environment.on_wall:
+        if not self._config.environment.on_wall:
             return ""
         thrust_n = thrust_wanted_n(self._config)
-        if (propellers := self._rig.get("thrust")) is not None:
-            propellers.set_force_n(thrust_n)
-        self._ask_fan()
+        self._ask("thrust", thrust_n)
+        if limits is None:
+            return ""
+        self._ask("adhesion", force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
         return f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
 
-    def _ask_fan(self) -> None:
-        """Tell the keeper, as soon as it has heard the fan."""
-        fan = self._rig.get("adhesion")
-        if fan is None:
+    def _ask(self, name: str, force_n: float) -> None:
+        """Ask a device for a force; a keeper may have to hear its motor first."""
+        device = self._rig.get(name)
+        if device is None:
             return
         end_ns = self._clock.now_ns() + _NO_SAMPLE_NS
         while True:
             self._look()
             try:
-                fan.set_force_n(force_wanted_n(self._config))
+                device.set_force_n(force_n)
                 return
             except DeviceError:
                 if self._clock.now_ns() >= end_ns:
@@ -96,7 +104,7 @@ class Hanging:
         end_ns = self._clock.now_ns() + _PATIENCE_NS
         while (now_ns := self._clock.now_ns()) < end_ns:
             force_n = self._look()
-            if force_n < limit_n or not math.isfinite(force_n):
+            if force_n < limit_n or not math.isfinite(force_n) or not self._pushes(thrust_n):
                 steady_ns = None
             elif steady_ns is None:
                 steady_ns = now_ns
@@ -105,6 +113,8 @@ class Hanging:
                 return limit_n
             self._clock.sleep_until_ns(now_ns + _STEP_NS)
         told = self._told() or "nothing measured"
+        if not self._pushes(thrust_n):
+            told += f", and pushed up with {self._push_n:.1f} N of {thrust_n:.1f}"
         raise SafetyStop(
             "adhesion",
             f"the robot is not pressed on the wall: {told}; {limit_n:.1f} N are the least on this surface. "
@@ -118,7 +128,8 @@ class Hanging:
     def _look(self) -> float:
         """Newest force, the smaller of what is measured; NaN before everybody was heard."""
         limits = self._limits
-        assert limits is not None
+        if limits is None:
+            return math.nan
         for name in ("adhesion", "load_cells"):
             for sample in self._samples(name):
                 if name == "adhesion" and sample.status is Status.OK:
@@ -127,6 +138,15 @@ class Hanging:
                     self._seen_n["the load cells"] = limits.cells_n(sample)
         wanted = limits.has_fan + (limits.zero_n is not None)
         return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
+
+    def _pushes(self, thrust_n: float) -> bool:
+        """Whether propellers that report their speed push as they were asked to."""
+        if self._propellers is None:
+            return True
+        for sample in self._samples("thrust"):
+            if sample.status is Status.OK:
+                self._push_n = self._propellers.force_at_n(sample.throttle)
+        return self._push_n >= _PUSHES * thrust_n
 
     def _samples(self, name: str) -> Any:
         device = self._rig.get(name)

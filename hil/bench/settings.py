@@ -13,6 +13,7 @@ from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
+from hil.config.kept_motor import KeptMotorConfig
 from hil.config.load_cells import LoadCellsConfig
 from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
@@ -120,6 +121,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
         nominal_thrust_n=thrust_wanted_n(config),
         full_thrust_n=0.0 if push is None else push.full_force_n,
         zero_n=None if cells is None else sum(cells.zero_n),
+        reports_thrust=isinstance(push, KeptMotorConfig),
         stale_s=safety.adhesion_stale_s,
         **known,
     )

@@ -14,6 +14,9 @@ from hil.cli.options import FiniteRange, SuggestingGroup
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, UsageError
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from hil.bench.adhesion import Spec, Status
     from hil.config.bench import BenchConfig
 
 _BENCH = click.option("--bench", required=True, help="Bench file of the robot.")
@@ -59,22 +62,22 @@ def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: flo
 @click.option("--tethered", is_flag=True, help="The robot is tethered, or off the wall: you have looked.")
 @_JSON
 def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
-    """Let the fan come to rest along a ramp.
+    """Let the fan, and propellers that have a keeper, come to rest along a ramp.
 
     Refused unless --tethered is given, or IMU and load cells both say that the robot does not hang by it.
     """
     from hil.bench import adhesion
 
     config = _config(bench)
-    spec = adhesion.keeper_spec(config)
+    specs = adhesion.kept_specs(config)
     why = "the operator: tethered or off the wall" if tethered else adhesion.seen_off_the_wall(config)
-    status = adhesion.switch_off(spec, why, say=_progress)
+    found = {kind: adhesion.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
     if as_json:
-        click.echo(json.dumps({"fan": spec.name, "confirmed_by": why, "keeper": status}))
-    elif status is None:
-        click.echo(f"{spec.name}: it has no keeper; nothing was running that could be stopped")
-    else:
-        click.echo(f"{spec.name}: off ({why})")
+        click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
+        return EXIT_PASS
+    for kind, spec in specs.items():
+        idle = "it has no keeper; nothing was running that could be stopped"
+        click.echo(f"{spec.name}: " + (idle if found[kind] is None else f"off ({why})"))
     return EXIT_PASS
 
 
@@ -82,22 +85,38 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @_JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How the fan runs, and who keeps it; ends with 3 where nobody does."""
+    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps the fan."""
     from hil.bench import adhesion
 
-    spec = adhesion.keeper_spec(_config(bench))
-    status = adhesion.keeper_status(spec)
+    specs = adhesion.kept_specs(_config(bench))
+    found = {kind: adhesion.keeper_status(spec) for kind, spec in specs.items()}
     if as_json:
-        click.echo(json.dumps({"fan": spec.name, "keeper": status}))
-    elif status is None:
-        click.echo(f"{spec.name}: no keeper; `hil adhesion on` starts one")
+        click.echo(json.dumps(_told(specs, found)))
     else:
-        since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
-        click.echo(f"{spec.name}: {adhesion.described(status)}")
-        behind = f"process {status['understudy']}" if status["understudy"] else "none"
-        click.echo(f"kept by process {status['pid']} since {since}, understudy: {behind}")
-        click.echo(f"log: {status['log'] or 'that of its service'}")
-    return EXIT_DEVICE if status is None else EXIT_PASS
+        for kind, spec in specs.items():
+            _show(spec, found[kind])
+    return EXIT_DEVICE if next(iter(found.values())) is None else EXIT_PASS
+
+
+def _told(specs: Mapping[str, Spec], found: Mapping[str, Status | None]) -> dict[str, object]:
+    """What is kept, for a program: the fan as `fan` and `keeper`, propellers by their kind."""
+    own = {kind: {"name": spec.name, "keeper": found[kind]} for kind, spec in specs.items()}
+    fan = own.pop("adhesion", None)
+    return {**({} if fan is None else {"fan": fan["name"], "keeper": fan["keeper"]}), **own}
+
+
+def _show(spec: Spec, status: Status | None) -> None:
+    from hil.bench import adhesion
+
+    if status is None:
+        starter = "`hil adhesion on`" if spec.device == "adhesion" else "`hil run`"
+        click.echo(f"{spec.name}: no keeper; {starter} starts one")
+        return
+    since = time.strftime("%Y-%m-%d %H:%M", time.localtime(status["since"]))
+    click.echo(f"{spec.name}: {adhesion.described(status)}")
+    behind = f"process {status['understudy']}" if status["understudy"] else "none"
+    click.echo(f"kept by process {status['pid']} since {since}, understudy: {behind}")
+    click.echo(f"log: {status['log'] or 'that of its service'}")
 
 
 @command.command("watch")
@@ -107,30 +126,35 @@ def show_status(bench: str, as_json: bool) -> int:
 @click.option("--duration", "duration_s", type=FiniteRange(0.0, min_open=True),
               help="Seconds [default: until interrupted].")  # fmt: skip
 def watch(bench: str, every_s: float, duration_s: float | None) -> int:
-    """A line about the fan, again and again. The fan does not mind when this ends."""
+    """A line about fan and propellers, again and again. They do not mind when this ends."""
     from hil.bench import adhesion
 
-    spec = adhesion.keeper_spec(_config(bench))
+    specs = adhesion.kept_specs(_config(bench))
     end_s = None if duration_s is None else time.monotonic() + duration_s
     while True:
-        status = adhesion.keeper_status(spec)
-        told = "no keeper" if status is None else adhesion.described(status)
-        click.echo(f"{time.strftime('%H:%M:%S')} {told}")
+        found = [adhesion.keeper_status(spec) for spec in specs.values()]
+        for kind, status in zip(specs, found, strict=True):
+            which = f"{kind}: " if len(specs) > 1 else ""
+            told = "no keeper" if status is None else adhesion.described(status)
+            click.echo(f"{time.strftime('%H:%M:%S')} {which}{told}")
         if end_s is not None and time.monotonic() + every_s > end_s:
-            return EXIT_DEVICE if status is None else EXIT_PASS
+            return EXIT_DEVICE if found[0] is None else EXIT_PASS
         time.sleep(every_s)
 
 
 @command.command("keep")
 @_BENCH
-def keep(bench: str) -> int:
+@click.option("--propellers", is_flag=True, help="Keep the propellers on VESCs, not the fan.")
+def keep(bench: str, propellers: bool) -> int:
     """Be the fan's keeper, in the foreground: for a service of the robot's computer.
 
     Takes over a fan that runs, else waits until somebody asks for it. Heeds no signal that can be caught.
     """
     from hil.bench import adhesion
 
-    spec = adhesion.keeper_spec(_config(bench))
+    specs = adhesion.kept_specs(_config(bench))
+    if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
+        raise UsageError(f"{bench} has no {'propellers' if propellers else 'fan'} that can be kept")
     if adhesion.keeper_status(spec) is not None:
         raise UsageError(
             f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"

@@ -8,9 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
-from hil.config.values import Patience, Within
-
-_HIGHEST_DUTY = 0.95
+from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
+from hil.config.values import Within
 
 Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
 
@@ -50,32 +49,16 @@ class AdhesionConfig(DeviceConfig):
         return self.rated_rpm * math.sqrt(force_n / self.rated_force_n)
 
 
-class MotorConfig(AdhesionConfig):
+class MotorConfig(AdhesionConfig, KeptMotorConfig):
     """A fan whose motor controller is on CAN.
 
     Attributes:
-        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
-        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         command: what the controller is told: `duty`, `current` or `rpm`.
         rpm_per_v: of the motor: speed per volt, unloaded.
-        timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
-            Tool; the doctor reads what it truly is, where the controller tells.
-        ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
-        open_timeout_s: longest wait for its first report.
-        fail_after_s: uninterrupted silence that raises.
     """
 
-    interface: str = Field("socketcan", min_length=1)
-    channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     command: Literal["duty", "current", "rpm"] = "duty"
     rpm_per_v: Annotated[float, Within(10.0, 20_000.0, "1/min per V, as on the motor")] = 1750.0
-    timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
-    ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
-    ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
-    open_timeout_s: float = Field(1.0, gt=0, le=30)
-    fail_after_s: Patience = 1.0
 
     @property
     def counts_per_turn(self) -> int:
@@ -83,22 +66,14 @@ class MotorConfig(AdhesionConfig):
         return 1
 
     def keeper(self) -> dict[str, Any]:
-        """What the process that keeps the fan running is told (`hil.drivers.adhesion.keeper.spec.Spec`)."""
+        """As of any motor, with the highest set-points of a fan."""
         fastest_rpm = self.speed_for_rpm(self.highest_force_n)
-        return {
-            "interface": self.interface,
-            "channel": self.channel,
-            "bitrate": self.bitrate,
-            "options": dict(self.options),
-            "timeout_s": self.timeout_s,
-            "ramp_up_s": self.ramp_up_s,
-            "ramp_down_s": self.ramp_down_s,
-            "highest": {
-                "duty": _HIGHEST_DUTY,
-                "current_a": 4.0 * self.rated_input_a,
-                "erpm": self.counts_per_turn * fastest_rpm,
-            },
+        highest = {
+            "duty": HIGHEST_DUTY,
+            "current_a": 4.0 * self.rated_input_a,
+            "erpm": self.counts_per_turn * fastest_rpm,
         }
+        return {**super().keeper(), "highest": highest}
 
 
 class VescConfig(MotorConfig):

@@ -47,7 +47,8 @@ class SafetyConfig(Strict):
         adhesion_limit_m_s2: specific force below which the robot counts as falling; at least 1 on a wall.
         adhesion_reserve: with a fan among the devices: share by which its measured force exceeds what holds
             the robot; below that no wheel moves.
-        adhesion_stale_s: age after which fan or load cells count as silent; the robot then stops.
+        adhesion_stale_s: age after which fan, load cells or propellers that report count as silent; the robot
+            then stops.
         utilisation_limit: share of its friction that no wheel may exceed.
     """
 

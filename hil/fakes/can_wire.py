@@ -21,6 +21,7 @@ from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.emulated_bus import Mark, bus_name
 from hil.vocabulary.errors import DeviceError, UsageError
 
 WIRE_FAULTS: Supported = {
@@ -243,6 +244,7 @@ class CanFace(Face):
                 port=f"{interface}:{address}",
                 remedy="choose another python-can interface or address",
             ) from None
+        self._mark = Mark(bus_name(interface, address, self._options))
         self._queue = channel.listen()
         self.sent = self.lost = 0
 
@@ -304,6 +306,7 @@ class CanFace(Face):
             self._channel.leave(self._queue)
             self._bus.shutdown()
             self._bus = None
+        self._mark.close()
         self._give_up_claim()
 
     def _give_up_claim(self) -> None:

@@ -8,23 +8,20 @@ there is still a margin to stop with: at a limit above the need, and earlier whe
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 
+from hil.ring.force_trend import ForceTrend
 from hil.robot.holding import Statics
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Blame
 from hil.vocabulary.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status
 
-_TREND_NS = nanoseconds(0.25)
-_LEAST_TREND = 6
 _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
 """A force that will be below its limit so soon stops the robot now: wheels take 0.15 s to rest."""
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
-_LEAST_FALL_N = 0.3
 LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
 
@@ -41,7 +38,8 @@ class AdhesionLimits:
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.
         zero_n: of the load cells, their sum; None without cells.
-        stale_s: silence after which fan or cells are no longer trusted.
+        reports_thrust: whether the propellers' controllers report their speed.
+        stale_s: silence after which fan, cells or such propellers are no longer trusted.
     """
 
     statics: Statics
@@ -55,6 +53,7 @@ class AdhesionLimits:
     low_input_v: float = 0.0
     hot_fet_c: float = math.inf
     zero_n: float | None = None
+    reports_thrust: bool = False
     stale_s: float = 0.25
 
     @property
@@ -95,6 +94,8 @@ class AdhesionWatch:
 
     def __init__(self, limits: AdhesionLimits, *, can_fall: bool) -> None:
         self.limits, self._can_fall = limits, can_fall
+        self._has_fan, self._has_cells = limits.has_fan, limits.zero_n is not None
+        self._stale_ns = nanoseconds(limits.stale_s)
         self.reset()
 
     def reset(self) -> None:
@@ -108,8 +109,9 @@ class AdhesionWatch:
         self._used: dict[str, float] = {}
         self._cells_ns: int | None = None
         self._fan_ns: int | None = None
+        self._thrust_ns: int | None = None
         self._began_ns: int | None = None
-        self._trend: dict[str, deque[tuple[int, float]]] = {"load cells": deque(), "fan's speed": deque()}
+        self._trend = {"load cells": ForceTrend(), "fan's speed": ForceTrend()}
         self._apart_ns: int | None = None
         self._trouble = ""
         self._fan: AdhesionSample | None = None
@@ -123,9 +125,9 @@ class AdhesionWatch:
             self._began_ns = inputs.t_ns
         self._take(inputs, events)
         fresh = self._fresh(inputs.t_ns, stop if self._can_fall else _ignored)
-        if not (inputs.adhesion if self.limits.has_fan else inputs.load_cells):
+        if not (inputs.adhesion if self._has_fan else inputs.load_cells):
             return
-        force_n = min((f for f in (self._cells_n, self._speed_n) if math.isfinite(f)), default=math.nan)
+        force_n = self._smaller()
         self._figure(force_n)
         if not self._can_fall or not math.isfinite(force_n) or not fresh:
             return
@@ -134,46 +136,56 @@ class AdhesionWatch:
         if self._fan is not None:
             self._judge_controller(self._fan, force_n, stop)
 
+    def _smaller(self) -> float:
+        """The smaller of what is measured; NaN where nothing is."""
+        cells_n, speed_n = self._cells_n, self._speed_n
+        if not math.isfinite(cells_n):
+            return speed_n if math.isfinite(speed_n) else math.nan
+        return min(cells_n, speed_n) if math.isfinite(speed_n) else cells_n
+
     def _take(self, inputs: Inputs, events: list[Event]) -> None:
         """Newest force by each measure."""
         for sample in inputs.load_cells:
             if sample.status[0] is Status.OK and sample.status[1] is Status.OK:
                 self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
-                self._follow("load cells", sample.stamp.t_ns, self._cells_n)
+                self._trend["load cells"].follow(sample.stamp.t_ns, self._cells_n)
         for fan in inputs.adhesion:
             if fan.trouble != self._trouble:
                 self._trouble = fan.trouble
                 told = fan.trouble or "the fan is kept running as it should be again"
                 events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
-            if fan.status is Status.OK and self.limits.has_fan:
+            if fan.status is Status.OK and self._has_fan:
                 self._fan, self._fan_ns = fan, fan.stamp.t_ns
                 self._speed_n = self.limits.speed_n(fan)
-                self._follow("fan's speed", fan.stamp.t_ns, self._speed_n)
+                self._trend["fan's speed"].follow(fan.stamp.t_ns, self._speed_n)
         for push in inputs.thrust:
             if push.status is Status.OK and math.isfinite(push.throttle):
                 self._thrust_n = self.limits.full_thrust_n * push.throttle**2
-
-    def _follow(self, measure: str, t_ns: int, force_n: float) -> None:
-        trend = self._trend[measure]
-        trend.append((t_ns, force_n))
-        while trend[0][0] < t_ns - _TREND_NS:
-            trend.popleft()
+                self._thrust_ns = push.stamp.t_ns
 
     def _fresh(self, t_ns: int, stop: Blame) -> bool:
         """Whether everybody who measures the force has been heard lately."""
-        fresh, stale_ns = True, nanoseconds(self.limits.stale_s)
-        watched = [("adhesion", "fan's controller", self._fan_ns)] * self.limits.has_fan
-        watched += [("load_cells", "load cells", self._cells_ns)] * (self.limits.zero_n is not None)
-        for name, noun, last_ns in watched:
-            silent_ns = t_ns - max(last_ns or 0, self._began_ns or 0)
-            if silent_ns > stale_ns:
-                fresh = False
-                stop(
-                    f"stale_{name}",
-                    f"nothing usable from the {noun} for {silent_ns / NS_PER_S:.2f} s: whether the robot is "
-                    "pressed on the wall is not known; check supply, CAN wiring and adapter",
-                )
+        oldest_ns = t_ns - self._stale_ns
+        if (self._began_ns or 0) >= oldest_ns:
+            return True
+        fresh = True
+        if self._has_fan and (self._fan_ns or 0) < oldest_ns:
+            fresh = self._silent("adhesion", "fan's controller", self._fan_ns, t_ns, stop)
+        if self._has_cells and (self._cells_ns or 0) < oldest_ns:
+            fresh = self._silent("load_cells", "load cells", self._cells_ns, t_ns, stop)
+        if self.limits.reports_thrust and (self._thrust_ns or 0) < oldest_ns:
+            fresh = self._silent("thrust", "propellers' controllers", self._thrust_ns, t_ns, stop)
         return fresh
+
+    def _silent(self, name: str, noun: str, last_ns: int | None, t_ns: int, stop: Blame) -> bool:
+        """Stop for want of somebody who measures the force; False, as nothing fresh is known."""
+        silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
+        stop(
+            f"stale_{name}",
+            f"nothing usable from the {noun} for {silent_s:.2f} s: whether the robot is "
+            "pressed on the wall is not known; check supply, CAN wiring and adapter",
+        )
+        return False
 
     def _figure(self, force_n: float) -> None:
         """Figures for the state; statics are worked out anew where force or heading have changed."""
@@ -195,7 +207,7 @@ class AdhesionWatch:
         if (
             abs(force_n - at_n) <= _SAME_SHARE * at_n
             and abs(self.heading_rad - at_rad) <= _SAME_RAD
-            and self._thrust_n == at_thrust_n
+            and abs(self._thrust_n - at_thrust_n) <= _SAME_SHARE * at_thrust_n
         ):
             return
         self._worked_out_at = (force_n, self._thrust_n, self.heading_rad)
@@ -212,7 +224,7 @@ class AdhesionWatch:
         limit_n = (1.0 + self.limits.reserve) * self._needed_n
         measure, rate_n_s = "", 0.0
         for name, trend in self._trend.items():
-            if (slope := _slope(trend)) < rate_n_s:
+            if (slope := trend.slope_n_s()) < rate_n_s:
                 measure, rate_n_s = name, slope
         falling = rate_n_s < _FALLING_N_S
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
@@ -276,24 +288,6 @@ class AdhesionWatch:
 def apart(cells_n: float, speed_n: float) -> bool:
     """Whether two measures of one force contradict each other; False where one is NaN."""
     return abs(cells_n - speed_n) > max(_DISAGREE_N, _DISAGREE_SHARE * abs(speed_n))
-
-
-def _slope(trend: deque[tuple[int, float]]) -> float:
-    """Rate of a fall in N/s by least squares; 0 where there is too little to tell, or none."""
-    n = len(trend)
-    if n < _LEAST_TREND or trend[-1][0] - trend[0][0] < _TREND_NS // 2:
-        return 0.0
-    if trend[0][1] - trend[-1][1] < _LEAST_FALL_N:
-        return 0.0
-    t0_ns = trend[0][0]
-    sum_t = sum_f = sum_tt = sum_tf = 0.0
-    for t_ns, force_n in trend:
-        t_s = (t_ns - t0_ns) / NS_PER_S
-        sum_t += t_s
-        sum_f += force_n
-        sum_tt += t_s * t_s
-        sum_tf += t_s * force_n
-    return (n * sum_tf - sum_t * sum_f) / (n * sum_tt - sum_t * sum_t)
 
 
 def _ignored(reason: str, message: str) -> None:

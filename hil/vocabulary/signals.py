@@ -199,8 +199,9 @@ class ThrustSample:
     """The propellers that carry part of the weight.
 
     Attributes:
-        throttle: 0..1, as it was sent last; NaN where this program has sent none.
-        speed_rpm: where the controller reports it; else NaN.
+        throttle: 0..1, their force goes with its square: as it was sent last, NaN where this program has
+            sent none; where controllers report their speed, the share of full speed.
+        speed_rpm: where the controllers report it, their mean; else NaN.
     """
 
     stamp: Stamp

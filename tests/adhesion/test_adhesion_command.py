@@ -6,6 +6,7 @@ import math
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,14 +15,32 @@ import pytest
 from kills import end_keeper, keeper_pid
 
 from hil.bench import adhesion
-from hil.bench.adhesion import keeper_spec
+from hil.bench.adhesion import keeper_spec, kept_specs
+from hil.bench.drivers import make_rig
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.signals import Status
 
 ROOT = Path(__file__).resolve().parents[2]
 WALL = '[environment]\nsurface = "melamine"\ntilt_rad = 1.5707963\n'
+
+
+EMULATED = f"""
+schema = 1
+name = "served"
+{WALL}
+[adhesion]
+backend = "emulated"
+[emulation.adhesion]
+messages_1 = [1]
+messages_2 = [4, 5]
+[thrust]
+model = "vesc"
+backend = "emulated"
+"""
 
 
 def bench_file(folder, interface, channel, controller_id, port):
@@ -35,18 +54,27 @@ def bench_file(folder, interface, channel, controller_id, port):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """Bench file of a robot of which only the fan is there, emulated by another process."""
+    """Bench file of a robot of which only fan and propellers are there, emulated by another process."""
     folder = tmp_path_factory.mktemp("served")
-    command = [sys.executable, "-m", "hil.cli", "emulate", "--only", "adhesion"]
+    (folder / "emulated.toml").write_text(EMULATED)
+    command = [sys.executable, "-m", "hil.cli", "emulate", "--bench", str(folder / "emulated.toml")]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(folder / "state"))
         with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-            where = json.loads(process.stdout.readline())["adhesion"]
+            said = json.loads(process.stdout.readline())
+            where, push = said["adhesion"], said["thrust"]
             path = bench_file(
                 folder, where["interface"], where["channel"], where["controller_id"], where.get("port", 43113)
             )
+            with path.open("a") as file:
+                file.write(
+                    f'[thrust]\nmodel = "vesc"\ninterface = "{push["interface"]}"\n'
+                    f'channel = "{push["channel"]}"\ncontroller_ids = {push["controller_ids"]}\n'
+                    f"options = {{ port = {push['port']}, hop_limit = 0 }}\n"
+                )
             yield path
-            end_keeper(keeper_spec(load_bench(str(path))))
+            for spec in kept_specs(load_bench(str(path))).values():
+                end_keeper(spec)
             process.terminate()
 
 
@@ -90,6 +118,30 @@ def test_on_status_watch_and_off_at_an_emulated_vesc(served, hil):
     code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
     assert (code, "off (the operator" in out) == (0, True), err
     assert json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["keeper"]["state"] == "idle"
+
+
+def test_propellers_on_vescs_are_kept_told_of_and_stopped_too(served, hil):
+    config = load_bench(str(served))
+    spec = kept_specs(config)["thrust"]
+    assert is_emulated(spec.bus), "so that their keeper ends with the emulator"
+    propellers = make_rig(config, MonotonicClock(), {}).get("thrust")
+    propellers.open()
+    try:
+        propellers.set_force_n(10.0)
+        for _ in range(300):
+            newest = [*propellers.read()][-1:]
+            if newest and newest[0].throttle > 0.95 * math.sqrt(10.0 / 39.7):
+                break
+            time.sleep(0.02)
+        assert newest[0].throttle > 0.95 * math.sqrt(10.0 / 39.7)
+    finally:
+        propellers.close()
+    told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
+    assert (told["name"], told["keeper"]["state"]) == (spec.name, "keeping")
+    code, out, err = hil("adhesion", "off", "--bench", served, "--tethered")
+    assert (code, f"{spec.name}: off (the operator" in out) == (0, True), err
+    told = json.loads(hil("adhesion", "status", "--bench", served, "--json")[1])["thrust"]
+    assert told["keeper"]["state"] == "idle"
 
 
 def test_a_force_that_no_fan_has_changes_nothing(served, hil):

@@ -195,7 +195,7 @@ def test_a_fan_that_says_nothing_is_not_started():
 def test_the_wrong_controller_id_is_named_beside_the_right_one():
     keeper = Keeper(SPEC)
     report(keeper, 0, 23)
-    with pytest.raises(DeviceError, match=r"controller 23 does.*set adhesion.controller_id"):
+    with pytest.raises(DeviceError, match=r"controller 23 does.*set the controller's id in .adhesion."):
         keeper.wish(0, SetPoint("duty", 0.5))
 
 

@@ -188,15 +188,19 @@ def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch)
         client.find_or_start(Spec("socketcan", "can77", 7))
 
 
-def test_it_ends_with_an_emulated_fan(wire):
+def test_it_ends_with_the_process_that_emulates_its_bus(wire):
+    """Whoever wrote the bench file: one that names the bus as if it were real gets no keeper for ever."""
     _, spec = wire
-    emulator = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    with client.find_or_start(spec, emulator=emulator.pid) as connection:
-        set_when_heard(connection, spec)
-        emulator.stdin.close()
-        emulator.wait()
-        connection.settimeout(10.0)
-        assert connection.recv(1) == b""
+    marking = f"from hil.vocabulary.emulated_bus import Mark; m = Mark({spec.bus!r}); print(); input()"
+    command = [sys.executable, "-c", marking]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
+        emulator.stdout.readline()
+        with client.find_or_start(spec) as connection:
+            set_when_heard(connection, spec)
+            emulator.kill()
+            emulator.wait()
+            connection.settimeout(10.0)
+            assert connection.recv(1) == b""
 
 
 def test_nothing_is_left_where_it_listened(keeper):

@@ -94,9 +94,21 @@ def test_short_and_foreign_frames_say_nothing(frame_id, data):
     assert vesc.decode(hex_id(frame_id), bytes.fromhex(data)) is None
 
 
-def test_a_current_with_an_off_delay_is_a_current():
-    order = vesc.decode(0x0107, bytes.fromhex("0000C73803E8"))
-    assert order == vesc.Order(7, vesc.Packet.SET_CURRENT, 51.0)
+@pytest.mark.parametrize(
+    ("packet", "value", "frame_id", "data"),
+    [("SET_CURRENT", 51.0, 0x0107, "0000C73803E8"), ("SET_CURRENT_REL", 0.5, 0x0A07, "0000C35003E8")],
+)
+def test_a_current_may_have_an_off_delay(packet, value, frame_id, data):
+    order = vesc.Order(7, vesc.Packet[packet], value, off_delay_s=1.0)
+    assert vesc.decode(frame_id, bytes.fromhex(data)) == order
+    assert vesc.order_frame(order) == (frame_id, bytes.fromhex(data))
+
+
+def test_nothing_else_has_an_off_delay():
+    with pytest.raises(UsageError, match="off delay"):
+        vesc.order_frame(vesc.Order(7, vesc.Packet.SET_DUTY, 0.5, off_delay_s=1.0))
+    with pytest.raises(UsageError, match="off delay"):
+        vesc.order_frame(vesc.Order(7, vesc.Packet.SET_CURRENT, 5.0, off_delay_s=40.0))
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 3e9])

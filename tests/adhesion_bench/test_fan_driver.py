@@ -62,6 +62,21 @@ def test_a_force_is_reached_and_kept_up_whatever_the_battery_does(command, drive
         fan.close()
 
 
+@pytest.mark.parametrize("command", ["duty", "current"])
+def test_a_slow_ramp_is_waited_for_and_nothing_overshoots(command, driver):
+    with fan_world(**ON) as (_world, clock, node, _bus):
+        fan = driver(clock, command=command, ramp_up_s=8.0)
+        fan.open()
+        after(fan, clock, 0.3)
+        fan.set_force_n(40.0)
+        highest_n = 0.0
+        for _ in range(120):
+            after(fan, clock, 0.1)
+            highest_n = max(highest_n, node.fan.force_n)
+        assert highest_n < 42.0
+        assert node.fan.force_n == pytest.approx(40.0, rel=0.02)
+
+
 def test_opening_and_closing_commands_nothing(driver):
     with fan_world(**ON) as (_world, clock, _node, bus):
         fan = driver(clock)
@@ -83,7 +98,7 @@ def test_slow_reports_are_no_numbers_before_they_came(driver):
 @pytest.mark.parametrize(
     ("options", "keys", "told"),
     [
-        (ON, {"controller_id": 9}, r"no controller has the id 9; there: 1.*adhesion.controller_id = 1"),
+        (ON, {"controller_id": 9}, r"no controller has the id 9; there: 1.*set adhesion.controller_id to 1"),
         ({**ON, "twins": 1}, {}, r"2 controllers have the id 1.*an id of its own in VESC Tool"),
         ({"start": "off"}, {}, r"sends no status message.*switch on messages 1, 4 and 5 in VESC Tool"),
         ({**ON, "timeout_s": 0.0}, {}, r"time-out is 0.*set 1000 ms in VESC Tool"),

@@ -10,7 +10,7 @@ import hil
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
 from hil.robot.trajectories import line
-from hil.vocabulary.errors import DeviceError, SafetyStop
+from hil.vocabulary.errors import DeviceError, SafetyStop, UsageError
 
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
 COLD = {"emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
@@ -68,6 +68,15 @@ def test_a_fan_that_loses_its_power_stops_the_robot_with_the_time_that_is_left()
     assert stop is not None
     assert stop.reason in ("adhesion", "utilisation", "adhesion_disagree")
     assert force_when_at_rest(seen, 2.0) > 26.0
+
+
+@pytest.mark.parametrize("seed", [1, *(pytest.param(s, marks=pytest.mark.long) for s in range(2, 21))])
+def test_a_robot_falls_only_where_the_fan_really_fails(seed):
+    """What is lost of the force stops the wheels; what is left of it holds the robot."""
+    stop, seen, truth = climb("plant:adhesion_loss@2,factor=0.6,over_s=1", seed=seed)
+    assert stop is not None
+    assert seen[-1][2] < AT_REST_RAD_S
+    assert not truth.fallen
 
 
 def test_a_force_that_stays_over_its_limit_stops_nothing_and_holds():
@@ -237,3 +246,33 @@ def test_cells_and_speed_that_disagree_before_the_start_leave_the_servos_without
         bench.__enter__()
     assert caught.value.reason == "adhesion_disagree"
     assert bench.world.plant._by_hand
+
+
+def test_torque_is_not_released_on_the_wall_when_a_program_asks_for_it():
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench.observe(0.2, feedback="odometry")
+        with pytest.raises(UsageError, match=r"torque is not released.*safety.tethered = true"):
+            bench.release()
+        bench.observe(0.5, feedback="odometry")
+        truth = bench.truth()
+    assert not truth.fallen
+    assert truth.adhesion_n > 40.0
+    assert bench.held.state == "HELD"
+
+
+@pytest.mark.parametrize("model", ["hx711_can", "hx711_line"])
+def test_cells_that_are_not_there_are_named_and_nothing_is_switched(model):
+    overrides = {"load_cells.model": model, **COLD}
+    bench = hil.open_bench("emulated", seed=1, overrides=overrides, faults=["load_cells:off@0"])
+    with pytest.raises(DeviceError, match=r"load_cells at .*no conversion for 1.0 s.*supply") as caught:
+        bench.__enter__()
+    assert caught.value.exit_code == 3
+    assert bench.world.plant._by_hand, "nobody gave the servos torque"
+
+
+def test_a_negative_push_is_refused_and_the_propellers_go_on():
+    with hil.open_bench("emulated", seed=1) as bench:
+        with pytest.raises(UsageError, match=r"thrust: a force of -3 N.*0 to 39.7 N"):
+            bench.rig.get("thrust").set_force_n(-3.0)
+        bench.observe(0.5, feedback="odometry")
+        assert bench.truth().thrust_n > 15.0

@@ -377,3 +377,11 @@ def test_the_flow_of_the_common_public_client_is_understood(imu_bench):
         reply = ask(f"AA01{register}{length:02X}")
         assert reply.startswith(f"bb{length:02x}")
         assert len(reply) == 2 * (length + 2)
+
+
+def test_open_is_patient_with_a_busy_computer_and_a_cycle_is_not(imu_bench):
+    bench = imu_bench("imu:slow@0,answer_s=0.03")
+    bench.driver.open()
+    began_ns = bench.clock.now_ns()
+    assert {sample.status for sample in bench.driver.read()} == {Status.TIMEOUT}
+    assert bench.clock.now_ns() - began_ns < 50_000_000

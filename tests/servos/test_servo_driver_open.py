@@ -310,3 +310,14 @@ def test_nobody_may_write_to_the_eeprom_by_opening(servo_bench):
     bench.driver.release()
     bench.driver.close()
     assert [bytes(s.table.data[:64]) for s in bench.bus.servos] == before
+
+
+def test_garbled_answers_in_the_first_moment_are_asked_for_again(servo_bench):
+    """What a killed program has asked for may still be on its way; nobody is refused for that."""
+    bench = servo_bench("servos:corrupt@0+0.15,probability=1")
+    assert bench.driver.identity()
+
+
+def test_answers_that_stay_garbled_are_refused_before_long(servo_bench):
+    with pytest.raises(DeviceError, match="garbled"):
+        servo_bench("servos:corrupt@0,probability=1")

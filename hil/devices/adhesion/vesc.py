@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -17,25 +16,21 @@ if TYPE_CHECKING:
     from hil.drivers.adhesion.keeper.kept import Keep
 
 _OPEN_TIMEOUT_S = 0.5
+_TOLD = ("controller_id",)
 
 
-def _driver(
-    config: VescConfig, clock: Clock, *, emulator: int | None = None, keep: Keep | None = None
-) -> Holding[AdhesionSample]:
+def _driver(config: VescConfig, clock: Clock, *, keep: Keep | None = None) -> Holding[AdhesionSample]:
     """The fan's driver.
 
     Args:
         config: its table.
         clock: the bench clock.
-        emulator: process that serves an emulated fan: its keeper ends with it.
         keep: makes who keeps a fan that is emulated in this process, where no other could reach it.
     """
-    from functools import partial
-
     from hil.drivers.adhesion.fan import VescFan
     from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 
-    return VescFan(config, clock, keep or partial(KeptByProcess, emulator=emulator))
+    return VescFan(config, clock, keep or KeptByProcess)
 
 
 def _imperfections() -> type[Any]:
@@ -55,7 +50,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     channel = channel_of(setting)
     options = setting.options(AdhesionTruthOptions, timeout_s=config.timeout_s)
     node = VescNode(setting.world, channel, config, options)
-    told = {"controller_id": config.controller_id, "pid": os.getpid()}
+    told = {"controller_id": config.controller_id}
     device = on_can(
         setting, channel, subnet=164, dbc=DBC, listens=True, told=told,
         parts={"keep": KeptInWorld(setting.world).keep},
@@ -66,10 +61,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
 def _reach(endpoint: Mapping[str, Any]) -> Connection:
     from hil.devices.canbus import where
 
-    values = where(endpoint, ("controller_id", "pid"))
-    return Connection(
-        {**values, "controller_id": endpoint["controller_id"]}, parts={"emulator": endpoint["pid"]}
-    )
+    return Connection({**where(endpoint, _TOLD), **{name: endpoint[name] for name in _TOLD}})
 
 
 def _search(search: Search) -> Found | None:

@@ -12,6 +12,7 @@ from hil.config.robot import RobotConfig
 from hil.config.thrust import ThrustConfig
 from hil.devices.looks import samples_look
 from hil.devices.thrust.teensy import TEENSY
+from hil.devices.thrust.vesc import VESC_THRUST
 from hil.recording.cdr import joints
 from hil.vocabulary.kinds import DeviceKind, Figures, Force, Plot, Topic
 from hil.vocabulary.signals import Inputs, Status, ThrustSample
@@ -43,16 +44,16 @@ KIND = DeviceKind(
     name="thrust",
     noun="propellers",
     sample=ThrustSample,
-    models=(TEENSY,),
+    models=(TEENSY, VESC_THRUST),
     actuates=True,
     holds=True,
     aliases=("propellers",),
-    rate_hz=lambda own, loop_hz: 1.0 / float(getattr(own, "repeat_s", 0.1)),
+    rate_hz=lambda own, loop_hz: 1.0 / float(getattr(own, "repeat_s", math.nan)),
     age_s=0.005,
     gap_s=0.5,
     topics=(Topic("/adhesion/propellers", "sensor_msgs/msg/JointState", propeller_state),),
     figures=_figures,
     forces=_forces,
     plots=(Plot("Adhesion", "Propellers' throttle", "adhesion/throttle"),),
-    look=samples_look("check cable and supply of the propellers' Teensy"),
+    look=samples_look("check cable and supply of the propellers' controllers"),
 )

@@ -9,17 +9,18 @@ from dataclasses import dataclass, field
 import can
 
 from hil.config.adhesion import VescConfig
-from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.motor import Figures, MotorFan
 from hil.drivers.adhesion.settings import Answers
-from hil.drivers.adhesion.vesc import Pong, Status, Status4, Status5, decode
+from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address, decode
 from hil.drivers.adhesion.who import Seen, ask_who
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.signals import AdhesionSample
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
+_READ = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 
 @dataclass
@@ -44,6 +45,7 @@ class VescFan(MotorFan[VescConfig]):
         name: str = "adhesion",
     ) -> None:
         self._answers, self._seen = Answers(), Seen()
+        self._reports = {address(packet, config.controller_id) for packet in _READ}
         super().__init__(config, clock, keep, name)
 
     def _forget(self) -> None:
@@ -63,11 +65,11 @@ class VescFan(MotorFan[VescConfig]):
     def _input_v(self) -> float:
         return self._slow.input_v
 
+    def _says_something(self, message: can.Message) -> bool:
+        return message.is_extended_id and message.arbitration_id in self._reports
+
     def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
-        said = decode(message.arbitration_id, message.data) if message.is_extended_id else None
-        if said is None or isinstance(said, Pong) or said.controller_id != self._config.controller_id:
-            return
-        slow = self._slow
+        said, slow = decode(message.arbitration_id, message.data), self._slow
         if isinstance(said, Status4):
             slow.input_a, slow.fet_c, slow.motor_c = said.input_a, said.fet_c, said.motor_c
             slow.seen_ns["4"] = t_ns
@@ -96,4 +98,5 @@ class VescFan(MotorFan[VescConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """What the doctor wants to know of how the controller is set and kept."""
-        return self._seen.findings(self.name, self._config, self._answers, self._kept)
+        set_so = self._seen.findings(self.name, self._config, self._answers)
+        return (*set_so, finding(self.name, self._kept))

@@ -35,7 +35,7 @@ C = TypeVar("C", bound=MotorConfig)
 
 
 class Figures(NamedTuple):
-    """What a report says of the fan, NaN where it does not: as in `AdhesionSample`."""
+    """What a report says of the fan, NaN where it does not: as in `AdhesionSample`, in its order."""
 
     speed_rpm: float
     duty: float
@@ -121,17 +121,24 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
         kept = self._must_be_open()
-        frames, now_ns, trouble = self._link.take(), self._clock.now_ns(), kept.trouble()
-        samples = tuple(s for t_ns, m in frames for s in self._taken(t_ns, m, now_ns, trouble))
+        frames, now_ns = self._link.take(), self._clock.now_ns()
+        samples: list[AdhesionSample] = []
+        if frames:
+            trouble = kept.trouble()
+            for t_ns, message in frames:
+                if self._says_something(message):
+                    samples += self._taken(t_ns, message, now_ns, trouble)
         if samples:
             self._good_ns = now_ns
             self._latest = samples[-1]
             self._link.error = ""
-            if self._trim is not None and (point := self._trim.better(samples[-1])) is not None:
-                kept.set(point)
+            if self._trim is not None:
+                point = self._trim.better(samples[-1], kept.status)
+                if point is not None:
+                    kept.set(point)
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent(now_ns)
-        return samples
+        return tuple(samples)
 
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
         """A report as a sample; `raw` is what never stays the same while a fan runs."""
@@ -145,7 +152,7 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
         if status is not Status.OK:
             figures = figures._replace(speed_rpm=math.nan, duty=math.nan, motor_a=math.nan)
         stamp = Stamp(t_ns, now_ns, self._sequence)
-        return AdhesionSample(stamp, **figures._asdict(), status=status, trouble=trouble)
+        return AdhesionSample(stamp, *figures, status, trouble)
 
     def set_force_n(self, force_n: float) -> None:
         """Ask for a force; the speed that gives it is kept up whatever the battery does.
@@ -184,6 +191,10 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
     @abstractmethod
     def _greet(self, spec: Spec) -> dict[str, str]:
         """Find the controller on the open bus, look whether it may be trusted; its identity."""
+
+    def _says_something(self, message: can.Message) -> bool:
+        """Whether a frame may be of the fan's controller: its keeper's commands pass by here, too."""
+        return message.is_extended_id
 
     @abstractmethod
     def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:

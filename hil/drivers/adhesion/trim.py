@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 from hil.config.adhesion import MotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
@@ -13,7 +15,10 @@ _DROOP = 0.93
 """Speed of a loaded motor over that of a free one, before anything was measured."""
 _NOMINAL_V = 22.2
 _EVERY_NS = nanoseconds(0.2)
-_SETTLING_NS = nanoseconds(1.5)
+_SETTLING_NS, _AFTER_RAMP_NS = nanoseconds(1.5), nanoseconds(0.8)
+"""Time that the fan has from the set-point, and from the end of the keeper's ramp towards it."""
+_ARRIVED = 0.002
+"""Share of the highest set-point by which what is sent may differ from it at the end of a ramp."""
 _TOLERANCE, _GAIN, _MOST = 0.003, 0.5, 0.03
 _MOTOR_OVER_INPUT = 1.25
 _NEAR = 0.15
@@ -37,6 +42,7 @@ class Trim:
     ) -> None:
         self._config, self._wanted_rpm = config, speed_rpm
         self._next_ns: int | None = None
+        self._arrived = False
         self.point = self._first(input_v if math.isfinite(input_v) else _NOMINAL_V)
         running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
         if now is not None and running and self.point.quantity == "duty" and math.isfinite(now.duty):
@@ -54,11 +60,20 @@ class Trim:
         duty = self._wanted_rpm / (_DROOP * config.rpm_per_v * input_v)
         return SetPoint("duty", min(duty, highest["duty"]))
 
-    def better(self, sample: AdhesionSample) -> SetPoint | None:
-        """Another set-point, when the fan has had its time and still turns too fast or too slowly."""
+    def better(self, sample: AdhesionSample, kept: Callable[[], Mapping[str, Any]]) -> SetPoint | None:
+        """Another set-point, when the fan has had its time and still turns too fast or too slowly.
+
+        Args:
+            sample: its latest report.
+            kept: status of its keeper: while what that sends is on its way to the set-point the fan is slow
+                for no other reason.
+        """
         t_ns = sample.stamp.t_ns
         if self._next_ns is None:
             self._next_ns = t_ns + _SETTLING_NS
+        if not self._arrived:
+            self._arrived = self._reached(kept().get("sent"))
+            self._next_ns = max(self._next_ns, t_ns + _AFTER_RAMP_NS)
         if t_ns < self._next_ns or sample.status is not Status.OK or self._config.command == "rpm":
             return None
         self._next_ns = t_ns + _EVERY_NS
@@ -70,3 +85,10 @@ class Trim:
         value = self.point.value * (1.0 + min(max(_GAIN * square * error, -_MOST), _MOST))
         self.point = SetPoint(self.point.quantity, min(value, highest))
         return self.point
+
+    def _reached(self, sent: Sequence[Any] | None) -> bool:
+        """Whether the keeper's ramp has come to the set-point."""
+        if sent is None or sent[0] != self.point.quantity:
+            return False
+        highest = self._config.keeper()["highest"][self.point.quantity]
+        return bool(abs(sent[1] - self.point.value) <= _ARRIVED * highest)

@@ -1,4 +1,4 @@
-"""Who is on the fan's bus, and whether the one that is meant may be trusted with a robot."""
+"""Who is on the bus of a VESC, and whether the one that is meant may be trusted with a robot."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from hil.config.adhesion import VescConfig
-from hil.drivers.adhesion.keeper.kept import Kept
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.settings import QUESTIONS, SHORT, Answers, question
 from hil.drivers.adhesion.vesc import EVERYBODY, Pong, Status, Status4, Status5, decode, ping_frame
@@ -32,10 +31,12 @@ class Seen:
     """What came from the bus while it was looked at.
 
     Attributes:
+        key: of the bench file, with the controller's id.
         pongs, statuses: how often each controller answered the one ping, and reported.
         messages: numbers of the status messages that the controller itself sent.
     """
 
+    key: str = "controller_id"
     pongs: Counter[int] = field(default_factory=Counter)
     statuses: Counter[int] = field(default_factory=Counter)
     messages: set[int] = field(default_factory=set)
@@ -63,7 +64,7 @@ class Seen:
         least_s = 10.0 * spec.period_s
         if timeout_s == 0.0:
             raise DeviceError(
-                name, "the controller's time-out is 0: its fan would run for ever once nobody commands it",
+                name, "the controller's time-out is 0: its motor would run for ever once nobody commands it",
                 port=port, expected=f"at least {least_s:g} s", remedy=_TIMEOUT,
             )  # fmt: skip
         if timeout_s < least_s - 1e-9:
@@ -81,7 +82,7 @@ class Seen:
             return DeviceError(
                 name, f"no controller has the id {config.controller_id}; there: {told}", port=link.port,
                 expected=f"controller {config.controller_id}",
-                remedy=f"set adhesion.controller_id = {others[0]} if that is the fan's",
+                remedy=f"set {name}.{self.key} to {others[0]} if that is the one",
             )  # fmt: skip
         return DeviceTimeoutError(
             name, f"no VESC answers{link.told()}", port=link.port,
@@ -90,15 +91,8 @@ class Seen:
             "rate (VESC Tool, App Settings, General, CAN Baud Rate)",
         )  # fmt: skip
 
-    def findings(
-        self, name: str, config: VescConfig, answers: Answers, kept: Kept | None
-    ) -> tuple[Finding, ...]:
-        """What the doctor tells of settings and keeper."""
-        return tuple(self._findings(name, config, answers, kept))
-
-    def _findings(
-        self, name: str, config: VescConfig, answers: Answers, kept: Kept | None
-    ) -> Iterator[Finding]:
+    def findings(self, name: str, config: VescConfig, answers: Answers) -> Iterator[Finding]:
+        """What the doctor tells of how the controller is set."""
         settings = answers.settings
         if settings is None:
             found = f"the controller does not tell; the bench file says {config.timeout_s:g} s"
@@ -107,7 +101,7 @@ class Seen:
         else:
             same = math.isclose(settings.timeout_s, config.timeout_s, abs_tol=1e-3)
             level: Level = "ok" if same else "warning"
-            remedy = f"set adhesion.timeout_s = {settings.timeout_s:g}"
+            remedy = f"set {name}.timeout_s = {settings.timeout_s:g}"
             yield Finding(
                 name, "time-out", level, f"{settings.timeout_s:g} s", f"{config.timeout_s:g} s", remedy
             )
@@ -116,11 +110,6 @@ class Seen:
         told = ", ".join(map(str, sorted(sent))) or "none"
         yield Finding(name, "status messages", level, told, "1, 4 and 5", _MASKS)
         yield self._firmware(name, answers.firmware)
-        trouble = "it is closed" if kept is None else kept.trouble()
-        yield Finding(
-            name, "keeper", "warning" if trouble else "ok", trouble or "keeps the fan",
-            "a process of its own", "`hil adhesion status` says more",
-        )  # fmt: skip
 
     @staticmethod
     def _firmware(name: str, firmware: str) -> Finding:

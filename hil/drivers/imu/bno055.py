@@ -72,8 +72,9 @@ class Bno055Imu(Sensor[ImuSample]):
         self._chip = Chip(link, self._config, self._clock, self.name, self._calibration)
         deadline_ns = self._clock.now_ns() + nanoseconds(self._config.open_timeout_s)
         try:
-            identity = self._chip.identify(deadline_ns)
-            self._chip.prepare(deadline_ns)
+            with link.patient():
+                identity = self._chip.identify(deadline_ns)
+                self._chip.prepare(deadline_ns)
         except BaseException:
             self.close()
             raise

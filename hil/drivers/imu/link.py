@@ -6,6 +6,8 @@ two-byte error reply (Bosch BNO055 datasheet 4.7). Vendor exceptions end here.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any
 
 from hil.config.imu import Bno055Config
@@ -27,6 +29,7 @@ STATUS_TEXT = {
 }
 _WRITTEN, _OVERRUN = 0x01, 0x07
 _MAX_ATTEMPTS = 10
+_PATIENCE_S = 0.04
 
 
 class ExchangeError(Exception):
@@ -60,6 +63,17 @@ class Link:
         except PORT_ERRORS as error:
             expected = "a BNO055 in UART mode at a serial port or pyserial URL"
             raise cannot_open(name, config.port, error, expected=expected) from None
+
+    @contextmanager
+    def patient(self) -> Iterator[None]:
+        """Outside the control cycle: replies may take longer meanwhile, when the host is busy."""
+        before_s = self._port.timeout
+        self._port.timeout = before_s + _PATIENCE_S
+        try:
+            yield
+        finally:
+            with suppress(*PORT_ERRORS):
+                self._port.timeout = before_s
 
     def close(self) -> None:
         """Let go of the port; never raises."""

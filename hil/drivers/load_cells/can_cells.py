@@ -87,17 +87,15 @@ class CanCells(Sensor[LoadCellSample]):
             raise DeviceError(
                 self.name, "used while closed", port=self._link.port, remedy="call open() first"
             )
-        now_ns = self._clock.now_ns()
-        samples = tuple(
-            self._judge.sample(raw, t_ns, now_ns)
-            for t_ns, message in self._link.take()
-            if (raw := self._counts(message)) is not None
-        )
+        frames, now_ns, samples = self._link.take(), self._clock.now_ns(), []
+        for t_ns, message in frames:
+            if (raw := self._counts(message)) is not None:
+                samples.append(self._judge.sample(raw, t_ns, now_ns))
         if samples:
             self._good_ns, self._link.error = now_ns, ""
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent((now_ns - self._good_ns) / NS_PER_S)
-        return samples
+        return tuple(samples)
 
     def _counts(self, message: Any) -> tuple[int, int] | None:
         if message.arbitration_id != self._frame_id or message.is_extended_id:
@@ -105,8 +103,8 @@ class CanCells(Sensor[LoadCellSample]):
         if len(message.data) != self._length:
             self.malformed += 1
             return None
-        first, second = (field.take(message.data) for field in self._fields)
-        return first, second
+        first, second = self._fields
+        return first.take(message.data), second.take(message.data)
 
     def _await_first(self) -> None:
         heard: set[int] = set()

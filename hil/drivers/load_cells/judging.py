@@ -22,8 +22,8 @@ class Judge:
     """
 
     def __init__(self, config: LoadCellsConfig) -> None:
-        self._config = config
-        self._stuck = tuple(StuckTest(_STUCK_S) for _ in range(2))
+        self._n_per_count, self._end_n = config.n_per_count, _END * config.largest_n
+        self._stuck = (StuckTest(_STUCK_S), StuckTest(_STUCK_S))
         self._sequence = 0
         self._latest_ns = -1
 
@@ -31,15 +31,15 @@ class Judge:
         """A conversion of both cells that was made at `t_ns`."""
         self._latest_ns = t_ns = min(max(t_ns, self._latest_ns + 1), host_ns)
         self._sequence += 1
-        forces, states = [math.nan, math.nan], []
-        for i, (counts, stuck) in enumerate(zip(raw, self._stuck, strict=True)):
-            force_n = counts * self._config.n_per_count[i]
-            if stuck.stuck(counts, t_ns):
-                states.append(Status.FROZEN)
-            elif abs(force_n) >= _END * self._config.largest_n:
-                states.append(Status.IMPLAUSIBLE)
-            else:
-                forces[i] = force_n
-                states.append(Status.OK)
+        (first_n, first), (second_n, second) = self._judged(0, raw[0], t_ns), self._judged(1, raw[1], t_ns)
         stamp = Stamp(t_ns, host_ns, self._sequence)
-        return LoadCellSample(stamp, np.array(forces), tuple(states), raw)
+        return LoadCellSample(stamp, np.array((first_n, second_n)), (first, second), raw)
+
+    def _judged(self, cell: int, counts: int, t_ns: int) -> tuple[float, Status]:
+        """Force of a cell, N, and whether it can be used."""
+        force_n = counts * self._n_per_count[cell]
+        if self._stuck[cell].stuck(counts, t_ns):
+            return math.nan, Status.FROZEN
+        if abs(force_n) >= self._end_n:
+            return math.nan, Status.IMPLAUSIBLE
+        return force_n, Status.OK

@@ -26,24 +26,31 @@ from hil.vocabulary.signals import SERVOS, Status
 
 _PAUSE_NS = 100_000_000
 _PATIENCE_NS = 1_500_000_000
+_LEFTOVERS_NS = 300_000_000
+"""What another program asked for has come by then."""
+_UNCLEAR = (Status.TIMEOUT, Status.CRC, Status.PROTOCOL)
 
 
 def read_blocks(bus: Bus, config: ServosConfig, clock: Clock) -> list[Answer]:
-    """Registers 0..147 of the eight servos; whoever is silent is asked again for a while. Raises nothing.
+    """Registers 0..147 of the eight servos; whoever gives no clean answer is asked again for a while.
+
+    Raises nothing.
 
     Of which model they are is not known yet: these are at the same place in all that have a table.
     A servo that is starting up after a dip of its supply, or a bus on a host that is busy starting programs,
-    is not a missing one.
+    is not a missing one. Nor is a garbled answer a wrong servo: what a program asked that was killed in the
+    middle of it may still be on its way.
     """
     length = shared_register("backup_ready").end
     answers = [bus.read(i, 0, length) for i in config.ids]
-    end_ns = clock.now_ns() + _PATIENCE_NS
-    while clock.now_ns() < end_ns:
-        silent = [k for k, answer in enumerate(answers) if answer.status is Status.TIMEOUT]
-        if not silent:
+    began_ns = clock.now_ns()
+    while (passed_ns := clock.now_ns() - began_ns) < _PATIENCE_NS:
+        worth_asking = (Status.TIMEOUT,) if passed_ns > _LEFTOVERS_NS else _UNCLEAR
+        unclear = [k for k, answer in enumerate(answers) if answer.status in worth_asking]
+        if not unclear:
             break
         clock.sleep_until_ns(clock.now_ns() + _PAUSE_NS)
-        for k in silent:
+        for k in unclear:
             answers[k] = bus.read(config.ids[k], 0, length)
     return answers
 

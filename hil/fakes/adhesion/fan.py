@@ -41,7 +41,7 @@ class Fan:
     Attributes:
         speed_rpm: of the fan.
         motor_a, input_a, input_v, fet_c, duty: as the controller measures them.
-        weakness: share of its power that the motor has lost.
+        strength: share of its power that the motor has left.
     """
 
     def __init__(self, config: MotorConfig, options: AdhesionTruthOptions, gain: float) -> None:

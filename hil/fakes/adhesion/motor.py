@@ -12,11 +12,12 @@ import can
 
 from hil.config.adhesion import MotorConfig
 from hil.fakes.adhesion.fan import Demand, Fan
+from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.options import AdhesionTruthOptions
 from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
 from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Supported
 from hil.fakes.plant_api import HoldingForces
-from hil.fakes.tether import Start, Tether
+from hil.fakes.tether import Start
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 
@@ -49,7 +50,11 @@ class MotorNode(Scheduled):
         config: where it is, and the ratings of the fan.
         options: how it is set, and physics.
         name: of its faults.
+        load: what it does to the robot, together with others; the fan's by default.
+        motor: which of those it is.
     """
+
+    supported_faults = FAN_FAULTS
 
     def __init__(
         self,
@@ -58,15 +63,21 @@ class MotorNode(Scheduled):
         config: MotorConfig,
         options: AdhesionTruthOptions,
         name: str = "adhesion",
+        *,
+        load: Load | None = None,
+        motor: int = 0,
     ) -> None:
         self.name, self._world, self._channel = name, world, channel
         self._config, self._options = config, options
         known = world.plant.working_point
-        self._point = HoldingForces(config.rated_force_n, 0.0) if known is None else known
-        self.fan = Fan(config, options, self._point.fan_gain)
-        self._rng = world.rng(name)
-        self._faults = DeviceFaults(world.faults, name, world.rng(f"{name}.faults"))
-        world.faults.declare(name, FAN_FAULTS)
+        point = HoldingForces(config.rated_force_n, 0.0) if known is None else known
+        self._load = load or Load(point.adhesion_n, point.fan_gain, world.plant.set_adhesion)
+        self._motor = motor
+        self.fan = Fan(config, options, self._load.gain)
+        stream = f"{name}.{motor}" if motor else name
+        self._rng = world.rng(stream)
+        self._faults = DeviceFaults(world.faults, name, world.rng(f"{stream}.faults"))
+        world.faults.declare(name, self.supported_faults)
         self._queue = channel.listen()
         self._timeout_ns = nanoseconds(options.timeout_s)
         self._commanded_ns = 0
@@ -85,9 +96,9 @@ class MotorNode(Scheduled):
 
     def begin(self, start: Start) -> None:
         """How the robot hangs when the world begins."""
-        self._tether = Tether(start, self._point.adhesion_n)
+        self._load.begin(start)
         if start == "running":
-            self.fan.begin(self._config.speed_for_rpm(self._point.adhesion_n / self._point.fan_gain))
+            self.fan.begin(self._config.speed_for_rpm(self._load.nominal_n))
         self._press()
 
     def begin_in_use(self) -> None:
@@ -136,8 +147,7 @@ class MotorNode(Scheduled):
         return fault.faded(t_ns, fault.option("factor", 0.0), fault.option("over_s", 0.0))
 
     def _press(self) -> None:
-        force_n = self._tether.force_n(self.fan.force_n)
-        self._world.plant.set_adhesion(force_n)
+        self._load.set(self._motor, self.fan.force_n)
 
     def _power(self, t_ns: int) -> None:
         """Follow faults of the supply: without it the motor is free, with it the controller starts anew."""

@@ -13,6 +13,7 @@ import can
 from hil.config.adhesion import VescConfig
 from hil.fakes.adhesion import frames
 from hil.fakes.adhesion.fan import HIGHEST_DUTY, Demand
+from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.motor import MotorNode
 from hil.fakes.adhesion.options import AdhesionTruthOptions
 from hil.fakes.can_wire import CanChannel
@@ -33,8 +34,11 @@ class VescNode(MotorNode):
         config: VescConfig,
         options: AdhesionTruthOptions,
         name: str = "adhesion",
+        *,
+        load: Load | None = None,
+        motor: int = 0,
     ) -> None:
-        super().__init__(world, channel, config, options, name)
+        super().__init__(world, channel, config, options, name, load=load, motor=motor)
         self._vesc = config
         self._frozen: dict[int, bytes] = {}
 

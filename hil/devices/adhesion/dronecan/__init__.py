@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -19,15 +18,11 @@ if TYPE_CHECKING:
 _TOLD = ("node_id", "esc_index")
 
 
-def _driver(
-    config: DroneCanConfig, clock: Clock, *, emulator: int | None = None, keep: Keep | None = None
-) -> Holding[AdhesionSample]:
-    from functools import partial
-
+def _driver(config: DroneCanConfig, clock: Clock, *, keep: Keep | None = None) -> Holding[AdhesionSample]:
     from hil.devices.adhesion.dronecan.driver import DroneCanFan
     from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 
-    return DroneCanFan(config, clock, keep or partial(KeptByProcess, emulator=emulator))
+    return DroneCanFan(config, clock, keep or KeptByProcess)
 
 
 def _imperfections() -> type[Any]:
@@ -46,7 +41,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     channel = channel_of(setting)
     options = setting.options(DroneCanTruthOptions, timeout_s=config.timeout_s)
     node = DroneCanNode(setting.world, channel, config, options)
-    told = {**{name: getattr(config, name) for name in _TOLD}, "pid": os.getpid()}
+    told = {name: getattr(config, name) for name in _TOLD}
     device = on_can(
         setting, channel, subnet=164, dbc="", listens=True, told=told,
         parts={"keep": KeptInWorld(setting.world).keep},
@@ -57,10 +52,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
 def _reach(endpoint: Mapping[str, Any]) -> Connection:
     from hil.devices.canbus import where
 
-    values = where(endpoint, (*_TOLD, "pid"))
-    return Connection(
-        {**values, **{name: endpoint[name] for name in _TOLD}}, parts={"emulator": endpoint["pid"]}
-    )
+    return Connection({**where(endpoint, _TOLD), **{name: endpoint[name] for name in _TOLD}})
 
 
 DRONECAN = DeviceModel(

@@ -12,7 +12,7 @@ import can
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
 from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
-from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.motor import Figures, MotorFan
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -122,8 +122,6 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         )  # fmt: skip
 
     def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
-        if not message.is_extended_id:
-            return
         said = self._reader.take(message.arbitration_id, message.data)
         config = self._config
         if said is None or (said.node_id, said.index) != (config.node_id, config.esc_index):
@@ -149,14 +147,12 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
 
     def diagnose(self) -> tuple[Finding, ...]:
         """What the doctor wants to know of who it is and how it is kept."""
-        trouble = "it is closed" if self._kept is None else self._kept.trouble()
         silent = "it does not tell its time-out: the bench file says " + f"{self._config.timeout_s:g} s"
         return (
             Finding(self.name, "identity", "ok" if self._told else "warning", self._told or "not told",
                     "an answer to GetNodeInfo", "look at the node with `dronecan_gui_tool`"),
             Finding(self.name, "time-out", "warning", silent, "1 s", "look at it in VESC Tool"),
-            Finding(self.name, "keeper", "warning" if trouble else "ok", trouble or "keeps the fan",
-                    "a process of its own", "`hil adhesion status` says more"),
+            finding(self.name, self._kept),
         )  # fmt: skip
 
 

@@ -13,8 +13,9 @@ import can
 
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
-from hil.fakes.adhesion import AdhesionTruthOptions, MotorNode
+from hil.fakes.adhesion import AdhesionTruthOptions
 from hil.fakes.adhesion.fan import HIGHEST_DUTY, Demand
+from hil.fakes.adhesion.motor import MotorNode
 from hil.fakes.can_wire import CanChannel
 from hil.fakes.world import World
 from hil.vocabulary.clock import NS_PER_S

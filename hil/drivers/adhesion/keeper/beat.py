@@ -9,7 +9,7 @@ from typing import Any
 import can
 
 from hil.drivers import can_link
-from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint
+from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.dialects import Wire, dialect
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.can_link import BUS_ERRORS
@@ -25,7 +25,7 @@ _ECHOES = 16
 def open_bus(spec: Spec) -> can.BusABC:
     """The fan's bus; raises `DeviceError`."""
     shared = "a python-can interface that several programs can share, such as socketcan"
-    return can_link.open_bus(DEVICE, spec, expected=shared)
+    return can_link.open_bus(spec.device, spec, expected=shared)
 
 
 class Beat:

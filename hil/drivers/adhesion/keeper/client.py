@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from hil.drivers.adhesion.keeper.core import DEVICE, SetPoint
+from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
@@ -46,13 +46,13 @@ def connect(spec: Spec) -> socket.socket | None:
     except OSError as error:
         connection.close()
         raise DeviceError(
-            DEVICE, f"the fan's keeper cannot be reached ({error})", port=spec.name,
+            spec.device, f"{spec.whose} keeper cannot be reached ({error})", port=spec.name,
             remedy="end programs that talk to it and try again",
         ) from None  # fmt: skip
     if not trusted(owner):
         connection.close()
         raise DeviceError(
-            DEVICE, f"the fan's keeper belongs to another user ({owner})", port=spec.name,
+            spec.device, f"{spec.whose} keeper belongs to another user ({owner})", port=spec.name,
             expected=f"user {os.getuid()} or root", remedy="run both as the same user",
         )  # fmt: skip
     return connection
@@ -83,7 +83,7 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
             raise ConnectionResetError("it hung up")
     except OSError as error:
         raise DeviceError(
-            DEVICE, f"the fan's keeper does not answer ({error})", port=spec.name, remedy=_REMEDY
+            spec.device, f"{spec.whose} keeper does not answer ({error})", port=spec.name, remedy=_REMEDY
         ) from None
     return understood(packet, spec)
 
@@ -97,7 +97,7 @@ def understood(packet: bytes, spec: Spec) -> Status:
     if error["exit_code"] == EXIT_USAGE:
         raise UsageError(error["message"], expected=error["expected"], remedy=error["remedy"])
     raise DeviceError(
-        DEVICE, error["message"].partition(": ")[2] or error["message"], port=spec.name,
+        spec.device, error["message"].partition(": ")[2] or error["message"], port=spec.name,
         expected=error["expected"], remedy=error["remedy"],
     )  # fmt: skip
 
@@ -123,14 +123,12 @@ class Starting:
 
     Args:
         spec: the fan.
-        emulator: process that serves an emulated fan; the keeper ends with it.
     """
 
-    def __init__(self, spec: Spec, *, emulator: int | None = None) -> None:
+    def __init__(self, spec: Spec) -> None:
         self._spec = spec
         command = [*KEEPER, spec.to_json()]
         command += ["--log", str(log_path(spec).absolute())]
-        command += ["--emulator", str(emulator)] * (emulator is not None)
         paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
         self._child = subprocess.Popen(
             command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
@@ -164,7 +162,7 @@ class Starting:
             self._child.wait(0.5)
 
 
-def find_or_start(spec: Spec, *, emulator: int | None = None) -> socket.socket:
+def find_or_start(spec: Spec) -> socket.socket:
     """A connection to the keeper of a fan, which is started where there is none.
 
     Raises:
@@ -173,13 +171,13 @@ def find_or_start(spec: Spec, *, emulator: int | None = None) -> socket.socket:
     found = connect(spec)
     if found is not None:
         return found
-    starting = Starting(spec, emulator=emulator)
+    starting = Starting(spec)
     said = starting.said(_START_S) or {"error": f"not a word for {_START_S:g} s"}
     starting.leave()
     found = connect(spec)
     if found is None:
         raise DeviceError(
-            DEVICE, f"the fan's keeper did not start: {said.get('error', 'it has ended')}", port=spec.name,
-            remedy=f"look at {log_path(spec)}",
+            spec.device, f"{spec.whose} keeper did not start: {said.get('error', 'it has ended')}",
+            port=spec.name, remedy=f"look at {log_path(spec)}",
         )  # fmt: skip
     return found

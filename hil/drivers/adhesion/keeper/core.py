@@ -21,7 +21,6 @@ _FRESH_NS = nanoseconds(1.0)
 _LONGEST_STEP_NS = nanoseconds(0.2)
 _RELEASED_NS = nanoseconds(0.5)
 _MOST_LISTED = 8
-DEVICE = "adhesion"
 
 
 class SetPoint(NamedTuple):
@@ -35,16 +34,16 @@ RELEASE = SetPoint("current_a", 0.0)
 
 
 def check_point(spec: Spec, point: SetPoint) -> None:
-    """Raises `UsageError` for a set-point that no fan of this kind could have, or that is none."""
+    """Raises `UsageError` for a set-point that no motor of this kind could have, or that is none."""
     highest = spec.highest.get(point.quantity)
     if highest is None:
         known = ", ".join(spec.highest)
-        raise UsageError(f"adhesion set-point of {point.quantity}", expected=f"one of {known}")
+        raise UsageError(f"{spec.device} set-point of {point.quantity}", expected=f"one of {known}")
     if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
         raise UsageError(
-            f"adhesion set-point {point.quantity} = {point.value:g}",
+            f"{spec.device} set-point {point.quantity} = {point.value:g}",
             expected=f"above 0, at most {highest:g}",
-            remedy="`hil adhesion off` lets the fan come to rest",
+            remedy="`hil adhesion off` lets it come to rest",
         )
 
 
@@ -181,16 +180,15 @@ class Keeper:
         return self.report[quantity]
 
     def _silent(self) -> DeviceError:
-        where = f"{self._spec.interface}:{self._spec.channel}"
         heard = ", ".join(map(str, sorted(self.others)[:_MOST_LISTED]))
         remedy = (
             "check its supply, the CAN bit rate and wiring; switch on status messages 1, 4 and 5 in VESC Tool"
         )
         return DeviceError(
-            DEVICE,
+            self._spec.device,
             f"controller {self._spec.controller_id} sends no status"
             + (f", but controller {heard} does" if heard else ""),
-            port=where,
+            port=self._spec.bus,
             expected="status message 1 at 5 Hz or more",
-            remedy=f"set adhesion.controller_id, or {remedy}" if heard else remedy,
+            remedy=f"set the controller's id in [{self._spec.device}], or {remedy}" if heard else remedy,
         )

@@ -7,12 +7,9 @@ it starts a new keeper, and steps back when that one has taken over.
 
 from __future__ import annotations
 
-import json
 import logging
-import socket
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import (
@@ -25,9 +22,9 @@ from hil.drivers.adhesion.keeper.client import (
     set_request,
     understood,
 )
-from hil.drivers.adhesion.keeper.core import DEVICE, Keeper, SetPoint, check_point
-from hil.drivers.adhesion.keeper.door import MOST_BYTES
+from hil.drivers.adhesion.keeper.core import Keeper, SetPoint, check_point
 from hil.drivers.adhesion.keeper.kept import Kept
+from hil.drivers.adhesion.keeper.link import Link, Request
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, HilError
@@ -44,18 +41,7 @@ _LIKE = 0.02
 _HAND_OVER_S = 10.0
 _HEARD_BY_NS = nanoseconds(1.5)
 """A keeper that has just begun may not have heard its fan yet: it is asked again for so long."""
-Request = dict[str, object]
 _STATUS: Request = {"do": "status"}
-
-
-@dataclass
-class _Link:
-    """The connection to the keeper's process, asked one thing at a time and never waited for."""
-
-    socket: socket.socket
-    since_ns: int
-    answered_ns: int
-    asked: Request | None = None
 
 
 class KeptByProcess(Kept):
@@ -64,7 +50,6 @@ class KeptByProcess(Kept):
     Args:
         spec: the fan.
         clock: the bench clock; real time.
-        emulator: process that serves the fan, where it is emulated.
         say: told in words when the bench stands in for the keeper, and when no longer.
     """
 
@@ -73,10 +58,9 @@ class KeptByProcess(Kept):
         spec: Spec,
         clock: Clock,
         *,
-        emulator: int | None = None,
         say: Callable[[str], None] = _LOG.warning,
     ) -> None:
-        self._spec, self._clock, self._emulator, self._say = spec, clock, emulator, say
+        self._spec, self._clock, self._say = spec, clock, say
         self._lock = threading.Lock()
         self._patience_ns = nanoseconds(_PATIENCE * spec.timeout_s)
         self._end: Callable[[], None] | None = None
@@ -84,7 +68,7 @@ class KeptByProcess(Kept):
         self._forget()
 
     def _forget(self) -> None:
-        self._link: _Link | None = None
+        self._link: Link | None = None
         self._starting: Starting | None = None
         self._status: Status = {}
         self._wish: Request | None = None
@@ -104,14 +88,13 @@ class KeptByProcess(Kept):
         bus = open_bus(self._spec)
         self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info, bus)
         try:
-            link = find_or_start(self._spec, emulator=self._emulator)
+            link = find_or_start(self._spec)
             self._status = ask(link, _STATUS, self._spec)
         except DeviceError:
             self._beat.close()
             raise
-        link.setblocking(False)
         now_ns = self._clock.now_ns()
-        self._link, self._closed = _Link(link, now_ns, now_ns), False
+        self._link, self._closed = Link(link, now_ns), False
         self._end = self._clock.schedule(self._task, now_ns)
 
     def set(self, point: SetPoint) -> None:
@@ -151,12 +134,12 @@ class KeptByProcess(Kept):
         while self._stands_in() and self._clock.now_ns() < give_up_ns:
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         if self._stands_in():
-            self._say("the bench ends and the fan has no keeper: it stops. Secure the robot")
+            self._say(f"the bench ends and {self._spec.noun} has no keeper: it stops. Secure the robot")
         self._end()
         with self._lock:
             self._closed = True
             if self._link is not None:
-                self._link.socket.close()
+                self._link.close()
             self._beat.close()
 
     def _stands_in(self) -> bool:
@@ -194,54 +177,50 @@ class KeptByProcess(Kept):
     def _amiss(self, t_ns: int) -> str:
         """What is wrong with the keeper; empty for nothing."""
         if self._link is None:
-            return "the fan's keeper has ended"
+            return f"{self._spec.whose} keeper has ended"
         if t_ns - self._link.answered_ns > self._patience_ns:
-            return "the fan's keeper does not answer"
+            return f"{self._spec.whose} keeper does not answer"
         age_s = self._status.get("sent_age_s")
         if self._status["state"] != "idle" and (age_s is None or age_s * NS_PER_S > self._patience_ns):
-            return "the fan's keeper does not reach the bus: " + str(self._status["bus_error"])
+            return f"{self._spec.whose} keeper does not reach the bus: " + str(self._status["bus_error"])
         return ""
 
     def _hear(self, t_ns: int) -> None:
         """Take the keeper's answers that have come."""
-        while (link := self._link) is not None and link.asked is not None:
-            try:
-                packet = link.socket.recv(MOST_BYTES)
-            except BlockingIOError:
+        if (link := self._link) is None:
+            return
+        try:
+            answer = link.answer(t_ns)
+        except OSError:
+            self._lose(link, t_ns)
+            return
+        if answer is None:
+            return
+        asked, packet = answer
+        try:
+            self._status = understood(packet, self._spec)
+        except DeviceError as error:
+            if t_ns < self._wish_until_ns:
                 return
-            except OSError:
-                packet = b""
-            if not packet:
-                self._lose(link, t_ns)
-                return
-            asked, link.asked, link.answered_ns = link.asked, None, t_ns
-            try:
-                self._status = understood(packet, self._spec)
-            except DeviceError as error:
-                if t_ns < self._wish_until_ns:
-                    return
-                self._refuse(error)
-            except HilError as error:
-                self._refuse(error)
-            if asked is self._wish:
-                self._wish = None
+            self._refuse(error)
+        except HilError as error:
+            self._refuse(error)
+        if asked is self._wish:
+            self._wish = None
 
     def _refuse(self, error: HilError) -> None:
         self._refused = error
         self._say(str(error))
 
-    def _ask(self, link: _Link) -> None:
-        if link.asked is not None:
-            return
-        link.asked = self._wish or _STATUS
+    def _ask(self, link: Link) -> None:
         try:
-            link.socket.send(json.dumps(link.asked).encode())
+            link.ask(self._wish or _STATUS)
         except OSError:
             self._lose(link, self._clock.now_ns())
 
-    def _lose(self, link: _Link, t_ns: int) -> None:
+    def _lose(self, link: Link, t_ns: int) -> None:
         """The keeper has hung up; its understudy has a moment before another is started."""
-        link.socket.close()
+        link.close()
         self._link = None
         self._next_try_ns = max(self._next_try_ns, t_ns + _UNDERSTUDY_NS)
 
@@ -250,7 +229,7 @@ class KeptByProcess(Kept):
         sent, target = self._status.get("sent"), self._status.get("target")
         if sent is None or target is None:
             return
-        self._in_for = f"{why}: the bench commands the fan itself"
+        self._in_for = f"{why}: the bench commands {self._spec.noun} itself"
         self._say(self._in_for)
         self._next_beat_ns = t_ns
         self._beat.keeper = Keeper(self._spec, adopts=False)
@@ -281,14 +260,13 @@ class KeptByProcess(Kept):
         self._wish = self._our_wish()
         self._beat.keeper = Keeper(self._spec, adopts=False)
         self._in_for = ""
-        self._say("the fan's keeper has taken over again")
+        self._say(f"{self._spec.whose} keeper has taken over again")
 
     def _look_for_another(self, t_ns: int) -> None:
         """Find the understudy, or a keeper that somebody else has started; or start one."""
         found = connect(self._spec)
         if found is not None:
-            found.setblocking(False)
-            self._link, self._status = _Link(found, t_ns, t_ns), {"state": "idle"}
+            self._link, self._status = Link(found, t_ns), {"state": "idle"}
             if self._starting is not None:
                 self._starting.leave()
                 self._starting = None
@@ -297,9 +275,9 @@ class KeptByProcess(Kept):
             if said is not None:
                 self._starting = None
                 if "pid" not in said:
-                    self._say(f"{DEVICE}: a new keeper did not start: {said.get('error')}")
+                    self._say(f"{self._spec.device}: a new keeper did not start: {said.get('error')}")
         elif t_ns >= self._next_try_ns:
-            self._starting = Starting(self._spec, emulator=self._emulator)
+            self._starting = Starting(self._spec)
             self._next_try_ns = t_ns + _AGAIN_NS
 
     def _our_wish(self) -> Request | None:

@@ -60,12 +60,14 @@ class Vesc(Dialect):
         self._spec = spec
 
     def say(self, point: SetPoint, t_ns: int) -> tuple[Wire, ...]:
-        """A `SET_*` frame."""
-        order = vesc.Order(self._spec.controller_id, _PACKETS[point.quantity], point.value)
-        return (vesc.order_frame(order),)
+        """A `SET_*` frame for each controller."""
+        packet, ids = _PACKETS[point.quantity], (self._spec.controller_id, *self._spec.also)
+        return tuple(vesc.order_frame(vesc.Order(one, packet, point.value)) for one in ids)
 
     def hear(self, frame_id: int, data: bytes | bytearray) -> Heard | None:
         """Status 1, 4 and 5, and everybody's set-points."""
+        if frame_id & 0xFF in self._spec.also:
+            return None
         said = vesc.decode(frame_id, data)
         if isinstance(said, vesc.Status):
             figures = {"duty": said.duty, "current_a": said.current_a, "erpm": said.erpm}

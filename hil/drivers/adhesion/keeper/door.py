@@ -20,7 +20,6 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hil.drivers.adhesion.keeper.core import DEVICE
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import DeviceError, HilError, UsageError
 
@@ -64,7 +63,7 @@ class Door:
         except OSError as error:
             self._listener.close()
             raise TakenError(
-                DEVICE, f"the fan has a keeper already ({error.strerror})", port=spec.name
+                spec.device, f"it has a keeper already ({error.strerror})", port=spec.name
             ) from None
         self._listener.listen(_MOST_CLIENTS)
         self._listener.setblocking(False)

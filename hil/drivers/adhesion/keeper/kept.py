@@ -1,4 +1,4 @@
-"""The seam between a bench and who keeps its fan running."""
+"""The seam between a bench and who keeps its fan, or its propellers, running."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import Clock
+from hil.vocabulary.finding import Finding
 
 
 class Kept(Protocol):
@@ -42,3 +43,12 @@ class Kept(Protocol):
 
 Keep = Callable[[Spec, Clock], Kept]
 """Makes who keeps a fan."""
+
+
+def finding(name: str, kept: Kept | None) -> Finding:
+    """What the doctor tells of who keeps a device running."""
+    trouble = "it is closed" if kept is None else kept.trouble()
+    return Finding(
+        name, "keeper", "warning" if trouble else "ok", trouble or "keeps it running",
+        "a process of its own", "`hil adhesion status` says more",
+    )  # fmt: skip

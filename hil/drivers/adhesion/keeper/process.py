@@ -1,6 +1,6 @@
 """The keeper's process: started apart from everything, deaf to signals, ended only by an `off` that is done.
 
-    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--emulator PID] [--log FILE]
+    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--log FILE]
 
 The first line on stdout says whether it works: its process id, or the error. Then it is silent. A keeper of
 a running fan starts a second one as its understudy.
@@ -12,7 +12,6 @@ import argparse
 import contextlib
 import json
 import os
-import select
 import sys
 import time
 from collections.abc import Iterator, Mapping
@@ -28,11 +27,13 @@ from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
 from hil.drivers.adhesion.keeper.understudy import Understudies, stand_beside
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
 _IDLE_NS = nanoseconds(30.0)
 _REPEAT_NS = nanoseconds(60.0)
 _NAME_FREE_S = 0.002
+_LOOK_NS = nanoseconds(0.5)
 
 
 class Process:
@@ -42,25 +43,25 @@ class Process:
         spec: the fan.
         log: told what happens.
         stay: go on waiting while the fan is nobody's or its bus is not there yet, as a service does.
-        emulator: process without which there is no fan; None for a real one.
+        emulated: whether another process emulates the bus: the keeper ends with it.
     """
 
-    def __init__(self, spec: Spec, log: Log, *, stay: bool, emulator: int | None) -> None:
+    def __init__(self, spec: Spec, log: Log, *, stay: bool, emulated: bool) -> None:
         self._spec, self._log, self._stay = spec, log, stay
         self._keeper = Keeper(spec)
         self._door = Door(spec)
         try:
-            self._emulator = None if emulator is None else os.pidfd_open(emulator)
             self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
         except (HilError, OSError):
             self._door.close()
             raise
+        self._emulated = emulated
+        self._next_look_ns = 0
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
         self._asked, self._asked_ns = ("", ""), 0
         command = [*KEEPER, spec.to_json(), "--understudy"]
         command += [] if log.path is None else ["--log", str(log.path)]
-        command += [] if emulator is None else ["--emulator", str(emulator)]
         self._understudies = Understudies(command)
 
     def go_on_from(self, latest: Status) -> None:
@@ -107,9 +108,11 @@ class Process:
             self._door.serve(left_ns / NS_PER_S, self._answer)
 
     def _unneeded(self, now_ns: int) -> bool:
-        if self._emulator is not None and _has_ended(self._emulator):
-            self._log.say("the emulated fan is gone; so is its keeper")
-            return True
+        if self._emulated and now_ns >= self._next_look_ns:
+            self._next_look_ns = now_ns + _LOOK_NS
+            if not is_emulated(self._spec.bus):
+                self._log.say(f"{self._spec.bus} was emulated and is gone; so is the keeper")
+                return True
         if self._stay or self._keeper.sent is not None or self._door.clients:
             self._used_ns = now_ns
         return now_ns - self._used_ns > _IDLE_NS
@@ -162,17 +165,12 @@ class Process:
         }
 
 
-def _has_ended(pidfd: int) -> bool:
-    return bool(select.select([pidfd], [], [], 0)[0])
-
-
 def main(argv: list[str] | None = None) -> int:
     """Start a keeper; in the background unless it is to stay."""
     parser = argparse.ArgumentParser(prog="keeper", description=(__doc__ or "").splitlines()[0])
     parser.add_argument("spec", help="the fan, as Spec.to_json writes it")
     parser.add_argument("--stay", action="store_true", help="in the foreground, also without a fan to keep")
     parser.add_argument("--understudy", action="store_true", help="wait beside the keeper there is")
-    parser.add_argument("--emulator", type=int, help="end together with this process")
     parser.add_argument("--log", type=Path, help="log file; stderr when not given")
     given = parser.parse_args(argv)
     if not given.stay:
@@ -201,9 +199,10 @@ def main(argv: list[str] | None = None) -> int:
 def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
     """A keeper that has its fan, in an understudy once the other is gone; None where nobody needs it."""
     latest: Status = {}
+    emulated = is_emulated(spec.bus)
     while True:
         try:
-            process = Process(spec, log, stay=given.stay, emulator=given.emulator)
+            process = Process(spec, log, stay=given.stay, emulated=emulated)
         except TakenError:
             if not (given.stay or given.understudy):
                 raise

@@ -1,4 +1,4 @@
-"""What a keeper is told when it starts: which fan, on which bus, how often, how fast it may ramp."""
+"""What a keeper is told when it starts: which motor, on which bus, how often, how fast it may ramp."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from hil.vocabulary.emulated_bus import bus_name
 from hil.vocabulary.errors import ConfigError
 
 QUANTITIES = ("duty", "current_a", "erpm")
@@ -15,15 +16,18 @@ _HIGHEST = {"duty": 0.95, "current_a": 60.0, "erpm": 150_000.0}
 _PERIODS = 10
 """At least so many commands fit into the controller's time-out."""
 _LONGEST_PERIOD_S = 0.1
+_WHOSE = {"adhesion": "the fan's", "thrust": "the propellers'"}
 
 
 @dataclass(frozen=True)
 class Spec:
-    """One fan and how it is kept.
+    """One fan, or propellers that get the same command, and how they are kept.
 
     Attributes:
         interface, channel, bitrate, options: of python-can; two programs must be able to share the channel.
         controller_id: of the motor controller.
+        also: ids of further controllers that are given every command of the first.
+        device: name of the device in messages.
         dialect: what it speaks: `vesc` or `dronecan`.
         details: what that dialect needs besides.
         period_s: time between two commands.
@@ -35,6 +39,8 @@ class Spec:
     interface: str
     channel: str
     controller_id: int
+    also: tuple[int, ...] = ()
+    device: str = "adhesion"
     bitrate: int = 500_000
     options: Mapping[str, Any] = field(default_factory=dict)
     dialect: str = "vesc"
@@ -72,8 +78,22 @@ class Spec:
     @property
     def name(self) -> str:
         """The fan, as messages and the socket call it: no two keepers have the same."""
-        port = f":{self.options['port']}" if "port" in self.options else ""
-        return f"{self.interface}:{self.channel}{port}, controller {self.controller_id}"
+        return f"{self.bus}, controller {self.controller_id}"
+
+    @property
+    def bus(self) -> str:
+        """The bus, as messages and the socket call it."""
+        return bus_name(self.interface, self.channel, self.options)
+
+    @property
+    def noun(self) -> str:
+        """`the fan`, as messages call it."""
+        return self.whose.removesuffix("'s").removesuffix("'")
+
+    @property
+    def whose(self) -> str:
+        """`the fan's`, as messages about its keeper begin."""
+        return _WHOSE.get(self.device, f"{self.device}'s")
 
     def to_json(self) -> str:
         """As the process is given it."""
@@ -83,8 +103,9 @@ class Spec:
     def from_json(cls, text: str) -> Spec:
         """Raises `ConfigError`."""
         try:
-            return cls(**json.loads(text))
-        except (ValueError, TypeError) as error:
+            given = json.loads(text)
+            return cls(**{**given, "also": tuple(given.get("also", ()))})
+        except (ValueError, TypeError, AttributeError) as error:
             if isinstance(error, ConfigError):
                 raise
             raise ConfigError(f"the keeper's start ({error})", expected="what Spec.to_json writes") from None

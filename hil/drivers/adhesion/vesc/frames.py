@@ -19,7 +19,8 @@ EVERYBODY = 255
 HIGHEST_ID = 254
 """Of a single controller."""
 
-_INT32 = struct.Struct(">i")
+_INT32, _INT16 = struct.Struct(">i"), struct.Struct(">h")
+_LONGEST_OFF_DELAY_S = 32.767
 _LOWEST, _HIGHEST = -(1 << 31), (1 << 31) - 1
 
 
@@ -45,7 +46,7 @@ class Packet(IntEnum):
     STATUS_6 = 58
 
 
-_LSB_PER_UNIT = {
+_LSB_PER_UNIT: dict[int, float] = {
     Packet.SET_DUTY: 1e5,
     Packet.SET_CURRENT: 1e3,
     Packet.SET_CURRENT_BRAKE: 1e3,
@@ -56,6 +57,9 @@ _LSB_PER_UNIT = {
     Packet.SET_CURRENT_HANDBRAKE: 1e3,
     Packet.SET_CURRENT_HANDBRAKE_REL: 1e5,
 }
+
+
+_WITH_OFF_DELAY = frozenset({Packet.SET_CURRENT, Packet.SET_CURRENT_REL})
 
 
 class Frame(NamedTuple):
@@ -73,11 +77,14 @@ class Order:
         controller_id: to whom; `EVERYBODY` for all.
         packet: which quantity.
         value: duty -1..1, current A, electrical rpm, position deg, or share of the configured current.
+        off_delay_s: of a (relative) current: how long the controller goes on modulating at 0 A; None for a
+            command that says nothing about it.
     """
 
     controller_id: int
     packet: Packet
     value: float
+    off_delay_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -165,7 +172,7 @@ class _Layout(NamedTuple):
     lsb_per_unit: tuple[float, ...]
 
 
-_REPORTS = {
+_REPORTS: dict[int, _Layout] = {
     Packet.STATUS: _Layout(Status, struct.Struct(">ihh"), (1, 10, 1000)),
     Packet.STATUS_2: _Layout(Status2, struct.Struct(">ii"), (1e4, 1e4)),
     Packet.STATUS_3: _Layout(Status3, struct.Struct(">ii"), (1e4, 1e4)),
@@ -201,7 +208,19 @@ def order_frame(order: Order) -> Frame:
             f"{order.packet.name} {order.value}",
             expected=f"a number within +-{_HIGHEST / lsb_per_unit:.6g}",
         )
-    return Frame(address(order.packet, order.controller_id), _INT32.pack(raw))
+    return Frame(address(order.packet, order.controller_id), _INT32.pack(raw) + _off_delay(order))
+
+
+def _off_delay(order: Order) -> bytes:
+    """The two bytes that a current may have besides; raises `UsageError`."""
+    if order.off_delay_s is None:
+        return b""
+    if order.packet not in _WITH_OFF_DELAY or not 0.0 <= order.off_delay_s <= _LONGEST_OFF_DELAY_S:
+        raise UsageError(
+            f"{order.packet.name} with an off delay of {order.off_delay_s} s",
+            expected=f"a current or relative current, and 0 to {_LONGEST_OFF_DELAY_S} s",
+        )
+    return _INT16.pack(round(1000 * order.off_delay_s))
 
 
 def ping_frame(controller_id: int, asker_id: int) -> Frame:
@@ -215,23 +234,22 @@ def decode(frame_id: int, data: bytes | bytearray) -> Message | None:
     Longer data is taken: the firmware has appended to its frames before.
     """
     command, controller_id = frame_id >> 8, frame_id & 0xFF
-    try:
-        packet = Packet(command)
-    except ValueError:
-        return None
-    if packet is Packet.PONG:
-        return Pong(data[0], controller_id, data[1] if len(data) > 1 else None) if data else None
-    if (report := _REPORTS.get(packet)) is not None:
+    if (report := _REPORTS.get(command)) is not None:
         return _report(report, controller_id, data)
-    lsb_per_unit = _LSB_PER_UNIT.get(packet)
+    if command == Packet.PONG:
+        return Pong(data[0], controller_id, data[1] if len(data) > 1 else None) if data else None
+    lsb_per_unit = _LSB_PER_UNIT.get(command)
     if lsb_per_unit is None or len(data) < _INT32.size:
         return None
-    return Order(controller_id, packet, _INT32.unpack_from(data)[0] / lsb_per_unit)
+    off_delay_s = None
+    if command in _WITH_OFF_DELAY and len(data) >= _INT32.size + _INT16.size:
+        off_delay_s = _INT16.unpack_from(data, _INT32.size)[0] / 1000.0
+    return Order(controller_id, Packet(command), _INT32.unpack_from(data)[0] / lsb_per_unit, off_delay_s)
 
 
 def _report(layout: _Layout, controller_id: int, data: bytes | bytearray) -> Message | None:
     if len(data) < layout.data.size:
         return None
     raws = layout.data.unpack_from(data)
-    values = (raw if lsb == 1 else raw / lsb for raw, lsb in zip(raws, layout.lsb_per_unit, strict=True))
+    values = [raw if lsb == 1 else raw / lsb for raw, lsb in zip(raws, layout.lsb_per_unit, strict=True)]
     return layout.made(controller_id, *values)

@@ -1,0 +1,73 @@
+"""Propellers on VESC motor controllers, which say how fast they turn and stop when nobody commands them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+from hil.devices.thrust.vesc.config import VescThrustConfig
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.interfaces import Holding
+from hil.vocabulary.kinds import Connection, DeviceModel
+from hil.vocabulary.signals import ThrustSample
+
+if TYPE_CHECKING:
+    from hil.devices.emulated import EmulatedDevice, Setting
+    from hil.drivers.adhesion.keeper.kept import Keep
+
+_TOLD = ("controller_ids",)
+
+
+def _driver(config: VescThrustConfig, clock: Clock, *, keep: Keep | None = None) -> Holding[ThrustSample]:
+    from hil.devices.thrust.vesc.driver import VescThrust
+    from hil.drivers.adhesion.keeper.deputy import KeptByProcess
+
+    return VescThrust(config, clock, keep or KeptByProcess)
+
+
+def _imperfections() -> type[Any]:
+    from hil.devices.thrust.vesc.propellers import VescThrustTruthOptions
+
+    return VescThrustTruthOptions
+
+
+def _emulate(setting: Setting) -> EmulatedDevice:
+    from hil.devices.adhesion.in_world import KeptInWorld
+    from hil.devices.canbus import channel_of, on_can
+    from hil.devices.emulated import Begun
+    from hil.devices.thrust.vesc.propellers import VescThrustTruthOptions, propellers
+    from hil.drivers.adhesion.vesc import DBC
+
+    config: VescThrustConfig = setting.config
+    channel = channel_of(setting)
+    options = setting.options(VescThrustTruthOptions, timeout_s=config.timeout_s)
+    nodes = propellers(setting.world, channel, config, options)
+    device = on_can(
+        setting, channel, subnet=166, dbc=DBC, listens=True,
+        told={"controller_ids": list(config.controller_ids)},
+        parts={"keep": KeptInWorld(setting.world).keep},
+    )  # fmt: skip
+
+    def begin_in_use() -> None:
+        for node in nodes:
+            node.begin_in_use()
+
+    return Begun(device, begin_in_use)
+
+
+def _reach(endpoint: Mapping[str, Any]) -> Connection:
+    from hil.devices.canbus import where
+
+    return Connection({**where(endpoint, _TOLD), "controller_ids": tuple(endpoint["controller_ids"])})
+
+
+VESC_THRUST = DeviceModel(
+    kind="thrust",
+    name="vesc",
+    title="propellers on VESCs",
+    config=VescThrustConfig,
+    driver=_driver,
+    emulate=_emulate,
+    imperfections=_imperfections,
+    reach=_reach,
+)

@@ -1,0 +1,75 @@
+"""Configuration of propellers on VESC motor controllers (`[thrust]`, `model = "vesc"`)."""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, field_validator
+
+from hil.config.adhesion import VescConfig
+from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
+from hil.config.thrust import ThrustConfig
+from hil.config.values import Within
+
+Id = Annotated[int, Field(ge=0, le=254)]
+_MOST = 4
+
+
+class VescThrustConfig(ThrustConfig, KeptMotorConfig):
+    """Propellers on one to four VESCs of one CAN bus, all at the same speed.
+
+    Attributes:
+        controller_ids: as set in VESC Tool (App Settings, General).
+        own_id: under which this program asks; no controller may have it.
+        pole_pairs: of the motors; electrical over mechanical speed.
+        full_rpm: speed of the propellers at which all together give `full_force_n`; the force goes with the
+            square of the speed.
+    """
+
+    model: Literal["vesc"] = "vesc"
+    controller_ids: tuple[Id, ...] = Field((2, 3), min_length=1, max_length=_MOST)
+    own_id: Id = 253
+    pole_pairs: int = Field(7, ge=1, le=50)
+    full_rpm: Annotated[float, Within(1000.0, 100_000.0, "1/min of a propeller, not electrical")] = 9000.0
+
+    @field_validator("controller_ids")
+    @classmethod
+    def _each_once(cls, ids: tuple[int, ...]) -> tuple[int, ...]:
+        if len(set(ids)) < len(ids):
+            raise ValueError("each controller once: two of one id would both obey")
+        return ids
+
+    def speed_for_rpm(self, force_n: float) -> float:
+        """Speed at which all propellers together give a force."""
+        return self.full_rpm * math.sqrt(force_n / self.full_force_n)
+
+    def motors(self) -> tuple[VescConfig, ...]:
+        """Its controllers one by one, as if each had all of the force."""
+        return tuple(
+            VescConfig(
+                interface=self.interface,
+                channel=self.channel,
+                bitrate=self.bitrate,
+                options=self.options,
+                controller_id=controller_id,
+                own_id=self.own_id,
+                pole_pairs=self.pole_pairs,
+                timeout_s=self.timeout_s,
+                open_timeout_s=self.open_timeout_s,
+                rated_force_n=self.full_force_n,
+                rated_rpm=self.full_rpm,
+            )
+            for controller_id in self.controller_ids
+        )
+
+    def keeper(self) -> dict[str, Any]:
+        """As of any motor; every controller gets the same command."""
+        first, *others = self.controller_ids
+        return {
+            **super().keeper(),
+            "device": "thrust",
+            "controller_id": first,
+            "also": tuple(others),
+            "highest": {"duty": HIGHEST_DUTY, "erpm": self.pole_pairs * self.full_rpm},
+        }

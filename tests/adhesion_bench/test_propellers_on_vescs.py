@@ -1,0 +1,246 @@
+"""Propellers behind VESCs: the emulated ones at the wire, their driver, and the robot they help to carry."""
+
+import math
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+from worlds import duty_frame, heard, send
+
+import hil
+from hil.bench.settings import thrust_wanted_n
+from hil.config.robot import RobotConfig
+from hil.devices.adhesion.in_world import KeptInWorld
+from hil.devices.thrust.vesc.config import VescThrustConfig
+from hil.devices.thrust.vesc.driver import VescThrust
+from hil.devices.thrust.vesc.propellers import PropellerNode, VescThrustTruthOptions, propellers
+from hil.drivers.adhesion.keeper.core import SetPoint
+from hil.drivers.adhesion.keeper.dialects import dialect
+from hil.drivers.adhesion.keeper.spec import Spec
+from hil.fakes.can_wire import CanChannel, WorldBus
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.fakes.plant import make_plant
+from hil.fakes.world import VirtualClock, World
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
+from hil.vocabulary.signals import Status
+
+S = 1_000_000_000
+CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
+VESC = {"thrust.model": "vesc"}
+
+
+@contextmanager
+def made(*, faults=(), keys=None, told=None, **options):
+    """A world with propellers on a bus: (world, clock, nodes, driver, a client's bus)."""
+    plan = FaultPlan([parse_fault(spec) for spec in faults])
+    plant = make_plant(
+        RobotConfig(), rng=np.random.default_rng(0), randomise_truth=False, faults=plan, by_hand=True
+    )
+    world = World(plant, seed=0, faults=plan)
+    config = VescThrustConfig(interface="hil", channel="propellers", **(keys or {}))
+    channel = CanChannel(world, "propellers", device="thrust").open()
+    nodes = propellers(world, channel, told or config, VescThrustTruthOptions(**{"start": "off", **options}))
+    clock = VirtualClock(world)
+    driver, bus = VescThrust(config, clock, KeptInWorld(world).keep), WorldBus("propellers")
+    try:
+        yield world, clock, nodes, driver, bus
+    finally:
+        driver.close()
+        bus.shutdown()
+        channel.close()
+
+
+def after(driver, clock, seconds):
+    samples = []
+    for _ in range(math.ceil(100 * seconds)):
+        samples += driver.read()
+        clock.sleep_until_ns(clock.now_ns() + 10_000_000)
+    return samples
+
+
+def orders(bus):
+    return [(i, d) for i, d in heard(bus) if i >> 8 in (0, 1, 2, 3, 4, 10, 11, 12, 13)]
+
+
+def test_every_controller_is_given_the_same_command():
+    spec = Spec("hil", "x", 2, also=(3, 5), device="thrust")
+    frames = dialect(spec).say(SetPoint("erpm", 60_000.0), 0)
+    assert frames == tuple((3 << 8 | one, bytes.fromhex("0000EA60")) for one in (2, 3, 5))
+
+
+def test_a_force_is_reached_by_both_and_told_by_their_speed():
+    with made() as (world, clock, nodes, driver, _):
+        driver.open()
+        after(driver, clock, 0.3)
+        driver.set_force_n(22.0)
+        newest = after(driver, clock, 4.0)[-1]
+        world.sync_plant()
+        gain = world.plant.working_point.propeller_gain
+        assert sum(node.fan.force_n for node in nodes) == pytest.approx(gain * 22.0, rel=0.01)
+        assert 39.7 * newest.throttle**2 == pytest.approx(22.0, rel=0.01)
+        assert newest.speed_rpm == pytest.approx(9000 * math.sqrt(22.0 / 39.7), rel=0.01)
+        assert newest.status is Status.OK
+
+
+def test_without_commands_they_stop_after_their_time_out():
+    with made() as (_, clock, nodes, _driver, bus):
+        for _ in range(40):
+            send(bus, 0x02, duty_frame(0.4))
+            send(bus, 0x03, duty_frame(0.4))
+            clock.sleep_until_ns(clock.now_ns() + 50_000_000)
+        pushed_n = sum(node.fan.force_n for node in nodes)
+        assert pushed_n > 5.0
+        clock.sleep_until_ns(clock.now_ns() + 3 * S)
+        assert sum(node.fan.force_n for node in nodes) < 0.01 * pushed_n
+
+
+def test_opening_and_closing_commands_nothing():
+    with made() as (_, clock, _, driver, bus):
+        driver.open()
+        after(driver, clock, 0.5)
+        driver.close()
+        assert orders(bus) == []
+
+
+def test_the_push_goes_on_when_the_driver_is_closed():
+    with made() as (_, clock, nodes, driver, _):
+        driver.open()
+        after(driver, clock, 0.3)
+        driver.set_force_n(20.0)
+        after(driver, clock, 3.0)
+        driver.close()
+        clock.sleep_until_ns(clock.now_ns() + 5 * S)
+        assert sum(node.fan.force_n for node in nodes) > 18.0
+
+
+@pytest.mark.parametrize(
+    ("keys", "options", "told"),
+    [
+        ({"controller_ids": (2, 9)}, {}, r"no controller has the id 9; there: 2, 3.*thrust.controller_ids"),
+        ({}, {"twins": 1}, r"2 controllers have the id 2.*an id of its own in VESC Tool"),
+        ({}, {"messages_1": (), "messages_2": ()}, r"controller 2 answers, but sends no status message"),
+        ({}, {"timeout_s": 0.0}, r"time-out is 0.*set 1000 ms in VESC Tool"),
+        ({}, {"timeout_s": 0.2}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
+    ],
+)
+def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, options, told):
+    there = VescThrustConfig(interface="hil", channel="propellers")
+    with made(keys=keys, told=there, **options) as (_, clock, _, driver, bus):
+        with pytest.raises(DeviceError, match=told) as caught:
+            driver.open()
+        assert (caught.value.exit_code, driver.identity()) == (3, {})
+        clock.sleep_until_ns(clock.now_ns() + S)
+        assert orders(bus) == [], "nothing was commanded, so nothing was switched off"
+
+
+@pytest.mark.parametrize("fault", ["thrust:baud_mismatch", "thrust:off", "thrust:bus_off"])
+def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault):
+    told = r"thrust.*no VESC answers.*500000 bit/s.*same bit rate"
+    with made(faults=[fault]) as (_, _, _, driver, _), pytest.raises(DeviceTimeoutError, match=told):
+        driver.open()
+
+
+@pytest.mark.parametrize("timeout_s", [0.0, 0.3])
+def test_a_time_out_in_the_bench_file_that_cannot_hold_a_robot_is_refused(timeout_s):
+    with made(keys={"timeout_s": timeout_s}) as (_, _, _, driver, bus):
+        with pytest.raises(ConfigError, match="time-out"):
+            driver.open()
+        assert orders(bus) == []
+
+
+@pytest.mark.parametrize("force_n", [-1.0, math.nan, math.inf, 50.0])
+def test_a_force_that_cannot_be_meant_is_refused_and_the_push_goes_on(force_n):
+    with made() as (_, clock, nodes, driver, _):
+        driver.open()
+        after(driver, clock, 0.3)
+        driver.set_force_n(20.0)
+        after(driver, clock, 3.0)
+        with pytest.raises(UsageError, match=r"0 to 39.7 N"):
+            driver.set_force_n(force_n)
+        after(driver, clock, 0.5)
+        assert sum(node.fan.force_n for node in nodes) > 18.0
+
+
+def test_one_controller_that_falls_silent_is_named():
+    with made() as (_, clock, nodes, driver, _):
+        driver.open()
+        after(driver, clock, 0.3)
+        nodes[1]._dead = True
+        with pytest.raises(
+            DeviceTimeoutError, match=r"no report of controller 3 for 1.0 s.*Secure the robot"
+        ):
+            after(driver, clock, 2.0)
+
+
+@pytest.mark.parametrize(
+    ("spec", "status"),
+    [("thrust:stuck@1", Status.FROZEN), ("thrust:garbage@1", Status.IMPLAUSIBLE)],
+)
+def test_reports_that_cannot_be_true_are_marked(spec, status):
+    with made(faults=[spec], start="running", timeout_s=30.0) as (_, clock, _, driver, _):
+        driver.open()
+        samples = after(driver, clock, 2.5)
+        assert status in {s.status for s in samples}
+        assert all(math.isnan(s.throttle) for s in samples if s.status is status)
+
+
+@pytest.mark.parametrize("ids", [[], [2, 2], [2, 255], [1, 2, 3, 4, 5]])
+def test_controllers_that_cannot_be_are_named_by_their_key(ids):
+    with pytest.raises(ConfigError, match=r"thrust.*controller_ids"):
+        hil.open_bench("emulated", overrides={**VESC, "thrust.controller_ids": ids})
+
+
+def test_nothing_moves_before_they_push_and_the_robot_is_held_at_the_end():
+    cold = {**VESC, "emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
+    with hil.open_bench("emulated", seed=1, overrides=cold) as bench:
+        wanted_n = thrust_wanted_n(bench.config)
+        assert bench.world.plant.working_point is not None
+        motion = bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=3.0))
+        newest = [s for r in motion.records for s in r.inputs.thrust][-1]
+        assert 39.7 * newest.throttle**2 == pytest.approx(wanted_n, rel=0.02)
+        world = bench.world
+    assert bench.held.state == "HELD"
+    world.advance_to(world.now_ns + 5 * S)
+    assert not world.plant.truth().fallen
+
+
+def test_propellers_that_do_not_come_up_leave_the_servos_without_torque():
+    weak = {**VESC, "emulation.thrust.start": "off", "emulation.thrust.highest_a": 1.0}
+    bench = hil.open_bench("emulated", seed=1, overrides=weak)
+    with pytest.raises(SafetyStop, match=r"pushed up with \d+.\d N of 22.3") as caught:
+        bench.__enter__()
+    assert caught.value.reason == "adhesion"
+    assert bench.world.plant._by_hand
+
+
+def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
+    with hil.open_bench("emulated", seed=1, overrides=VESC) as bench:
+        node = next(part for part in bench.world._parts if isinstance(part, PropellerNode))
+
+        def fail(record):
+            if record.inputs.t_ns > 2 * S:
+                node._strength = lambda t_ns: 0.25
+
+        with pytest.raises(SafetyStop) as caught:
+            bench.drive(CLIMB, feedback="odometry", on_cycle=fail)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * S)
+        truth = bench.truth()
+    assert caught.value.reason in ("adhesion", "utilisation")
+    assert np.abs(truth.joint_velocity_rad_s[:4]).max() < 0.05
+    assert not truth.fallen
+
+
+def test_one_controller_that_says_nothing_stops_the_wheels():
+    with hil.open_bench("emulated", seed=1, overrides=VESC) as bench:
+        node = next(part for part in bench.world._parts if isinstance(part, PropellerNode))
+
+        def hush(record):
+            if record.inputs.t_ns > 2 * S:
+                node._silenced = lambda t_ns: True
+
+        with pytest.raises(SafetyStop) as caught:
+            bench.drive(CLIMB, feedback="odometry", on_cycle=hush)
+        truth = bench.truth()
+    assert caught.value.reason == "stale_thrust"
+    assert not truth.fallen
