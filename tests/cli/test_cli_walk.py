@@ -13,6 +13,9 @@ import pytest
 
 from hil.bench import open_bench, open_emulation
 from hil.cli import cli, main
+from hil.config.loading import load_bench
+from hil.config.record import NewPart, Part, RobotRecord
+from hil.config.record.overlay import identity
 from hil.recording.mcap_writer import McapRecorder
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
@@ -27,6 +30,13 @@ from hil.procedure import procedure
 def run(ctx):
     """Do nothing."""
 '''
+ROBOT = identity(load_bench("emulated_floor"))
+ZEROS = NewPart(
+    Part(
+        procedure="steering_zero", verdict="PASS", measured="2026-11-22T10:00:00+00:00",
+        bench="emulated_floor", values={"alignment.steer_zero_rad": [0.01, -0.02, 0.03, -0.04]},
+    )
+)  # fmt: skip
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
 
@@ -90,6 +100,8 @@ def world(tmp_path_factory):
     assert call("demo-data", folder / "data", "--repetitions", "1")[0] == 0
     assert call("calibrate", folder / "data", "--no-validation", "--out", folder / "cal.toml")[0] == 0
     assert call("run", folder / "idle.py", "--out", folder / "results")[0] == 0
+    for name in ("record", "other_record"):
+        RobotRecord(folder / name).add({"zeros": ZEROS}, ROBOT, created=ZEROS.part.measured, why="a test")
     (folder / "empty").write_bytes(b"")
     (folder / "junk").write_bytes(bytes(range(256)) * 8)
     (folder / "taken").write_text("a file of the user's")
@@ -102,6 +114,11 @@ def world(tmp_path_factory):
 def base(world, tmp_path, monkeypatch):
     """Good values for what a command needs, by its name; a new command gets names of nothing."""
     monkeypatch.chdir(tmp_path)
+
+    def nobody(self):
+        raise DeviceError("the robot", "is not commissioned in this test")
+
+    monkeypatch.setattr("hil.procedure.commission.running._Running.all", nobody)
 
     def nothing(config, *, seed, faults):
         open_emulation(config, seed=seed, faults=faults).close()
@@ -128,6 +145,14 @@ def base(world, tmp_path, monkeypatch):
         "calibration list": {"file": world / "cal.toml"},
         "calibration apply": {"file": world / "cal.toml", "version": "1"},
         "calibration rollback": {"file": world / "cal.toml"},
+        "robot show": {"record": world / "record"},
+        "robot diff": {"record": world / "record"},
+        "robot rollback": {"record": world / "record"},
+        "robot apply": {
+            "record": world / "record",
+            "source": world / "other_record",
+            "bench": "emulated_floor",
+        },
         "tune": {"recordings": world / "run.mcap", "evaluations": "2"},
         "demo-data": {"folder": tmp_path / "made", "repetitions": "1"},
         "export": {"recording": world / "run.mcap"},
@@ -188,7 +213,7 @@ def test_a_wrong_value_is_answered_with_a_code_and_its_name(words, parameter, wo
     for value, refused in wrong_values(parameter, world):
         code, _, said = call(*words, *line(command, {**good, parameter.name: value}))
         names = (str(value), parameter.name, *parameter.opts)
-        told = code in (2, 3) and any(n and n in said for n in names)
+        told = code in (2, 3) and any(n and n.lower() in said.lower() for n in names)
         if code not in (0, 1, 2, 3, 4) or "Traceback" in said or (refused and not told):
             wrong_answers.append((str(value), code, said[-300:]))
     assert wrong_answers == []

@@ -13,6 +13,7 @@ GONE = "nowhere.toml"
 WRONG = {
     "adhesion": ["status", "--bench", GONE],
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
+    "commission": ["--bench", GONE], "robot": ["show", GONE],
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
     "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE], "info": ["--magic"],
     "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "run": ["latency", "--bench", GONE],

@@ -28,6 +28,7 @@ from hil.report.commission_page import write_commission_page
 from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import ConfigError, HilError
+from hil.vocabulary.files import check_folder
 from hil.vocabulary.progress import WHOLE, Report, silent
 from hil.vocabulary.reading import read_json, read_toml
 
@@ -81,6 +82,7 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     Raises:
         HilError: something was wrong before anything could move.
     """
+    check_folder(asked.folder)
     config = asked.source.config
     record = Path(config.record.folder) if config.record.folder else (asked.folder / RECORD).resolve()
     source = asked.source.changed(overrides={"record.folder": str(record)})
