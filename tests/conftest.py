@@ -52,15 +52,17 @@ ALONE = (
 whether one that they gave back is free."""
 
 THINNED = {
-    "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 2,
+    "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 3,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,
     "bench/test_held.py::test_whenever_it_happens": 4,
+    "bench/test_held.py::test_whoever_loses_servos": 3,
     "calibration/test_calibration_commands.py::test_the_papers_setting": 3,
     "calibration/test_fit.py::test_all_four_methods_meet": 2,
     "calibration/test_fit.py::test_all_methods_keep_to_one_box": 2,
+    "controller/test_sensors_judge_each_other.py::test_servos_that_fall_silent_in_motion": 2,
     "controller/test_sensors_judge_each_other.py::test_what_the_estimator_copes_with": 2,
     "controller/test_tracking.py::test_tracks_without_slip": 3,
-    "estimator/test_estimator_engines.py::test_compiled_engine_equals_filterpy": 3,
+    "estimator/test_estimator_engines.py::test_compiled_engine_equals_filterpy": 5,
     "estimator/test_estimator_hybrid.py::test_disturbances_grow": 3,
     "estimator/test_kernel_cache.py::test_an_edited_inner_file": 3,
     "plant/test_mujoco_contact.py::test_a_circle_of_three_metres": 2,

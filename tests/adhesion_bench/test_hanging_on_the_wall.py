@@ -227,6 +227,7 @@ def test_what_cannot_be_meant_is_named_by_its_key(keys, told):
     assert load_bench("emulated").adhesion.controller_id == 1
 
 
+@pytest.mark.long
 def test_the_force_follows_the_need_with_a_margin_and_spares_the_battery():
     watts = {}
     for by_need in (False, True):

@@ -83,6 +83,7 @@ def test_a_command_without_a_stream_does_not_begin(folder, name, stream):
     assert ("standard output closed: nothing was started" in errors) == (stream == "output")
 
 
+@pytest.mark.long
 def test_a_run_whose_reader_has_gone_leaves_everything(folder):
     code, _, _ = hil(folder, "run", "short.py", "--out", "gone", output="gone")
     assert code == 4

@@ -44,6 +44,7 @@ def tiny(tmp_path_factory):
     return folder, told, code, said
 
 
+@pytest.mark.long
 def test_what_one_procedure_finds_the_next_one_uses(tiny):
     _, told, code, _ = tiny
     assert (told["verdict"], code, told["stopped"]) == ("PASS", 0, None), told
@@ -54,6 +55,7 @@ def test_what_one_procedure_finds_the_next_one_uses(tiny):
     assert told["wall"][NOTHING] != told["wall"][EVERYTHING]
 
 
+@pytest.mark.long
 def test_its_page_has_the_figure_the_record_and_a_way_to_every_report(tiny):
     folder, told, _, _ = tiny
     page = Path(told["page"]).read_text()
@@ -66,6 +68,7 @@ def test_its_page_has_the_figure_the_record_and_a_way_to_every_report(tiny):
         assert (folder / stage / "report.html").exists()
 
 
+@pytest.mark.long
 def test_it_says_how_far_the_whole_is(tiny):
     said = tiny[3]
     whole = [(done, total) for what, done, total in said if what == WHOLE]
@@ -73,6 +76,7 @@ def test_it_says_how_far_the_whole_is(tiny):
     assert [done for done, _ in whole] == sorted(done for done, _ in whole)
 
 
+@pytest.mark.long
 def test_what_has_passed_is_not_repeated(tiny):
     folder, told, _, _ = tiny
     before = {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")}
@@ -98,6 +102,7 @@ def test_the_first_failure_ends_it_with_what_to_do_and_resuming_goes_on_there(tm
     assert "Stopped at tracker extrinsics" in Path(told["page"]).read_text()
 
 
+@pytest.mark.long
 def test_a_procedure_that_does_not_pass_leaves_the_record_as_it_was(tmp_path):
     wrong = replace(SOURCE, faults=("tracker:wrong,scale=1.2",))
     told, code = commission(asked(tmp_path / "out", source=wrong))

@@ -271,6 +271,7 @@ def alarms(bench, way, feedback, seed):
     return [str(e.message) for e in ride.events] + ([str(ride.stop)] if ride.stop is not None else [])
 
 
+@pytest.mark.long
 def test_honest_sensors_raise_no_alarm():
     short = [(line(ORIGIN, to), f) for to, f in ((UP, "ekf"), (ACROSS, "ukf"), ([0.2, -0.2, 0.1], "ekf"))]
     for seed, (way, feedback) in enumerate(short):

@@ -260,6 +260,7 @@ def in_process(prelude="", **environment):
     return [line[0] for line in lines], np.array([[float(v) for v in line[1:]] for line in lines])
 
 
+@pytest.mark.long
 def test_without_numba_the_results_are_the_same():
     available, plain = in_process("sys.modules['numba'] = None")
     assert available == ["False", "False"]

@@ -150,6 +150,7 @@ def wpimath(streams):
     return scored(SHIPPED), scored(spread(found.x)), np.exp(found.x)
 
 
+@pytest.mark.long
 def test_tuning_helps_wpimath(wpimath):
     """The comparison is with its best: without tuning it would be no measure of the filter."""
     shipped, tuned, sigmas = wpimath

@@ -125,6 +125,7 @@ def test_two_swapped_drives_are_not_taken_for_each_other(tmp_path):
     done.assert_held()
 
 
+@pytest.mark.long
 def test_devices_that_work_badly_fail_their_own_measurements(tmp_path):
     faults = ("encoder.FL:stuck", "tracker:slow,factor=2")
     parameters = BRIEF | {"devices": "servos,encoders,tracker"}

@@ -75,6 +75,7 @@ def test_imu_truth_lies_within_the_stated_intervals_over_twenty_seeds(tmp_path):
     assert_covered(ratios, few=False)
 
 
+@pytest.mark.long
 def test_a_gyro_that_turns_while_the_robot_rests_fails(tmp_path):
     done = run("imu_calibration", tmp_path / "run", BRIEF, faults=("imu:wrong,rate_rad_s=0.05",))
     assert done.result.exit_code == 1

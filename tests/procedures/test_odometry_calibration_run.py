@@ -82,6 +82,7 @@ TINY = {"motions": "line_x,line_y,circle_ccw", "repetitions": 2, "validation_rep
         "radius_m": 0.3, "turns": 0.2, "max_rounds": 2, "compared_methods": "", "processes": 1}  # fmt: skip
 
 
+@pytest.mark.long
 def test_a_bad_result_is_not_installed(tmp_path):
     target = tmp_path / "calibration.toml"
     parameters = {**TINY, "motions": "circle_ccw", "turns": 0.15, "install": str(target)}
