@@ -35,8 +35,9 @@ def test_it_looks_at_nothing_while_records_are_made():
     gc.callbacks.append(lambda phase, info: seen.append(phase))
     try:
         with without_collector():
-            made = [[k] for k in range(20_000)]
+            made = [[k] for k in range(200_000)]
+            meanwhile = list(seen)
     finally:
         gc.callbacks.pop()
-    assert len(made) == 20_000
-    assert seen == []
+    assert len(made) == 200_000
+    assert meanwhile == []
