@@ -54,20 +54,13 @@ demo-calibration: $(BIN)/.installed
 	@echo "calibration file: out/demo-calibration/calibration.toml"
 	@echo "open out/demo-calibration/fit/index.html and out/demo-calibration/after/index.html"
 
-# Tests in virtual time share the cores; then those that mostly wait for a clock, two at a time; then those
-# that judge the clock, one after the other. Hundreds of them start a process: compiled code is kept for it,
-# also where the environment asks for none.
-pytest = $(BIN)/python -m pytest $(if $(DURATIONS),--junit-xml $(DURATIONS)/$(1).xml)
+# Hundreds of tests start a process: compiled code is kept for it, also where the environment asks for none.
 test test-slowest: export PYTHONDONTWRITEBYTECODE :=
 test: $(BIN)/.installed
-	@failed=0; \
-	$(call pytest,virtual) -n 2 --dist worksteal -m "not long and not real_time and not alone" || failed=1; \
-	$(call pytest,real_time) -n 2 --dist worksteal -m "not long and real_time" || failed=1; \
-	$(call pytest,alone) -m "not long and alone" || failed=1; \
-	exit $$failed
+	@$(BIN)/python tests/in_two_lanes.py
 
 test-slowest: $(BIN)/.installed
-	@failed=0; $(MAKE) --no-print-directory test DURATIONS=out/durations || failed=1; \
+	@failed=0; $(BIN)/python tests/in_two_lanes.py out/durations || failed=1; \
 	$(BIN)/python tests/slowest.py out/durations; exit $$failed
 
 test-long: $(BIN)/.installed

@@ -10,3 +10,6 @@ PATIENT = {
     "imu.reply_timeout_s": 0.1,
     "imu.fail_after_s": 10.0,
 }
+
+FANLESS = {"adhesion": None, "thrust": None, "load_cells": None}
+"""For tests of something else: nobody waits for a fan; the emulated robot is pressed on its wall anyway."""

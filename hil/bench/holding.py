@@ -230,10 +230,10 @@ class HoldWatch(Sink):
 
     def _doubt(self, hold: ServoHold, trails: dict[str, _Trail]) -> str:
         """What speaks against calling the robot held; empty when nothing does."""
-        if hold.trouble:
-            return _in_words(hold)
-        if self._falls:
-            return "torque is on, but the accelerometer feels less than the weight: adhesion is lost"
+        if hold.trouble or self._falls:
+            fallen = ["the accelerometer feels less than the weight: adhesion is lost"] * self._falls
+            servos = _in_words(hold) if hold.trouble else "torque is on"
+            return "; ".join([*fallen, servos])
         seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
         if _SERVOS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"

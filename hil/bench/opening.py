@@ -22,6 +22,7 @@ from hil.config.loading import load_bench
 from hil.fakes.faults import Fault, describe
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import Connection, kinds
 
@@ -69,7 +70,7 @@ def open_bench(
         clock = MonotonicClock()
         return Bench(checked, clock, make_rig(checked, clock, {}), **common)
     if realtime or len(emulated) < len(checked.devices()):
-        return _at_the_wire(checked, check_faults(checked, faults), seed, common)
+        return _at_the_wire(checked, planned_faults(checked, faults), seed, common)
     world = build_world(checked, seed=seed, faults=planned_faults(checked, faults))
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
@@ -80,7 +81,11 @@ def open_bench(
 
 def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:
     served = config.model_copy(update={"emulation": config.emulation.model_copy(update={"faults": ()})})
-    emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
+    try:
+        emulator = EmulatorProcess(served, seed=seed, faults=[describe(f) for f in plan])
+    except DeviceError:
+        check_faults(served, plan)  # where the bench file or a fault is at fault, that is told instead
+        raise
     clock = MonotonicClock()
     bench = Bench(config, clock, make_rig(config, clock, _reach(config, emulator.endpoints)), **common)
     bench.on_open(emulator.begin)

@@ -18,6 +18,9 @@ _FILE = click.argument("file", type=click.Path(path_type=Path))
 _BENCH = click.option("--bench", help="Bench file or profile that uses it: another robot's is refused.")
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
+_HELD_OUT = ("fresh_run", "leave_one_repetition_out")
+"""Tables of `CalibrationFile.validation` on recordings that the fit did not see, the better one first."""
+
 
 @click.group(cls=SuggestingGroup)
 def command() -> None:
@@ -100,9 +103,8 @@ def _done(kept: KeptVersion, file: Path, as_json: bool) -> int:
 
 def _described(kept: KeptVersion) -> dict[str, Any]:
     file = kept.file
-    mean = next((t["mean"] for t in file.validation.values() if "mean" in t), None)
-    if "fresh_run" in file.validation:
-        mean = file.validation["fresh_run"].get("mean", mean)
+    held_out = (file.validation.get(name, {}).get("mean") for name in _HELD_OUT)
+    mean = next((row for row in held_out if row is not None), None)
     return {
         "version": file.version,
         "path": str(kept.path),

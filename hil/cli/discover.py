@@ -31,12 +31,14 @@ def command(
     from hil.bench.discover import discover
     from hil.vocabulary.clock import MonotonicClock
     from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import write_text
+    from hil.vocabulary.files import check_file, write_text
 
     if "" in ports:
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
     if out is not None and out.exists():
         raise UsageError(f"{out} exists already", remedy="choose another name for --out")
+    if out is not None:
+        check_file(out)
     found = discover(
         MonotonicClock(),
         ports=ports,

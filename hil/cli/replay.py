@@ -68,7 +68,10 @@ def command(
     or plain CSV. A damaged recording gives what it has and ends with exit code 2.
     """
     from hil.replay.recordings import open_recording
+    from hil.vocabulary.files import check_file
 
+    if page is not None:
+        check_file(page)
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
     result: dict[str, Any] = {"recording": str(recording)}
     if verify:

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+from functools import partial
 from itertools import pairwise
 
 import pytest
@@ -12,6 +13,7 @@ from hil.bench.doctor import examine
 from hil.bench.emulation import build_world, connect_in_process
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.drivers.servos import scan
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.signals import KINDS
 
@@ -154,7 +156,15 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     connected.close()
 
 
-def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(emulator, capsys, tmp_path):
+@pytest.mark.parametrize(
+    "rates", [pytest.param("all", marks=pytest.mark.long), "two"], ids="servos asked at {} baud rates".format
+)
+def test_discover_finds_everything_and_its_file_opens_a_healthy_bench(
+    emulator, capsys, tmp_path, monkeypatch, rates
+):
+    if rates == "two":
+        bauds = (57_600, emulator["servos"]["baud"])
+        monkeypatch.setattr("hil.devices.servos.discovery.scan", partial(scan, bauds=bauds))
     file, can = tmp_path / "found.toml", emulator["can"]
     ports = ["--port", emulator["imu"]["port"], "--port", emulator["servos"]["port"]]
     others = ["--can", f"{can['interface']}:{can['channel']}:{can['port']}"]
@@ -175,13 +185,12 @@ def test_discover_without_an_answer_and_with_nonsense(capsys, tmp_path):
     assert main(["discover", "--port", str(tmp_path / "no-port")]) == 3
     assert "nothing answered" in capsys.readouterr().err
     out = tmp_path / "found.toml"
-    for form in ([], ["--json"]):
-        assert main(["discover", "--port", str(tmp_path / "no-port"), "--out", str(out), *form]) == 3
-        said = capsys.readouterr()
-        assert "nothing answered" in said.err
-        assert f"{out} was not written" in said.err
-        assert "surface" not in said.out
-        assert not out.exists()
+    assert main(["discover", "--port", str(tmp_path / "no-port"), "--out", str(out), "--json"]) == 3
+    said = capsys.readouterr()
+    assert "nothing answered" in said.err
+    assert f"{out} was not written" in said.err
+    assert "surface" not in said.out
+    assert not out.exists()
     assert main(["discover", "--can", "can0"]) == 2
     assert main(["discover", "--mocap", "somewhere"]) == 2
     assert "IPv4" in capsys.readouterr().err

@@ -52,14 +52,23 @@ def fault(kind, at_s, duration_s):
     return f"{kind}@{at_s}" + (f"+{duration_s}" if duration_s else "")
 
 
-@pytest.mark.parametrize(("kind", "duration_s"), LOSSES)
-@pytest.mark.parametrize("at_s", [MOVING_S, STOPPED_S], ids=["in motion", "after the stop"])
+LOST = [
+    pytest.param(kind, duration_s, at_s, id=f"{moment}-{kind}-{duration_s}", marks=marks)
+    for moment, at_s, breadth in (("in motion", MOVING_S, ()), ("after the stop", STOPPED_S, LOSSES[2:7]))
+    for kind, duration_s in LOSSES
+    for marks in [pytest.mark.long if (kind, duration_s) in breadth else ()]
+]
+"""Losses in motion, and a few of them after the stop; all of them in the long run."""
+
+
+@pytest.mark.parametrize(("kind", "duration_s", "at_s"), LOST)
 def test_whoever_loses_servos_has_them_back_without_calling_anything(kind, duration_s, at_s):
     with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
         stop = climb(bench)
         assert (stop is None) == (at_s > MOVING_S)
         back_s = at_s + duration_s
         wait(bench, max(0.0, back_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert not bench.rig.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
         assert bench.look().state == "HELD"
     assert bench.held.state == "HELD"
@@ -87,6 +96,7 @@ OPENING = {"asked": 0.2, "set up": 0.41, "enabled": 0.43}
 def test_whenever_it_happens_while_the_bench_opens_the_robot_is_held_in_the_end(kind, duration_s, at_s):
     with hil.open_bench("emulated", seed=3, faults=[fault(kind, at_s, duration_s)]) as bench:
         wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert not bench.rig.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
     assert bench.held.state == "HELD"
 
@@ -111,6 +121,7 @@ def test_whoever_loses_servos_has_them_back_in_five_worlds(kind, duration_s, at_
     with hil.open_bench("emulated", seed=seed, faults=[fault(kind, at_s, duration_s)]) as bench:
         climb(bench)
         wait(bench, max(0.0, at_s + duration_s + 0.3 - bench.clock.now_ns() / SECOND))
+        assert not bench.rig.servos.look_after().trouble
         assert moved_from(bench, 1.0) < 2.0
     assert bench.held.state == "HELD"
 
@@ -151,6 +162,16 @@ def test_a_robot_that_came_off_is_not_held_though_every_servo_has_torque():
     assert bench.held.moved_m > 0.1
 
 
+def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_both():
+    faults = ["servos:off@2.5", "plant:adhesion_loss@3"]
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 0.5}) as bench:
+        climb(bench)
+        wait(bench, 3.5 - bench.clock.now_ns() / SECOND)
+    assert bench.held.state == "NOT HELD"
+    assert "adhesion is lost" in bench.held.why
+    assert "no servo answers" in bench.held.why
+
+
 def test_hardware_errors_are_told():
     with hil.open_bench("emulated", seed=1, overrides={"exit.look_after_s": 0.5}) as bench:
         climb(bench)
@@ -174,6 +195,15 @@ def test_a_wall_starts_held_and_release_is_told():
     assert bench.held.state == "NOT HELD"
     assert not bench.held.wanted
     assert "released" in bench.held.why
+
+
+def test_a_robot_that_was_never_held_is_said_to_be():
+    """Nothing presses it on, so that torque stays off: whoever opens the bench is told both."""
+    bench = hil.open_bench("emulated", seed=1, faults=["plant:adhesion_loss@0.3"])
+    with pytest.raises(SafetyStop, match="not pressed on the wall"), bench:
+        raise AssertionError("it opened")
+    assert bench.held.state == "NOT HELD"
+    assert "torque was never switched on" in bench.held.why
 
 
 def test_a_robot_that_hangs_by_its_fan_is_not_released():

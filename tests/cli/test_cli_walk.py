@@ -6,6 +6,7 @@ would open in real time is replaced: what gets that far has accepted its options
 
 import contextlib
 import io
+from dataclasses import replace
 
 import click
 import pytest
@@ -13,7 +14,9 @@ import pytest
 from hil.bench import open_bench, open_emulation
 from hil.cli import cli, main
 from hil.recording.mcap_writer import McapRecorder
+from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.kinds import kinds
 
 SCRIPT = '''
 """Nothing to do."""
@@ -38,6 +41,25 @@ def leaves(group=cli, words=()):
             yield from leaves(command, (*words, name))
         else:
             yield (*words, name), command
+
+
+class Hasty(MonotonicClock):
+    """Nobody waits: what is waited for has passed."""
+
+    def __init__(self):
+        self._slept_ns = 0
+
+    def now_ns(self):
+        return super().now_ns() + self._slept_ns
+
+    def sleep_until_ns(self, t_ns):
+        self._slept_ns += max(0, t_ns - self.now_ns())
+
+
+def on_ports(item):
+    """A kind of devices, of which discovery asks serial ports only."""
+    name, kind = item
+    return name, replace(kind, models=tuple(replace(model, search=None) for model in kind.models))
 
 
 COMMANDS = dict(leaves())
@@ -87,7 +109,9 @@ def base(world, tmp_path, monkeypatch):
 
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", nothing)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
-    monkeypatch.setattr("hil.bench.discover.find_ports", list, raising=False)
+    monkeypatch.setattr("hil.bench.discover.serial_ports", list)
+    monkeypatch.setattr("hil.bench.discover.kinds", lambda: dict(map(on_ports, kinds().items())))
+    monkeypatch.setattr("hil.vocabulary.clock.MonotonicClock", Hasty)
     return {
         "run": {"script": world / "idle.py"},
         "campaign": {"script": world / "idle.py", "seeds": "0", "workers": "0"},
@@ -95,9 +119,9 @@ def base(world, tmp_path, monkeypatch):
         "live": {"duration_s": "0.2"},
         "replay": {"recording": world / "run.mcap", "estimators": "odometry"},
         "emulate": {"only": "imu"},
-        "discover": {"ports": "hil://absent"},
+        "discover": {"ports": "absent"},
         "doctor": {"bench": "sensors", "emulate": "all", "watch_s": "0.1"},
-        "setup": {"port": "hil://absent", "servo_id": "1"},
+        "setup": {"port": "absent", "servo_id": "1"},
         "evaluate": {"data": world / "data"},
         "calibrate": {"data": world / "data", "--no-validation": ""},
         "calibration list": {"file": world / "cal.toml"},

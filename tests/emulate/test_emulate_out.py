@@ -3,12 +3,8 @@
 import contextlib
 import json
 import os
-import re
-import shlex
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import pytest
 import serial
@@ -18,7 +14,6 @@ from hil.cli import main
 from hil.cli.endpoints import EndpointsFile
 from hil.vocabulary.errors import UsageError
 
-ROOT = Path(__file__).parents[2]
 START_S = 60.0
 STALE = json.dumps({"imu": {"port": "/dev/pts/999", "baud": 115200}})
 
@@ -118,35 +113,3 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UsageError, match="something else"):
         EndpointsFile(tmp_path / "pipe")
-
-
-PRINTED = [
-    (page, block)
-    for page in ("README.md", "examples/README.md")
-    for block in re.findall(r"^```sh\n(.*?)^```", (ROOT / page).read_text(), re.DOTALL | re.MULTILINE)
-    if "hil emulate --out" in block
-]
-
-
-def test_the_block_is_printed_somewhere():
-    assert PRINTED
-
-
-@pytest.mark.parametrize(("page", "block"), PRINTED, ids=[page for page, _ in PRINTED])
-def test_the_block_works_pasted_into_a_shell(tmp_path, page, block):
-    """Line by line, without waiting by hand: the scripts wait for the file."""
-    (tmp_path / "examples").symlink_to(ROOT / "examples")
-    tools = tmp_path / "bin"
-    tools.mkdir()
-    for name, words in {"hil": "-m hil.cli", "python": ""}.items():
-        tool = tools / name
-        tool.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} {words} "$@"\n')
-        tool.chmod(0o755)
-    block = block.replace("kill %1\n", "")
-    script = f"set -e\ntrap 'kill $!' EXIT\n{block}"
-    done = subprocess.run(
-        ["bash", "-c", script], cwd=tmp_path, capture_output=True, text=True, timeout=4 * START_S,
-        env={**os.environ, "PATH": f"{tools}:{os.environ['PATH']}", "PYTHONPATH": str(ROOT)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert re.findall(r"servo (\d): model 1010", done.stdout) == list("12345678")

@@ -1,13 +1,21 @@
 """`hil info` calls an extra usable only if what is installed fits what the extra asks for."""
 
 import json
+import re
 from importlib import metadata, util
+from pathlib import Path
 
 import pytest
 
 from hil.cli import main
 from hil.vocabulary import extras
 
+try:
+    import tomllib
+except ModuleNotFoundError:
+    import tomli as tomllib
+
+ROOT = Path(__file__).resolve().parents[2]
 OURS = [
     'camera==2.53.1.*; python_version < "3" and extra == "t265"',
     'numba>=0.59; extra == "fast"',
@@ -37,6 +45,15 @@ def test_each_extra_says_what_it_lacks(installed):
         "dronecan": "not installed",
         "campaign": "not installed",
     }
+
+
+def test_readme_lists_every_extra_once():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    (table,) = re.findall(r"^\| extra \|.*\n\|[-|]+\n((?:\|.*\n)+)", readme, re.MULTILINE)
+    listed = [name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])]
+    assert sorted(listed) == sorted(project["optional-dependencies"])
+    assert set(listed) == {*extras.MODULES, "test", "lint"}
 
 
 def test_info_tells_it(capsys, monkeypatch):

@@ -10,6 +10,7 @@ from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import MonotonicClock
+from tests.patience import FANLESS
 
 SECOND = 1_000_000_000
 
@@ -78,8 +79,8 @@ def test_world_time_waits_for_the_bench_and_ends_with_it():
 
 def test_a_bench_that_opens_late_finds_the_robot_where_it_was_put():
     """Half a second without torque costs millimetres, the seconds before it cost nothing."""
-    bench = hil.open_bench("emulated", seed=1, realtime=True)
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * SECOND)
+    bench = hil.open_bench("emulated", seed=1, realtime=True, overrides=FANLESS)
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
     with bench:
         bench.rig.actuators().enable()
         pose = bench.settle()
@@ -88,11 +89,11 @@ def test_a_bench_that_opens_late_finds_the_robot_where_it_was_put():
 
 def test_what_waited_while_the_bench_opened_and_paused_is_no_restart(caplog):
     """Sensors' data pile up before the first cycle and between two runs; asked ahead at 200 Hz, too."""
-    overrides = {"loop.rate_hz": 200.0, "servos.prefetch": True}
+    overrides = {**FANLESS, "loop.rate_hz": 200.0, "servos.prefetch": True}
     with hil.open_bench("emulated", seed=1, realtime=True, overrides=overrides) as bench:
         bench.rig.actuators().enable()
         for _ in range(2):
-            bench.clock.sleep_until_ns(bench.clock.now_ns() + 2 * SECOND)
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + SECOND)
             motion = bench.observe(0.5)
     assert "restarted" not in caplog.text
     encoders = [e for r in motion.records for e in r.inputs.encoders]

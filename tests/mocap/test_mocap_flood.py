@@ -65,6 +65,18 @@ def test_one_read_looks_at_a_bounded_number_of_useless_datagrams(kinds, caplog):
     assert session.strangers + session.malformed + session.repeated == ports.taken
 
 
+def test_second_copies_of_what_nobody_read_for_long_are_no_flood(caplog):
+    """A server that knows both ports sends every frame twice; after a pause all of them wait."""
+    ports = Flooded()
+    session = Session(MocapConfig(body=1), SimpleNamespace(now_ns=lambda: 0), ports)
+    copies = [(build.frame((4, 1), number, [build.body(1)]), SERVER) for number in range(5, 605)]
+    ports.first = [(build.server_info(), SERVER), *copies, *copies]
+    with caplog.at_level(logging.WARNING):
+        found = [len(list(session.frames())) for _ in range(5)]
+    assert found == [600, 0, 0, 0, 0]
+    assert (session.repeated, session.floods, caplog.text) == (600, 0, "")
+
+
 def test_frames_behind_a_flood_are_found_by_the_following_reads():
     ports = Flooded()
     session = Session(MocapConfig(body=1), SimpleNamespace(now_ns=lambda: 0), ports)

@@ -168,6 +168,20 @@ def test_the_commands_list_apply_and_roll_back(shelf, capsys, tmp_path):
     assert run(capsys, "apply", shelf.path, "--version", 2)[0] == 0
 
 
+def test_the_error_that_is_listed_is_of_recordings_that_the_fit_did_not_see(shelf, capsys, tmp_path):
+    def listed(**mm):
+        tables = {name: {"mean": {"rmse_position_m": 1e-3 * value}} for name, value in mm.items()}
+        file = tmp_path / f"{len(mm)}.toml"
+        save_calibration(file, made(0.0251, validation=tables))
+        (row,) = json.loads(run(capsys, "list", file, "--json")[1].out)["versions"]
+        return row["validation_rmse_m"]
+
+    of_a_fit = {"nominal": 38.5, "in_sample": 3.4, "leave_one_repetition_out": 4.25}
+    assert listed(**of_a_fit) == 0.00425
+    assert listed(**of_a_fit, fresh_run=5.0) == 0.005
+    assert listed(nominal=38.5, in_sample=3.4) is None
+
+
 def test_the_commands_refuse_with_exit_code_2(shelf, capsys, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(

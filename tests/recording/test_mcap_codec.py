@@ -19,7 +19,7 @@ from hil.recording.cycle_layout import FORMAT, describe
 from hil.vocabulary.signals import Status
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(record=CYCLE_RECORDS)
 def test_every_bit_comes_back(record):
     data = CycleEncoder().encode(record)

@@ -58,7 +58,7 @@ def babbling(answers, *, with_bus=False, **config):
         line.close()
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(answers=PIECES)
 def test_opening_a_bus_that_talks_nonsense_is_a_device_error(answers):
     with babbling(answers) as (_, driver, clock):
@@ -75,7 +75,7 @@ def test_answers_of_another_length_are_no_answers():
         driver.open()
 
 
-@settings(max_examples=60)
+@settings(max_examples=25)
 @given(answers=PIECES, fast=st.sampled_from(["auto", False]))
 def test_nonsense_between_the_answers_gives_samples_or_a_device_error(answers, fast):
     with babbling(answers, with_bus=True, fast_sync_read=fast) as (chip, driver, clock):

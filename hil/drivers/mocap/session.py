@@ -47,7 +47,8 @@ class Session:
         body_id: the one to look for in frames, None until it is known.
         malformed: packets that were not what they said.
         strangers: packets from other hosts, or frames from another source than the usual one.
-        repeated: frames that came again or too late.
+        taken: frames that were new.
+        repeated: frames that came again or too late; a server that knows both ports sends each one twice.
         floods: calls of `frames` that met more datagrams of no use than they look at; the rest waits.
     """
 
@@ -57,7 +58,7 @@ class Session:
         self.server: ServerInfo | None = None
         self.bodies: dict[int, str] | None = None
         self.body_id: int | None = config.body if isinstance(config.body, int) else None
-        self.malformed = self.strangers = self.repeated = self.floods = 0
+        self.malformed = self.strangers = self.taken = self.repeated = self.floods = 0
         self.version = (0, 0)
         self._asked: tuple[int, int] | None = None
         self._agreed = False
@@ -118,7 +119,7 @@ class Session:
 
     def frames(self) -> Iterator[NewFrame]:
         """New frames that have arrived, with their arrival and whether the server has begun anew."""
-        wasted = 0
+        wasted, repeated = 0, self.repeated
         for port in self._ports:
             for _ in range(_MOST_DATAGRAMS):
                 datagram = port.receive() if wasted < _MOST_WASTED else None
@@ -131,8 +132,10 @@ class Session:
                     frame = None
                 wasted += frame is None
                 if frame is not None:
+                    self.taken += 1
                     yield frame[0], datagram.arrived_ns, frame[1]
-        if wasted >= _MOST_WASTED:
+        copies = self.repeated - repeated if self.repeated <= self.taken else 0
+        if wasted >= _MOST_WASTED and wasted > 2 * copies:
             self._flooded()
 
     def _flooded(self) -> None:

@@ -72,8 +72,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Since `open`: packets malformed, from strangers, lost, unread; poses that came twice or late."""
-        names = ("malformed", "strangers", "lost", "overflowed")
+        """Since `open`: packets malformed, of strangers, lost, unread; floods; poses repeated or late."""
+        names = ("malformed", "strangers", "lost", "overflowed", "floods")
         session = self._session
         counts = {name: 0 if session is None else getattr(session, name) for name in names}
         return {**counts, "repeated": self._repeated}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections import deque
 from typing import Any, NamedTuple, TypeAlias
 
@@ -11,12 +12,16 @@ from hil.devices.tracker.mavlink.timesync import TimeSync, Trip
 from hil.devices.tracker.mavlink.wire import Address, Arrival, Link
 from hil.vocabulary.clock import NS_PER_S, Clock
 
+_LOG = logging.getLogger(__name__)
 SYSTEM, COMPONENT = 255, 190
 """Ids of this host: those that ground stations go by, whom every sender answers."""
 
 _HEARTBEAT_NS = NS_PER_S
 _MOST_SENDERS = 64
 _ASK_AGAIN_NS, _ASKS = NS_PER_S // 2, 3
+_LARGEST = 2048
+_MOST_WASTED, _LEAST_WASTED = 16_384, 64
+"""Bytes of datagrams without a word of the sender: what one exchange looks at; what each counts at least."""
 
 Source: TypeAlias = tuple[int, int]
 """System and component id."""
@@ -46,9 +51,10 @@ class Session:
         heartbeat, version: the sender's last HEARTBEAT and AUTOPILOT_VERSION.
         sync: its clock.
         packets: arrivals, whatever they held.
-        malformed: pieces that are no MAVLink packet, or whose checksum is wrong.
+        malformed: pieces that are no MAVLink packet, or whose checksum is wrong; datagrams that are too long.
         strangers: messages from others.
         lost: gaps in the sender's packet numbers.
+        floods: exchanges that met more datagrams of no use than they look at; the rest waits.
         other_clock: poses in a row whose stamps are not of the clock that answers TIMESYNC.
     """
 
@@ -67,7 +73,7 @@ class Session:
         self.heartbeat: Any = None
         self.version: Any = None
         self.sync = TimeSync()
-        self.packets = self.malformed = self.strangers = self.lost = self.other_clock = 0
+        self.packets = self.malformed = self.strangers = self.lost = self.floods = self.other_clock = 0
         self._overflowed = 0
 
     @property
@@ -81,11 +87,16 @@ class Session:
         return self._link.trouble
 
     def exchange(self) -> None:
-        """Take all that has arrived and say what is due; never waits."""
-        while (arrival := self._link.receive()) is not None:
+        """Take what has arrived and say what is due; never waits. Anybody may send datagrams."""
+        wasted = 0
+        while wasted < _MOST_WASTED and (arrival := self._link.receive()) is not None:
             self.packets += 1
-            for message in self._parser.feed(arrival.data):
-                self._take(message, arrival)
+            if not self._is_of_use(arrival) and self._link.datagrams:
+                wasted += max(_LEAST_WASTED, len(arrival.data))
+        if wasted >= _MOST_WASTED:
+            self.floods += 1
+            if self.floods == 1:
+                _LOG.warning("somebody floods %s with datagrams of no use to the tracker", self._config.port)
         self._speak()
 
     def trip(self) -> Trip | None:
@@ -96,11 +107,19 @@ class Session:
         """Let go of the link."""
         self._link.close()
 
-    def _take(self, message: Any, arrival: Arrival) -> None:
+    def _is_of_use(self, arrival: Arrival) -> bool:
+        """Take an arrival apart; whether anything in it came from the sender."""
+        if self._link.datagrams and len(arrival.data) > _LARGEST:
+            self.malformed += 1
+            return False
+        return any([self._take(message, arrival) for message in self._parser.feed(arrival.data)])
+
+    def _take(self, message: Any, arrival: Arrival) -> bool:
+        """Take a message; whether it came from the sender."""
         kind = message.get_type()
         if kind == "BAD_DATA":
             self.malformed += 1
-            return
+            return False
         source = message.get_srcSystem(), message.get_srcComponent()
         if source in self.heard or len(self.heard) < _MOST_SENDERS:
             self.heard.setdefault(source, set()).add(kind)
@@ -108,11 +127,11 @@ class Session:
             self._peer = arrival.sender
         if not self._is_wanted(source):
             self.strangers += 1
-            return
+            return False
         if kind == "ODOMETRY" and self.source is None:
             self.source = source
         if source != self.source:
-            return
+            return False
         self._peer = arrival.sender
         self._count(message.get_seq())
         if kind == "ODOMETRY":
@@ -125,6 +144,7 @@ class Session:
             self.heartbeat = message
         elif kind == "AUTOPILOT_VERSION":
             self.version = message
+        return True
 
     def _is_wanted(self, source: Source) -> bool:
         if self.source is not None:
