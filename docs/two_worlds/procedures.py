@@ -13,6 +13,7 @@ from two_worlds.bodies import WORLDS
 from two_worlds.results import Row
 
 from hil.cli import main
+from hil.vocabulary.errors import EXIT_USAGE
 
 SEED = 1
 NAMES = (
@@ -37,7 +38,9 @@ def run(procedure: str, world: str) -> Row:
     """One run: verdict, and each measurement that is not a pass with its value."""
     words = [word for setting in _SETTINGS[world] for word in ("--set", setting)]
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
-        main(["run", procedure, "--seed", str(SEED), "--out", folder, *words])
+        code = main(["run", procedure, "--seed", str(SEED), "--out", folder, *words])
+        if code == EXIT_USAGE:
+            raise SystemExit(code)
         result = json.loads((Path(folder) / "result.json").read_text(encoding="utf-8"))
     if result["verdict"] == "ABORTED":
         raise KeyboardInterrupt(f"{procedure} was stopped: it says nothing of the world {world}")
