@@ -32,12 +32,11 @@ def command(folder, name, *options):
 
 def give_way():
     """Run only while nobody else wants the core, where the kernel shares it by sessions, too."""
-    if hasattr(os, "SCHED_IDLE"):
+    os.nice(19)
+    with contextlib.suppress(OSError, AttributeError):
         os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-        with contextlib.suppress(OSError):
-            Path("/proc/self/autogroup").write_text("19")
-    else:
-        os.nice(19)
+    with contextlib.suppress(OSError):
+        Path("/proc/self/autogroup").write_text("19")
 
 
 def show(log, lane):
