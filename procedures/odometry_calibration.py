@@ -26,7 +26,7 @@ from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.learning import known_part, leave_part
+from hil.procedure.learning import known_parts, leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
@@ -163,7 +163,7 @@ def run(ctx: Context) -> None:
 
 def _known_play_rad(ctx: Context) -> float:
     """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
-    known = known_part(ctx.source.config, "backlash")
+    known = known_parts(ctx.source.config).get("backlash")
     if known is None or not known.figures:
         return _ASSUMED_PLAY_RAD
     return min(0.5 * max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)

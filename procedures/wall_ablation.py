@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -17,12 +16,13 @@ from pydantic import BaseModel, ConfigDict, Field
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.config.record import PARTS, RobotRecord
+from hil.config.record import PARTS
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
-from hil.procedure.ablation import EVERYTHING, NOTHING, Setting, Table, settings_of
+from hil.procedure.ablation import Setting, Table, settings_of
+from hil.procedure.learning import known_parts
 from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
 from hil.procedure.workers import worker_pool
-from hil.report.ablation_figure import ablation_figure
+from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import ArrayLike
 
@@ -81,11 +81,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 
 def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
-    settings = config.record
-    known: tuple[str, ...] = ()
-    if settings.folder is not None and (record := RobotRecord(Path(settings.folder))).exists():
-        known = tuple(name for name in record.read().parts if name not in settings.without)
-    return settings_of(known, p.single)
+    return settings_of(tuple(known_parts(config)), p.single)
 
 
 @procedure(

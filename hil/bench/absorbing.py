@@ -17,7 +17,7 @@ from hil.config.record.folder import check_robot
 from hil.config.record.overlay import identity
 from hil.config.record.parts import part_of
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.reading import read_toml
+from hil.vocabulary.reading import dotted, read_toml
 
 _FILES = ("imu.calibration_file", "calibration")
 
@@ -90,7 +90,7 @@ def _of_fragment(path: Path, tree: Mapping[str, Any], config: BenchConfig, now: 
     found: dict[str, dict[str, Any]] = {}
     files: dict[str, dict[str, Path]] = {}
     unknown = []
-    for key, value in _flat(tree, ""):
+    for key, value in dotted(tree):
         name = part_of(key)
         if name is None:
             unknown.append(f"{key}: no part of a record holds it; it belongs into the bench file")
@@ -115,10 +115,3 @@ def _of_fragment(path: Path, tree: Mapping[str, Any], config: BenchConfig, now: 
         )
         for name, values in found.items()
     }
-
-
-def _flat(tree: Mapping[str, Any], prefix: str) -> list[tuple[str, Any]]:
-    rows: list[tuple[str, Any]] = []
-    for key, value in tree.items():
-        rows += _flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else [(prefix + key, value)]
-    return rows

@@ -7,7 +7,6 @@ SHA-256, as the previous version, so that every state can be restored (`hil.cali
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -29,6 +28,7 @@ from hil.calibration.parameters import (
 )
 from hil.robot.kinematics import ForwardModel, WheelGeometry
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.files import put_whole
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.reading import read_toml
 
@@ -208,15 +208,9 @@ def save_calibration(path: Path, file: CalibrationFile) -> None:
         ConfigError: it cannot be written, or no reader would take it.
     """
     _check_possible(file, f"{path}: not written, no robot can be driven with this calibration")
-    partial = path.with_suffix(path.suffix + ".part")
     text = tomli_w.dumps(file.model_dump(mode="python", by_alias=True, exclude_none=True))
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("w", encoding="utf-8") as out:
-            out.write(text)
-            out.flush()
-            os.fsync(out.fileno())
-        os.replace(partial, path)
+        put_whole(path, text.encode())
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None
 

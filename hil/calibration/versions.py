@@ -7,7 +7,6 @@ can be put back. What was made for another geometry or other servos is refused.
 
 from __future__ import annotations
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from hil.config.bench import BenchConfig
 from hil.config.servos import ServosConfig
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes
 
 if TYPE_CHECKING:
@@ -133,10 +133,8 @@ class Shelf:
             check_made_for(chosen.file, config, str(chosen.path))
         if self.path.exists():
             keep(self.path)
-        partial = self.path.with_suffix(self.path.suffix + ".part")
         try:
-            partial.write_bytes(chosen.path.read_bytes())
-            os.replace(partial, self.path)
+            put_whole(self.path, chosen.path.read_bytes())
         except OSError as error:
             raise ConfigError(f"{self.path}: cannot be written ({error.strerror or error})") from None
         return KeptVersion(chosen.path, chosen.file, in_place=True)

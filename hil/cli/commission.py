@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from typing import Any
 import click
 
 from hil.cli import start
-from hil.cli.options import SEED
+from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
 
 DEFAULT = "emulated_delivered"
@@ -41,6 +42,7 @@ def command(
     """All procedures in order, each using what the others found, up to lines on the wall."""
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
+    from hil.procedure.commission.state import NAME
     from hil.procedure.interrupts import Interrupts
     from hil.procedure.operator import Answers, Terminal
     from hil.vocabulary.clock import MonotonicClock
@@ -51,10 +53,11 @@ def command(
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    folder = results_folder("commission", out, NAME if resume else None)
     with interrupts.installed(), interrupts.deferred(), reporting() as report:
         told, code = commission(
             Commission(
-                source, _folder(out, resume), MonotonicClock(), _now, quick=quick, resume=resume,
+                source, folder, MonotonicClock(), _now, quick=quick, resume=resume,
                 operator=Terminal() if answers is None else Answers(answers), report=report,
                 interrupts=interrupts,
             )
@@ -80,21 +83,6 @@ def _now() -> str:
     return datetime.now().astimezone().isoformat(timespec="seconds")
 
 
-def _folder(out: Path | None, resume: bool) -> Path:
-    from hil.procedure.commission.state import NAME
-    from hil.vocabulary.errors import UsageError
-
-    if out is not None:
-        return out
-    base = Path("out") / "commission"
-    if not resume:
-        return base / datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-    found = sorted(p.parent for p in base.glob(f"*/{NAME}"))
-    if not found:
-        raise UsageError(f"nothing to resume in {base}", remedy="name the results folder with --out")
-    return found[-1]
-
-
 def _text(told: dict[str, Any]) -> str:
     lines = [
         f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]
@@ -104,7 +92,7 @@ def _text(told: dict[str, Any]) -> str:
         for name, cases in told["wall"].items():
             for case, row in cases.items():
                 numbers = "".join(f"{1e3 * row[key]:9.2f}" for key in ("end_m", "rmse_x_m", "rmse_y_m"))
-                heading = f"{57.29578 * row['rmse_heading_rad']:13.3f}"
+                heading = f"{math.degrees(row['rmse_heading_rad']):13.3f}"
                 lines.append(f"{name:44}{case:>8}{numbers}{heading}")
     if told["stopped"] is not None:
         stopped = told["stopped"]

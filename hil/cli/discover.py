@@ -40,9 +40,9 @@ def command(
 
     if "" in ports:
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
-    if out is not None and out.exists():
-        raise UsageError(f"{out} exists already", remedy="choose another name for --out")
     if out is not None:
+        if out.exists():
+            raise UsageError(f"{out} exists already", remedy="choose another name for --out")
         check_file(out)
     given: dict[str, list[Any]] = {
         "encoders": [_bus(text) for text in buses],

@@ -7,14 +7,37 @@ import shlex
 import shutil
 import sys
 from collections.abc import Callable
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import click
 
-from hil.vocabulary.errors import did_you_mean
+from hil.vocabulary.errors import UsageError, did_you_mean
 
 SEED = click.IntRange(min=0)
+
+
+def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:
+    """Where results go: `out`, else a new folder below `out/NAME`, else the latest one there to resume.
+
+    Args:
+        name: of what is run.
+        out: as it was asked for.
+        resumed_by: file by which a run that can be resumed is known; None for a new one.
+
+    Raises:
+        UsageError: there is nothing to resume.
+    """
+    if out is not None:
+        return out
+    base = Path("out") / name
+    if resumed_by is None:
+        return base / datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
+    found = sorted(p.parent for p in base.glob(f"*/{resumed_by}"))
+    if not found:
+        raise UsageError(f"nothing to resume in {base}", remedy="name the results folder with --out")
+    return found[-1]
 
 
 class FiniteRange(click.FloatRange):

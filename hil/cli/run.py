@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
-from hil.cli.options import SEED
+from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
 
 if TYPE_CHECKING:
@@ -52,6 +52,7 @@ def command(
     """Run a procedure: a path to a Python file, or the name of a shipped one."""
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
+    from hil.procedure.journal import NAME as JOURNAL
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
@@ -71,7 +72,7 @@ def command(
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = Interrupts(_tell)
     with interrupts.installed(), interrupts.deferred():
-        folder = _folder(proc, out, resume)
+        folder = results_folder(proc.name, out, JOURNAL if resume else None)
         result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
         report, code = _report_of(result)
         if as_json:
@@ -107,20 +108,6 @@ def _run(
                 interrupts=interrupts,
             ),
         )  # fmt: skip
-
-
-def _folder(proc: Procedure, out: Path | None, resume: bool) -> Path:
-    from hil.vocabulary.errors import UsageError
-
-    if out is not None:
-        return out
-    base = Path("out") / proc.name
-    if not resume:
-        return base / datetime.now().strftime("%Y%m%d-%H%M%S-%f")[:-3]
-    found = sorted(p.parent for p in base.glob("*/journal.jsonl"))
-    if not found:
-        raise UsageError(f"nothing to resume in {base}", remedy="name the results folder with --out")
-    return found[-1]
 
 
 def _report_of(result: Result) -> tuple[str | None, int]:

@@ -20,7 +20,7 @@ from hil.config.older import area_twice, lifted, told_where_now
 from hil.config.record.overlay import check_record, laid_over
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.reading import read_toml, toml_tables
+from hil.vocabulary.reading import put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
@@ -47,16 +47,6 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),
         remedy=did_you_mean(str(source), profile_names()),
     )
-
-
-def _overlay(tree: dict[str, Any], dotted: str, value: object) -> None:
-    *path, leaf = dotted.split(".")
-    for key in path:
-        nested = tree.setdefault(key, {})
-        if not isinstance(nested, dict):
-            raise ConfigError(f"override {dotted}: {key} is a value, not a table")
-        tree = nested
-    tree[leaf] = value
 
 
 def load_bench(
@@ -91,7 +81,7 @@ def load_bench(
     if not isinstance(source, BenchConfig):
         record = laid_over(tree, overrides or {}, today or date.today())
     for dotted, value in (overrides or {}).items():
-        _overlay(tree, dotted, value)
+        put_dotted(tree, dotted, value, "override")
     _anchor(tree, Path.cwd())
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"

@@ -52,9 +52,10 @@ def on_can(
 
 
 def where(endpoint: Mapping[str, Any], told: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Keys of a table from an endpoint that was printed; `told` are not options of the interface."""
+    """Keys of a table from an endpoint that was printed; `told` are no options of the interface."""
     keys = ("interface", "channel", "bitrate")
     options = {key: value for key, value in endpoint.items() if key not in (*keys, "dbc", *told)}
     if endpoint["interface"] == "udp_multicast":
         options["hop_limit"] = 0
-    return {**{key: endpoint[key] for key in keys}, "options": options}
+    own = {key: tuple(v) if isinstance(v := endpoint[key], list) else v for key in told}
+    return {**{key: endpoint[key] for key in keys}, "options": options, **own}

@@ -6,8 +6,8 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 from hil.config.record import PARTS
+from hil.report.ablation_figure import EVERYTHING, NOTHING
 
-NOTHING, EVERYTHING = "nothing known", "everything known"
 Table = dict[str, dict[str, dict[str, float]]]
 """Setting -> line -> error, as in the JSON of `hil commission`."""
 

@@ -64,13 +64,12 @@ def _until(started: str, days: int | None) -> str:
     return "" if days is None else (date.fromisoformat(started[:10]) + timedelta(days=days)).isoformat()
 
 
-def known_part(config: BenchConfig, name: str) -> Part | None:
-    """A part of the record that a bench runs with; None without."""
+def known_parts(config: BenchConfig) -> dict[str, Part]:
+    """Parts of the record that a bench runs with, by name; none without a record."""
     settings = config.record
-    if settings.folder is None or name in settings.without:
-        return None
-    record = RobotRecord(Path(settings.folder))
-    return record.read().parts.get(name) if record.exists() else None
+    if settings.folder is None or not (record := RobotRecord(Path(settings.folder))).exists():
+        return {}
+    return {name: part for name, part in record.read().parts.items() if name not in settings.without}
 
 
 def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, HilError | None]:

@@ -12,6 +12,9 @@ from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+NOTHING, EVERYTHING = "nothing known", "everything known"
+"""The settings that every ablation has."""
+
 
 def ablation_figure(table: Mapping[str, Mapping[str, Mapping[str, float]]]) -> Figure:
     """Bars of the distance from the goal, one row per setting, one colour per line.

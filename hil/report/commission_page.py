@@ -13,7 +13,7 @@ from typing import Any
 from markupsafe import Markup
 
 from hil.config.record import RobotRecord
-from hil.report.ablation_figure import ablation_figure
+from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.report.figures import figure_image
 from hil.report.robot_table import part_rows
 from hil.report.run_page import duration, environment
@@ -21,7 +21,6 @@ from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.files import write_text
 
 PAGE, FIGURE = "commission.html", "ablation.svg"
-NOTHING, EVERYTHING = "nothing known", "everything known"
 
 
 def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now: str, seed: int) -> Path:

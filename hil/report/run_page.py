@@ -18,6 +18,7 @@ from hil.report.figures import figure_image
 from hil.report.result_file import RESULT, address, inside, own_file, read_result
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import write_text
+from hil.vocabulary.reading import dotted
 
 PAGE = "report.html"
 _BAR = 100.0
@@ -129,11 +130,9 @@ def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
     return {"start": start, "width": round(end - start, 2), "value": at(value)}
 
 
-def _flat(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    rows: list[tuple[str, str]] = []
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            rows += _flat(value, f"{prefix}{key}.")
-        elif value is not None:
-            rows.append((prefix + key, json.dumps(value) if isinstance(value, list) else str(value)))
-    return rows
+def _flat(tree: Mapping[str, Any]) -> list[tuple[str, str]]:
+    return [
+        (key, json.dumps(value) if isinstance(value, list) else str(value))
+        for key, value in dotted(tree)
+        if value is not None
+    ]

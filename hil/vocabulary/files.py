@@ -26,6 +26,28 @@ def write_text(path: Path, text: str) -> Path:
     return path
 
 
+def put_whole(path: Path, content: bytes) -> None:
+    """Have a file appear at once, in a folder that need not exist: a reader sees the old one or the new one.
+
+    It is written beside, flushed to the disk, renamed, and the folder flushed.
+
+    Raises:
+        OSError: it cannot be written; the old one is still there.
+    """
+    partial = path.with_name(path.name + ".part")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with partial.open("wb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(partial, path)
+    folder = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
 def check_folder(path: Path) -> None:
     """Make sure that files can be put into a folder, which need not exist yet; leaves nothing behind.
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,30 @@ def _check_depth(tree: Any) -> None:
 def _inside(tree: Any) -> list[Any]:
     values = tree.values() if isinstance(tree, dict) else tree if isinstance(tree, list) else ()
     return [value for value in values if isinstance(value, (dict, list))]
+
+
+def dotted(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Values of a tree of tables by their dotted keys, in the tree's order."""
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            yield from dotted(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def put_dotted(tree: dict[str, Any], key: str, value: object, whose: str) -> None:
+    """Put a value into a tree of tables by its dotted key; tables that are missing are made.
+
+    Raises:
+        ConfigError: there is a value where a table is needed; it begins with `whose`.
+    """
+    *tables, last = key.split(".")
+    for name in tables:
+        inner = tree.setdefault(name, {})
+        if not isinstance(inner, dict):
+            raise ConfigError(f"{whose} {key}: {name} is a value, not a table")
+        tree = inner
+    tree[last] = value
 
 
 def printable(text: str) -> str:

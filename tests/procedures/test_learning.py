@@ -12,7 +12,7 @@ from hil.config.loading import load_bench
 from hil.config.record import Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.learning import known_part, leave_part
+from hil.procedure.learning import known_parts, leave_part
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedures.parts.surface_slip import next_lines
 from hil.procedures.parts.tracker_scale import session_spread
@@ -38,7 +38,7 @@ def test_a_run_that_passes_adds_its_part_and_the_bench_then_has_it(tmp_path):
     result, source = ran(tmp_path / "run", tmp_path / "robot", **{"record.valid_days": 30})
     assert result.verdict.value == "PASS"
     assert result.facts["record"]["parts"] == ["camera"]
-    part = known_part(source.config, "camera")
+    part = known_parts(source.config).get("camera")
     assert (part.procedure, part.measured, part.until) == ("learns", "2026-11-22T10:00:00", "2026-12-22")
     config = load_bench("emulated", overrides={"record.folder": str(tmp_path / "robot")})
     assert config.tracker.scale == 1.01

@@ -25,11 +25,11 @@ from pydantic import ValidationError
 
 from hil.config.record.parts import PARTS, Identity, Part, RecordFile, digest_of
 from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import MOST_TOML_BYTES, read_bytes, read_toml
 
 IN_PLACE, HISTORY, FILES = "record.toml", "history", "files"
 _VERSION = re.compile(r"v(\d{4,})\.toml")
-_PARTIAL = ".part"
 
 
 @dataclass(frozen=True)
@@ -280,19 +280,8 @@ def _alone(folder: Path) -> Iterator[None]:
 
 
 def _write_whole(path: Path, content: bytes) -> None:
-    """Write beside, flush to the disk, rename, flush the folder; raises `ConfigError`."""
-    partial = path.with_name(path.name + _PARTIAL)
+    """As `put_whole`; raises `ConfigError`."""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(partial, path)
-        folder = os.open(path.parent, os.O_RDONLY)
-        try:
-            os.fsync(folder)
-        finally:
-            os.close(folder)
+        put_whole(path, content)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written ({error.strerror or error})") from None

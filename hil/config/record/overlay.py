@@ -11,6 +11,7 @@ from hil.config.record.folder import RobotRecord, check_robot
 from hil.config.record.parts import PARTS, Identity, Part, RecordFile
 from hil.vocabulary.errors import ConfigError, did_you_mean
 from hil.vocabulary.kinds import kinds
+from hil.vocabulary.reading import put_dotted
 
 _TRUE_MOUNTS = ("mount_position_m", "mount_rotation_wxyz")
 """Keys of a device that also say how an emulated one is truly mounted, unless `[emulation]` does."""
@@ -42,12 +43,13 @@ def laid_over(tree: dict[str, Any], overrides: Mapping[str, object], today: date
     if not record.exists():
         return None
     file = record.read()
-    parts = {name: part for name, part in file.parts.items() if name not in tuple(without)}
     wall = _is_wall(tree, overrides)
     parts = {
-        name: part for name, part in parts.items() if wall or not part.surface or part.surface == "floor"
+        name: part
+        for name, part in file.parts.items()
+        if name not in without and (wall or part.surface in ("", "floor"))
     }
-    _check_valid(record, parts, _environment(tree, overrides, "surface", "melamine"), today)
+    _check_valid(record, parts, _environment(tree, overrides, "surface"), today)
     for part in parts.values():
         for key, value in part.values.items():
             _put(tree, key, str(record.path_of(part, key)) if key in part.files else value)
@@ -69,10 +71,11 @@ def _check_valid(record: RobotRecord, parts: Mapping[str, Part], surface: object
         )  # fmt: skip
 
 
-def _environment(
-    tree: Mapping[str, Any], overrides: Mapping[str, object], key: str, default: object
-) -> object:
+def _environment(tree: Mapping[str, Any], overrides: Mapping[str, object], key: str) -> object:
+    from hil.config.environment import EnvironmentConfig
+
     table = tree.get("environment")
+    default = EnvironmentConfig.model_fields[key].default
     value = table.get(key, default) if isinstance(table, Mapping) else default
     return overrides.get(f"environment.{key}", value)
 
@@ -80,7 +83,7 @@ def _environment(
 def _is_wall(tree: Mapping[str, Any], overrides: Mapping[str, object]) -> bool:
     from hil.config.environment import FLOOR_TILT_RAD
 
-    tilt = _environment(tree, overrides, "tilt_rad", 1.57)
+    tilt = _environment(tree, overrides, "tilt_rad")
     return isinstance(tilt, (int, float)) and tilt > FLOOR_TILT_RAD
 
 
@@ -95,12 +98,7 @@ def _put(tree: dict[str, Any], dotted: str, value: object) -> None:
         if key in _TRUE_MOUNTS:
             before = table.get(key, _default(kind, table, key))
             tree.setdefault("emulation", {}).setdefault(kind, {}).setdefault(key, before)
-    for name in tables:
-        inner = tree.setdefault(name, {})
-        if not isinstance(inner, dict):
-            raise ConfigError(f"record: {dotted}: {name} is a value in the bench file, not a table")
-        tree = inner
-    tree[key] = value
+    put_dotted(tree, dotted, value, "record:")
 
 
 def _default(kind: str, table: Mapping[str, Any], key: str) -> object:

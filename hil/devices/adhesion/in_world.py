@@ -7,18 +7,62 @@ fan; so the keeper lives where the fan lives, and the fan goes on when the bench
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol
 
+from hil.devices.canbus import on_can
+from hil.devices.emulated import Begun, EmulatedDevice, Setting
 from hil.drivers.adhesion.keeper.beat import Beat
 from hil.drivers.adhesion.keeper.client import Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
 from hil.drivers.adhesion.keeper.kept import Kept
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.fakes.can_wire import WorldBus
+from hil.fakes.can_wire import CanChannel, WorldBus
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
+
+
+class Beginning(Protocol):
+    """An emulated controller that may be at work when the bench comes."""
+
+    def begin_in_use(self) -> None:
+        """Be at work from the start."""
+
+
+def kept_on_can(
+    setting: Setting,
+    channel: CanChannel,
+    nodes: Sequence[Beginning],
+    *,
+    subnet: int,
+    dbc: Path | str,
+    told: tuple[str, ...],
+) -> EmulatedDevice:
+    """Emulated controllers on a channel that a keeper commands; in this process it is one of their world.
+
+    Args:
+        setting: where they are built.
+        channel: their bus.
+        nodes: the controllers; they begin in use with the bench.
+        subnet: as of `on_can`.
+        dbc: as of `on_can`.
+        told: keys of the table that clients are told.
+    """
+    values = {key: getattr(setting.config, key) for key in told}
+    device = on_can(
+        setting, channel, subnet=subnet, dbc=dbc, listens=True, told=values,
+        parts={"keep": KeptInWorld(setting.world).keep},
+    )  # fmt: skip
+
+    def begin_in_use() -> None:
+        for node in nodes:
+            node.begin_in_use()
+
+    return Begun(device, begin_in_use)
 
 
 class _LifelongBus(WorldBus):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hil.config.adhesion import VescConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Holding
-from hil.vocabulary.kinds import Connection, DeviceModel, Found, Search
+from hil.vocabulary.kinds import DeviceModel, Found, Search
 from hil.vocabulary.signals import AdhesionSample
 
 if TYPE_CHECKING:
@@ -40,9 +40,8 @@ def _imperfections() -> type[Any]:
 
 
 def _emulate(setting: Setting) -> EmulatedDevice:
-    from hil.devices.adhesion.in_world import KeptInWorld
-    from hil.devices.canbus import channel_of, on_can
-    from hil.devices.emulated import Begun
+    from hil.devices.adhesion.in_world import kept_on_can
+    from hil.devices.canbus import channel_of
     from hil.drivers.adhesion.vesc import DBC
     from hil.fakes.adhesion import AdhesionTruthOptions, VescNode
 
@@ -50,18 +49,13 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     channel = channel_of(setting)
     options = setting.options(AdhesionTruthOptions, timeout_s=config.timeout_s)
     node = VescNode(setting.world, channel, config, options)
-    told = {"controller_id": config.controller_id}
-    device = on_can(
-        setting, channel, subnet=164, dbc=DBC, listens=True, told=told,
-        parts={"keep": KeptInWorld(setting.world).keep},
-    )  # fmt: skip
-    return Begun(device, node.begin_in_use)
+    return kept_on_can(setting, channel, [node], subnet=164, dbc=DBC, told=_TOLD)
 
 
-def _reach(endpoint: Mapping[str, Any]) -> Connection:
+def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
     from hil.devices.canbus import where
 
-    return Connection({**where(endpoint, _TOLD), **{name: endpoint[name] for name in _TOLD}})
+    return where(endpoint, _TOLD)
 
 
 def _search(search: Search) -> Found | None:

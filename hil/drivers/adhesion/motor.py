@@ -1,29 +1,22 @@
-"""A fan behind a motor controller on CAN: a force as what the controller is told, and its reports as samples.
-
-Commands are not sent from here. A keeper sends them, which goes on when this program ends; it is told of
-another set-point only. Reports are read from the bus, whoever commands.
-"""
+"""A fan behind a motor controller on CAN: a force as what it is told, and its reports as samples."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 from abc import abstractmethod
-from collections.abc import Iterator, Mapping
-from typing import Generic, NamedTuple, TypeVar
+from collections.abc import Iterator
+from typing import NamedTuple, TypeVar
 
 import can
 
 from hil.config.adhesion import MotorConfig
-from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.kept import Keep, Kept
-from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.keeper.kept import Keep
+from hil.drivers.adhesion.kept_motor import KeptMotor
 from hil.drivers.adhesion.trim import Trim
-from hil.drivers.can_link import CanLink
 from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, HilError, UsageError
-from hil.vocabulary.interfaces import Holding
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import HilError, UsageError
 from hil.vocabulary.signals import AdhesionSample, Stamp, Status
 
 _FASTEST = 3.0
@@ -46,7 +39,7 @@ class Figures(NamedTuple):
     motor_c: float
 
 
-class MotorFan(Holding[AdhesionSample], Generic[C]):
+class MotorFan(KeptMotor[C, AdhesionSample]):
     """One fan.
 
     Args:
@@ -63,56 +56,14 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
         keep: Keep,
         name: str = "adhesion",
     ) -> None:
-        self.name, self._config, self._clock = name, config, clock
-        self._link = CanLink(name, config, clock)
-        self._keep = keep
-        self._kept: Kept | None = None
-        self._identity: dict[str, str] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
-        self._forget()
+        super().__init__(config, clock, keep, name, "the fan")
 
     def _forget(self) -> None:
-        self._sequence = 0
+        super()._forget()
         self._good_ns = self._clock.now_ns()
-        self._latest_ns = -1
         self._stuck = StuckTest(_STUCK_S)
         self._trim: Trim | None = None
         self._latest: AdhesionSample | None = None
-
-    def open(self) -> None:
-        """Find the controller, read how it is set, and see to it that somebody keeps the fan.
-
-        Nothing is commanded; a fan that runs goes on as it runs.
-
-        Raises:
-            ConfigError: a time-out that cannot be meant.
-            DeviceError: it is not there, not alone, tells nothing, or would let go of the robot.
-        """
-        self.close()
-        spec = Spec(**self._config.keeper())
-        self._link.open()
-        try:
-            identity = self._greet(spec)
-            self._kept = self._keep(spec, self._clock)
-            self._kept.open()
-            self._link.let_go()
-        except BaseException:
-            self.close()
-            raise
-        self._forget()
-        self._identity = identity
-
-    def close(self) -> None:
-        """Let go of the bus; the fan goes on. Idempotent; never raises."""
-        self._identity = {}
-        kept, self._kept = self._kept, None
-        if kept is not None:
-            kept.close()
-        self._link.close()
-
-    def identity(self) -> Mapping[str, str]:
-        """Model, bus, controller and firmware; empty while closed."""
-        return self._identity
 
     def read(self) -> tuple[AdhesionSample, ...]:
         """One sample for each report of speed.
@@ -137,7 +88,7 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
                 if point is not None:
                     kept.set(point)
         elif now_ns - self._good_ns > self._fail_ns:
-            raise self._silent(now_ns)
+            raise self._silence("the fan's controller", now_ns - self._good_ns, "it lets go of the motor")
         return tuple(samples)
 
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
@@ -174,23 +125,14 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
 
     def set_duty(self, duty: float) -> None:
         """Ask for a duty as it is; raises `UsageError`."""
-        if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
-            raise UsageError(
-                f"{self.name}: a duty of {duty:g}", expected="above 0, at most 1",
-                remedy="`hil adhesion off` lets the fan come to rest",
-            )  # fmt: skip
-        kept = self._must_be_open()
-        kept.set(SetPoint("duty", duty))
+        point = self._duty(duty)
+        self._must_be_open().set(point)
         self._trim = None
 
     def brace(self) -> None:
         """Ask for the highest force that is allowed; never raises."""
         with contextlib.suppress(HilError):
             self.set_force_n(self._config.highest_force_n)
-
-    @abstractmethod
-    def _greet(self, spec: Spec) -> dict[str, str]:
-        """Find the controller on the open bus, look whether it may be trusted; its identity."""
 
     def _says_something(self, message: can.Message) -> bool:
         """Whether a frame may be of the fan's controller: its keeper's commands pass by here, too."""
@@ -203,21 +145,3 @@ class MotorFan(Holding[AdhesionSample], Generic[C]):
     @abstractmethod
     def _input_v(self) -> float:
         """Battery voltage as it was reported last; NaN where it was not."""
-
-    def _must_be_open(self) -> Kept:
-        if self._kept is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._link.port, remedy="call open() first"
-            )
-        return self._kept
-
-    def _silent(self, now_ns: int) -> DeviceTimeoutError:
-        silent_s = (now_ns - self._good_ns) / NS_PER_S
-        return DeviceTimeoutError(
-            self.name,
-            f"no report of the fan's controller for {silent_s:.1f} s{self._link.told()}: once no command "
-            f"reaches it for {self._config.timeout_s:g} s it lets go of the motor. Secure the robot",
-            port=self._link.port,
-            expected="status message 1",
-            remedy="plug the CAN adapter in again; check wiring, supply and bit rate",
-        )

@@ -6,7 +6,6 @@ what to do. The same code runs in virtual time, at the wire and on the real robo
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -30,7 +29,7 @@ from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import ConfigError, HilError
 from hil.vocabulary.files import check_folder
 from hil.vocabulary.progress import WHOLE, Report, silent
-from hil.vocabulary.reading import read_json, read_toml
+from hil.vocabulary.reading import dotted, read_json, read_toml
 
 RECORD = "robot"
 
@@ -245,6 +244,6 @@ def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:
         tree = read_toml(path)
     except HilError:
         return {}
-    found = {f"{table}.{key}": value for table, keys in tree.items() for key, value in keys.items()}
+    found = dict(dotted(tree))
     other = {key: found[key] for key in believed if key in found and list(found[key]) != list(believed[key])}
-    return json.loads(json.dumps(found)) if other else {}
+    return found if other else {}

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import read_json
 
 NAME = "commission.json"
@@ -45,14 +45,9 @@ class State:
         """
         self.done[name] = facts
         path = self.folder / NAME
-        partial = path.with_name(path.name + ".part")
+        text = json.dumps({"options": self.options, "done": self.done}, indent=1)
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with partial.open("w", encoding="utf-8") as file:
-                json.dump({"options": self.options, "done": self.done}, file, indent=1)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(partial, path)
+            put_whole(path, text.encode())
         except OSError as error:
             raise DataError(str(path), f"cannot be written ({error.strerror or error})") from None
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Holding
-from hil.vocabulary.kinds import Connection, DeviceModel
+from hil.vocabulary.kinds import DeviceModel
 from hil.vocabulary.signals import AdhesionSample
 
 if TYPE_CHECKING:
@@ -33,26 +33,20 @@ def _imperfections() -> type[Any]:
 
 def _emulate(setting: Setting) -> EmulatedDevice:
     from hil.devices.adhesion.dronecan.node import DroneCanNode, DroneCanTruthOptions
-    from hil.devices.adhesion.in_world import KeptInWorld
-    from hil.devices.canbus import channel_of, on_can
-    from hil.devices.emulated import Begun
+    from hil.devices.adhesion.in_world import kept_on_can
+    from hil.devices.canbus import channel_of
 
     config: DroneCanConfig = setting.config
     channel = channel_of(setting)
     options = setting.options(DroneCanTruthOptions, timeout_s=config.timeout_s)
     node = DroneCanNode(setting.world, channel, config, options)
-    told = {name: getattr(config, name) for name in _TOLD}
-    device = on_can(
-        setting, channel, subnet=164, dbc="", listens=True, told=told,
-        parts={"keep": KeptInWorld(setting.world).keep},
-    )  # fmt: skip
-    return Begun(device, node.begin_in_use)
+    return kept_on_can(setting, channel, [node], subnet=164, dbc="", told=_TOLD)
 
 
-def _reach(endpoint: Mapping[str, Any]) -> Connection:
+def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
     from hil.devices.canbus import where
 
-    return Connection({**where(endpoint, _TOLD), **{name: endpoint[name] for name in _TOLD}})
+    return where(endpoint, _TOLD)
 
 
 DRONECAN = DeviceModel(

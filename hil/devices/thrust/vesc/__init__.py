@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Holding
-from hil.vocabulary.kinds import Connection, DeviceModel
+from hil.vocabulary.kinds import DeviceModel
 from hil.vocabulary.signals import ThrustSample
 
 if TYPE_CHECKING:
@@ -32,9 +32,8 @@ def _imperfections() -> type[Any]:
 
 
 def _emulate(setting: Setting) -> EmulatedDevice:
-    from hil.devices.adhesion.in_world import KeptInWorld
-    from hil.devices.canbus import channel_of, on_can
-    from hil.devices.emulated import Begun
+    from hil.devices.adhesion.in_world import kept_on_can
+    from hil.devices.canbus import channel_of
     from hil.devices.thrust.vesc.propellers import VescThrustTruthOptions, propellers
     from hil.drivers.adhesion.vesc import DBC
 
@@ -42,23 +41,13 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     channel = channel_of(setting)
     options = setting.options(VescThrustTruthOptions, timeout_s=config.timeout_s)
     nodes = propellers(setting.world, channel, config, options)
-    device = on_can(
-        setting, channel, subnet=166, dbc=DBC, listens=True,
-        told={"controller_ids": list(config.controller_ids)},
-        parts={"keep": KeptInWorld(setting.world).keep},
-    )  # fmt: skip
-
-    def begin_in_use() -> None:
-        for node in nodes:
-            node.begin_in_use()
-
-    return Begun(device, begin_in_use)
+    return kept_on_can(setting, channel, nodes, subnet=166, dbc=DBC, told=_TOLD)
 
 
-def _reach(endpoint: Mapping[str, Any]) -> Connection:
+def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
     from hil.devices.canbus import where
 
-    return Connection({**where(endpoint, _TOLD), "controller_ids": tuple(endpoint["controller_ids"])})
+    return where(endpoint, _TOLD)
 
 
 VESC_THRUST = DeviceModel(

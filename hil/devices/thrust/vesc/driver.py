@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from hil.config.adhesion import VescConfig
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
-from hil.drivers.adhesion.keeper.kept import Keep, Kept, finding
+from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.adhesion.kept_motor import KeptMotor
 from hil.drivers.adhesion.settings import Answers
 from hil.drivers.adhesion.vesc import Status as Report
 from hil.drivers.adhesion.vesc import decode
 from hil.drivers.adhesion.who import Seen, ask_who
-from hil.drivers.can_link import CanLink
 from hil.drivers.stuck import StuckTest
-from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
+from hil.vocabulary.clock import Clock
+from hil.vocabulary.errors import UsageError
 from hil.vocabulary.finding import Finding
-from hil.vocabulary.interfaces import Holding
 from hil.vocabulary.signals import Stamp, Status, ThrustSample
 
 _FASTEST = 3.0
@@ -29,7 +27,7 @@ _RUNNING = 0.05
 """Share of the full speed."""
 
 
-class VescThrust(Holding[ThrustSample]):
+class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
     """All propellers, at one speed.
 
     Args:
@@ -40,69 +38,31 @@ class VescThrust(Holding[ThrustSample]):
     """
 
     def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep, name: str = "thrust") -> None:
-        self.name, self._config, self._clock, self._keep = name, config, clock, keep
-        self._link = CanLink(name, config, clock)
-        self._kept: Kept | None = None
-        self._identity: dict[str, str] = {}
         self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
-        self._fail_ns = nanoseconds(config.fail_after_s)
-        self._forget()
+        super().__init__(config, clock, keep, name, "the propellers")
 
     def _forget(self) -> None:
-        now_ns = self._clock.now_ns()
-        self._sequence = 0
-        self._heard_ns = dict.fromkeys(self._config.controller_ids, now_ns)
+        super()._forget()
+        self._heard_ns = dict.fromkeys(self._config.controller_ids, self._clock.now_ns())
         self._stuck = {one: StuckTest(_STUCK_S) for one in self._config.controller_ids}
         self._newest: dict[int, tuple[int, Report]] = {}
-        self._latest_ns = -1
 
-    def open(self) -> None:
-        """Find the controllers, read how they are set, and see to it that somebody keeps them running.
-
-        Nothing is commanded; propellers that run go on as they run.
-
-        Raises:
-            ConfigError: a time-out that cannot be meant.
-            DeviceError: one is not there, not alone, tells nothing, or would let go of the robot.
-        """
-        self.close()
-        spec = Spec(**self._config.keeper())
-        self._link.open()
-        try:
-            self._known = {motor.controller_id: self._greet(motor, spec) for motor in self._config.motors()}
-            self._kept = self._keep(spec, self._clock)
-            self._kept.open()
-            self._link.let_go()
-        except BaseException:
-            self.close()
-            raise
-        self._forget()
+    def _greet(self, spec: Spec) -> dict[str, str]:
+        self._known = {motor.controller_id: self._met(motor, spec) for motor in self._config.motors()}
         ids = ", ".join(map(str, self._config.controller_ids))
         told = dict.fromkeys(answers.firmware or "not told" for _, _, answers in self._known.values())
-        self._identity = {
+        return {
             "model": "VESC",
             "port": f"{self._link.port}, controllers {ids}",
             "firmware": ", ".join(told),
         }
 
-    def _greet(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
+    def _met(self, motor: VescConfig, spec: Spec) -> tuple[VescConfig, Seen, Answers]:
         answers = Answers()
         seen = ask_who(self._link, motor, self._clock, answers)
         seen.key = "controller_ids"
         seen.check(self.name, self._link, motor, answers, spec)
         return motor, seen, answers
-
-    def close(self) -> None:
-        """Let go of the bus; the propellers go on. Idempotent; never raises."""
-        self._identity = {}
-        kept, self._kept = self._kept, None
-        if kept is not None:
-            kept.close()
-        self._link.close()
-
-    def identity(self) -> Mapping[str, str]:
-        """Model, bus, controllers and firmware; empty while closed."""
-        return self._identity
 
     def read(self) -> tuple[ThrustSample, ...]:
         """One sample whenever all controllers have reported their speed.
@@ -123,7 +83,7 @@ class VescThrust(Holding[ThrustSample]):
                 samples.append(self._sample(t_ns, now_ns))
         silent, since_ns = min(self._heard_ns.items(), key=lambda heard: heard[1])
         if now_ns - since_ns > self._fail_ns:
-            raise self._silent(silent, now_ns - since_ns)
+            raise self._silence(f"controller {silent}", now_ns - since_ns, "its propellers stop")
         if samples:
             self._link.error = ""
         return tuple(samples)
@@ -161,12 +121,7 @@ class VescThrust(Holding[ThrustSample]):
     def set_duty(self, duty: float) -> None:
         """Ask for a share of the voltage; raises `UsageError`."""
         kept = self._must_be_open()
-        if not (math.isfinite(duty) and 0.0 < duty <= 1.0):
-            raise UsageError(
-                f"{self.name}: a duty of {duty:g}", expected="above 0, at most 1",
-                remedy="`hil adhesion off` lets the propellers come to rest",
-            )  # fmt: skip
-        kept.set(SetPoint("duty", duty))
+        kept.set(self._duty(duty))
 
     def diagnose(self) -> tuple[Finding, ...]:
         """What the doctor wants to know of how each controller is set, and who keeps them."""
@@ -176,21 +131,3 @@ class VescThrust(Holding[ThrustSample]):
             for f in seen.findings(self.name, motor, answers)
         ]
         return (*told, finding(self.name, self._kept))
-
-    def _must_be_open(self) -> Kept:
-        if self._kept is None:
-            raise DeviceError(
-                self.name, "used while closed", port=self._link.port, remedy="call open() first"
-            )
-        return self._kept
-
-    def _silent(self, controller_id: int, silent_ns: int) -> DeviceTimeoutError:
-        return DeviceTimeoutError(
-            self.name,
-            f"no report of controller {controller_id} for {silent_ns / NS_PER_S:.1f} s{self._link.told()}: "
-            f"once no command reaches it for {self._config.timeout_s:g} s its propellers stop. "
-            "Secure the robot",
-            port=self._link.port,
-            expected="status message 1",
-            remedy="plug the CAN adapter in again; check wiring, supply and bit rate",
-        )
