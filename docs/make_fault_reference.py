@@ -9,9 +9,9 @@ from itertools import groupby
 from pathlib import Path
 
 import hil
-from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
-from hil.fakes.faults import VOCABULARY, Supported
+from hil.fakes.faults import MEANINGS, VOCABULARY, Supported
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS as KINDS_HERE
 
@@ -52,26 +52,6 @@ except of motion capture, act once, at the start.
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.
 """
-KINDS = {
-    "off": "no power, or no server: silence; what comes back has started anew",
-    "stuck": "the last value again and again, with fresh stamps and counters",
-    "garbage": "random content in well-formed answers or frames",
-    "wrong": "plausible values that are not true",
-    "slow": "output at a lower rate, or late answers",
-    "delayed": "values of some time ago",
-    "intermittent": "silence for a part of every period",
-    "drop": "messages that are lost, at random",
-    "corrupt": "messages with a damaged byte or bit, at random",
-    "truncate": "messages that end early, at random",
-    "duplicate": "messages that come twice, at random",
-    "baud_mismatch": "the line runs at another rate than the host",
-    "bus_off": "the CAN controller has left the bus",
-    "unplug": "cable or adapter gone; the port fails as a real one does",
-    "brownout": "supply below what the device needs; it starts anew afterwards",
-    "reset": "starts anew, once",
-    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
-    "adhesion_loss": "the fan presses less",
-}
 OPTIONS = {
     "angle_rad": "size of the error or step, rad",
     "announced": "1: the jump is announced by the reset counter; 0: it is not",
@@ -113,7 +93,7 @@ def page() -> str:
 
 def _kinds() -> Iterator[str]:
     yield "\n## Kinds\n\n| kind | what happens |\n|---|---|\n"
-    yield from (f"| `{kind}` | {KINDS[kind]} |\n" for kind in VOCABULARY)
+    yield from (f"| `{kind}` | {meaning} |\n" for kind, meaning in MEANINGS.items())
 
 
 def _options() -> Iterator[str]:
@@ -134,10 +114,7 @@ def _devices() -> Iterator[str]:
 
 def _world(tables: dict[str, object]) -> dict[str, Supported]:
     config = load_bench("emulated")
-    tree = {"schema": 1, "name": "faults", **tables}
-    world = build_world(type(config).model_validate(tree), seed=0)
-    connect_in_process(type(config).model_validate(tree), world).close()
-    return dict(world.faults.supported)
+    return supported_faults(type(config).model_validate({"schema": 1, "name": "faults", **tables}))
 
 
 def _declared(kind: str, model: str) -> dict[str, Supported]:

@@ -15,7 +15,7 @@ from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
-from hil.fakes.faults import Fault, FaultPlan, describe
+from hil.fakes.faults import Fault, FaultPlan, Supported, describe
 from hil.fakes.mujoco_plant import make_mujoco_plant
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.plant_api import Plant
@@ -210,6 +210,13 @@ def check_faults(
     if config.emulated():
         connect_in_process(config, build_world(config, seed=0, faults=faults), only=only).close()
     return faults
+
+
+def supported_faults(config: BenchConfig) -> dict[str, Supported]:
+    """Every fault that the emulated devices of a bench can produce, with its options, by device name."""
+    world = build_world(config, seed=0)
+    connect_in_process(config, world).close()
+    return dict(world.faults.supported)
 
 
 def open_emulation(

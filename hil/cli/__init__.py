@@ -39,6 +39,7 @@ COMMANDS = {
     "evaluate": "odometry error table of recordings",
     "export": "a recording as CSV or Parquet",
     "info": "versions for a bug report",
+    "list": "procedures, profiles, devices, faults and estimators that there are",
     "live": "the control-estimate loop in real time, with monitoring",
     "replay": "re-run estimation on a recording, or prove that it repeats bit for bit",
     "report": "the HTML page of a run, or a comparison of several",
@@ -73,7 +74,8 @@ class LazyGroup(SuggestingGroup):
 
 
 def _module(name: str) -> str:
-    return "hil.cli." + name.replace("-", "_")
+    module = "listing" if name == "list" else name.replace("-", "_")  # `list` would hide Python's own here
+    return f"hil.cli.{module}"
 
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})

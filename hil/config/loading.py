@@ -9,6 +9,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from datetime import date
 from importlib import resources
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, get_args
 
@@ -31,6 +32,13 @@ def profile_names() -> tuple[str, ...]:
     """Names of the shipped profiles."""
     folder = resources.files("hil.config.profiles")
     return tuple(sorted(p.name[:-5] for p in folder.iterdir() if p.name.endswith(".toml")))
+
+
+def profile_summary(name: str) -> str:
+    """What a shipped profile is, in a sentence: the first of the comment at its head."""
+    text = resources.files("hil.config.profiles").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    head = takewhile(lambda line: line.startswith("#"), text.splitlines())
+    return " ".join(line.strip("# ") for line in head).partition(".")[0]
 
 
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:

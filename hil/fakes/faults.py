@@ -18,13 +18,28 @@ import numpy as np
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import FaultNotSupportedError, UsageError, did_you_mean
 
-SIGNAL_FAULTS = ("off", "stuck", "garbage", "wrong", "slow", "delayed", "intermittent")
-WIRE_FAULTS = (
-    "drop", "corrupt", "truncate", "duplicate", "baud_mismatch", "bus_off", "unplug", "brownout",
-    "reset", "jump",
-)  # fmt: skip
-PLANT_FAULTS = ("adhesion_loss",)
-VOCABULARY = SIGNAL_FAULTS + WIRE_FAULTS + PLANT_FAULTS
+MEANINGS = {
+    "off": "no power, or no server: silence; what comes back has started anew",
+    "stuck": "the last value again and again, with fresh stamps and counters",
+    "garbage": "random content in well-formed answers or frames",
+    "wrong": "plausible values that are not true",
+    "slow": "output at a lower rate, or late answers",
+    "delayed": "values of some time ago",
+    "intermittent": "silence for a part of every period",
+    "drop": "messages that are lost, at random",
+    "corrupt": "messages with a damaged byte or bit, at random",
+    "truncate": "messages that end early, at random",
+    "duplicate": "messages that come twice, at random",
+    "baud_mismatch": "the line runs at another rate than the host",
+    "bus_off": "the CAN controller has left the bus",
+    "unplug": "cable or adapter gone; the port fails as a real one does",
+    "brownout": "supply below what the device needs; it starts anew afterwards",
+    "reset": "starts anew, once",
+    "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",
+    "adhesion_loss": "the fan presses less",
+}
+"""Every kind of fault, and what happens."""
+VOCABULARY = tuple(MEANINGS)
 _LARGEST = 1e9
 Supported = Mapping[str, tuple[str, ...]]
 """Faults that a device can produce, and the options that each takes."""

@@ -1,0 +1,108 @@
+"""`hil list`: what there is to name on the command line and in a bench file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
+from typing import Any, get_args
+
+import click
+
+from hil.vocabulary.errors import EXIT_PASS
+
+ESTIMATORS = {
+    "odometry": "wheels alone, no filter",
+    "ekf": "extended Kalman filter over wheels, IMU and camera",
+    "ukf": "unscented Kalman filter over the same",
+}
+
+
+def _procedures() -> dict[str, str]:
+    from hil.procedure.scripts import load_procedure, shipped_names
+
+    return {name: load_procedure(name).summary for name in shipped_names()}
+
+
+def _profiles() -> dict[str, str]:
+    from hil.config.loading import profile_names, profile_summary
+
+    return {name: profile_summary(name) for name in profile_names()}
+
+
+def _devices() -> dict[str, dict[str, str]]:
+    from hil.vocabulary.kinds import kinds
+
+    return {kind.name: {m.name: m.title for m in kind.models} for kind in kinds().values()}
+
+
+def _faults(bench: str) -> dict[str, dict[str, list[str]]]:
+    from hil.bench.emulation import supported_faults
+    from hil.config.loading import load_bench
+
+    declared = supported_faults(load_bench(bench, emulate="all"))
+    return {name: {kind: list(o) for kind, o in faults.items()} for name, faults in declared.items()}
+
+
+def _estimators() -> dict[str, str]:
+    from hil.config.estimator import EstimatorConfig
+
+    return {name: ESTIMATORS[name] for name in get_args(EstimatorConfig.model_fields["kind"].annotation)}
+
+
+WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
+
+
+@click.command(name="list")
+@click.argument("what", type=click.Choice(WHAT), required=False)
+@click.option(
+    "--bench", default="emulated", help="Whose devices and faults, if all were emulated [default: emulated]."
+)
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(what: str | None, bench: str, as_json: bool) -> int:
+    """List what there is: procedures, profiles, devices, faults, estimators; all of it without WHAT.
+
+    Example: hil list procedures
+    """
+    makers: Mapping[str, Callable[[], Mapping[str, Any]]] = {
+        "procedures": _procedures,
+        "profiles": _profiles,
+        "devices": _devices,
+        "faults": lambda: _faults(bench),
+        "estimators": _estimators,
+    }
+    told = {name: makers[name]() for name in ((what,) if what else WHAT)}
+    if as_json:
+        click.echo(json.dumps(told))
+        return EXIT_PASS
+    for name, found in told.items():
+        _print(name if what is None else "", _ROWS.get(name, _as_they_are)(found))
+    return EXIT_PASS
+
+
+def _as_they_are(found: Mapping[str, str]) -> list[tuple[str, str]]:
+    return list(found.items())
+
+
+def _by_model(found: Mapping[str, Mapping[str, str]]) -> list[tuple[str, str]]:
+    return [(f'{kind}.model = "{m}"', title) for kind, models in found.items() for m, title in models.items()]
+
+
+def _by_faults(found: Mapping[str, Mapping[str, Sequence[str]]]) -> list[tuple[str, str]]:
+    """Devices with the same faults share a row."""
+    return [
+        (", ".join(names), ", ".join(faults))
+        for faults, names in groupby(found, key=lambda name: tuple(found[name]))
+    ]
+
+
+_ROWS: Mapping[str, Callable[[Any], list[tuple[str, str]]]] = {"devices": _by_model, "faults": _by_faults}
+
+
+def _print(title: str, rows: Sequence[tuple[str, str]]) -> None:
+    formatter = click.HelpFormatter(width=click.get_current_context().terminal_width)
+    if title:
+        formatter.write_heading(title)
+        formatter.indent()
+    formatter.write_dl(rows, col_max=36)
+    click.echo(formatter.getvalue().rstrip("\n"))

@@ -1,0 +1,62 @@
+"""`hil list` names what the other commands accept."""
+
+import json
+
+import pytest
+
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.fakes.faults import parse_fault
+from hil.procedure.scripts import load_procedure
+from hil.vocabulary.kinds import kinds
+
+
+@pytest.fixture
+def listed(capsys):
+    def of(*words):
+        assert main(["list", *words, "--json"]) == 0
+        return json.loads(capsys.readouterr().out)
+
+    return of
+
+
+def test_every_listed_procedure_and_profile_can_be_used(listed):
+    found = listed()
+    for name, summary in found["procedures"].items():
+        assert load_procedure(name).name == name
+        assert summary
+    for name, summary in found["profiles"].items():
+        assert load_bench(name).name
+        assert len(summary) > 10
+
+
+def test_every_listed_estimator_runs_a_bench(listed):
+    for name, what in listed("estimators")["estimators"].items():
+        assert load_bench("emulated", overrides={"estimator.kind": name}).estimator.kind == name
+        assert what
+
+
+def test_devices_are_those_of_the_registry(listed):
+    assert listed("devices")["devices"] == {
+        k.name: {m.name: m.title for m in k.models} for k in kinds().values()
+    }
+
+
+def test_faults_are_those_of_the_bench_that_is_named(listed):
+    found = listed("faults", "--bench", "sensors")["faults"]
+    assert {"plant", "encoders", "imu"} <= set(found)
+    assert not [name for name in found if name.startswith("servo")]
+    assert parse_fault("imu:stuck@1").kind in found["imu"]
+    assert "probability" in found["imu"]["drop"]
+
+
+def test_as_text_devices_with_the_same_faults_share_a_row(capsys):
+    assert main(["list", "faults"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum("adhesion_loss" in line for line in lines) == 2
+    assert any(line.startswith("servo.drive_FL, servo.1") for line in lines)
+
+
+def test_what_cannot_be_listed_is_named(capsys):
+    assert main(["list", "planets"]) == 2
+    assert "procedures" in capsys.readouterr().err
