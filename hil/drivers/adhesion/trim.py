@@ -13,7 +13,8 @@ from hil.vocabulary.signals import AdhesionSample, Status
 
 _DROOP = 0.93
 """Speed of a loaded motor over that of a free one, before anything was measured."""
-_NOMINAL_V = 22.2
+_NOMINAL_V, _LEAST_V, _MOST_V = 22.2, 5.0, 100.0
+"""Battery voltage where the controller tells none that can be."""
 _EVERY_NS = nanoseconds(0.2)
 _SETTLING_NS, _AFTER_RAMP_NS = nanoseconds(1.5), nanoseconds(0.8)
 """Time that the fan has from the set-point, and from the end of the keeper's ramp towards it."""
@@ -43,7 +44,7 @@ class Trim:
         self._config, self._wanted_rpm = config, speed_rpm
         self._next_ns: int | None = None
         self._arrived = False
-        self.point = self._first(input_v if math.isfinite(input_v) else _NOMINAL_V)
+        self.point = self._first(input_v if _LEAST_V <= input_v <= _MOST_V else _NOMINAL_V)
         running = now is not None and abs(now.speed_rpm / speed_rpm - 1.0) < _NEAR
         if now is not None and running and self.point.quantity == "duty" and math.isfinite(now.duty):
             duty = now.duty * speed_rpm / now.speed_rpm

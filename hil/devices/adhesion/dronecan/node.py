@@ -94,7 +94,9 @@ class DroneCanNode(MotorNode):
         return Demand("duty", min(max(value / _FULL_RAW, -HIGHEST_DUTY), HIGHEST_DUTY))
 
     def _introduce(self, asked: Any, t_ns: int) -> None:
-        """Answer who it is."""
+        """Answer who it is, to a node that says who asks."""
+        if not asked.source_node_id:
+            return
         answer = self._messages.protocol.GetNodeInfo.Response()
         answer.name, answer.status = _NAME, self._node_status(t_ns)
         major, _, minor = self._options.firmware.partition(".")

@@ -19,6 +19,7 @@ from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
+from hil.vocabulary.reading import json_object
 
 KEEPER = (sys.executable, "-m", "hil.drivers.adhesion.keeper")
 _START_S = 15.0
@@ -90,16 +91,24 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
 
 def understood(packet: bytes, spec: Spec) -> Status:
     """An answer of the keeper; raises what it refused with."""
-    answer: dict[str, Any] = json.loads(packet)
-    error = answer.get("error")
-    if error is None:
-        return answer
-    if error["exit_code"] == EXIT_USAGE:
-        raise UsageError(error["message"], expected=error["expected"], remedy=error["remedy"])
-    raise DeviceError(
-        spec.device, error["message"].partition(": ")[2] or error["message"], port=spec.name,
-        expected=error["expected"], remedy=error["remedy"],
-    )  # fmt: skip
+    try:
+        answer = json_object(packet)
+        error = answer.get("error")
+        if error is None:
+            return answer
+        code, message, expected, remedy = (
+            error[key] for key in ("exit_code", "message", "expected", "remedy")
+        )
+        told = message.partition(": ")[2] or message
+    except (ValueError, TypeError, KeyError, AttributeError):
+        raise DeviceError(
+            spec.device, f"{spec.whose} keeper answered what cannot be understood", port=spec.name,
+            expected="an answer of the same version of hil",
+            remedy="see `hil adhesion status`; a keeper of another version goes on until `hil adhesion off`",
+        ) from None  # fmt: skip
+    if code == EXIT_USAGE:
+        raise UsageError(message, expected=expected, remedy=remedy)
+    raise DeviceError(spec.device, told, port=spec.name, expected=expected, remedy=remedy)
 
 
 def set_request(point: SetPoint) -> dict[str, object]:

@@ -108,7 +108,9 @@ class Keeper:
             self._theirs, self._released_ns = False, t_ns
 
     def _take_over(self, t_ns: int, running: SetPoint) -> None:
-        """A fan that runs when the keeper starts is kept as it runs."""
+        """A fan that runs when the keeper starts is kept as it runs, by a quantity that it may be kept by."""
+        if running.quantity not in self._spec.highest:
+            return
         new = not self._released_ns and t_ns - self._born(t_ns) <= _LISTEN_NS
         if self._adopts and (new or self._theirs):
             self.resume(t_ns, running, running)
