@@ -12,7 +12,8 @@ import pytest
 from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")])
+ABOUT = [page for page in ROOT.glob("*.md") if page.name != "CHANGELOG.md"]
+PAGES = sorted([*ABOUT, *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
@@ -180,3 +181,10 @@ def test_the_glossary_is_sorted_and_linked():
     assert "docs/glossary.md" in README
     first = (ROOT / "docs" / "estimation.md").read_text(encoding="utf-8")
     assert "glossary.md" in first[: first.index("NEES") + 120]
+
+
+def test_every_test_that_security_names_exists():
+    text = (ROOT / "SECURITY.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(tests/[\w/.]+)`", text)
+    assert len(named) >= 6
+    assert [name for name in named if not (ROOT / name).exists()] == []
