@@ -41,6 +41,11 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     )  # fmt: skip
     group.addoption("--hil-seed", metavar="N", type=int, default=0, help="seed of every emulated world")
     group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
+    group.addoption(
+        "--hil-blind-spots", metavar="PATTERN", nargs="?", const="*", dest="hil_blind_spots",
+        help="run the suite against robots that are broken on purpose (all, or =PATTERN of their names), and "
+        "report what no test notices",
+    )  # fmt: skip
     parser.addini("hil_bench", "bench file or profile that is emulated when --bench is not given", default="")
 
 
@@ -75,6 +80,33 @@ def pytest_sessionstart(session: pytest.Session) -> None:
         from hil.pytest_plugin.selection import check_session
 
         check_session(session.config)
+    if session.config.getoption("hil_blind_spots"):
+        from hil.pytest_plugin import blind_spots
+
+        blind_spots.check_session(session.config)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtestloop(session: pytest.Session) -> bool | None:
+    """Look for blind spots where that is asked for; otherwise pytest's own loop runs."""
+    options = session.config.option
+    if not options.hil_blind_spots or options.collectonly or session.testsfailed:
+        return None
+    from hil.pytest_plugin import blind_spots
+
+    blind_spots.run(session)
+    return True
+
+
+def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
+    """The table of blind spots."""
+    session = terminalreporter._session
+    if config.getoption("hil_blind_spots") and session is not None:
+        from hil.pytest_plugin import blind_spots
+
+        found = session.stash.get(blind_spots.FOUND, None)
+        if found:
+            blind_spots.summary(terminalreporter, found)
 
 
 def _named(config: pytest.Config) -> bool:

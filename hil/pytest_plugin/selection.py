@@ -37,6 +37,11 @@ def source_of(config: pytest.Config) -> BenchSource:
     return found
 
 
+def use_source(config: pytest.Config, source: BenchSource) -> None:
+    """Let tests that begin from now on have another bench."""
+    config.stash[_SOURCE] = source
+
+
 def check_session(config: pytest.Config) -> None:
     """Raise `pytest.UsageError` for a bench that cannot be read or be shared by xdist's workers."""
     if hasattr(config, "workerinput"):
@@ -109,7 +114,8 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
     with ExitStack() as stack:
         with plainly():
             faults = tuple(_specs(item))
-            source = replace(source_of(item.config), faults=faults)
+            source = source_of(item.config)
+            source = replace(source, faults=(*source.faults, *faults))
             item.user_properties.extend(properties(source))
             bench = stack.enter_context(source.open())
         yield bench

@@ -1,0 +1,142 @@
+"""`pytest --hil-blind-spots`: the suite against robots that are broken on purpose. What does nobody notice?
+
+First the suite runs on the robot as it should be, and has to pass. Then every broken robot meets its tests,
+the quick ones first, until one fails: it has noticed. A breakage that no test notices is a blind spot. The
+session fails when there is one that matters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import pytest
+from _pytest.runner import runtestprotocol
+from _pytest.terminal import TerminalReporter
+
+from hil.pytest_plugin.breakages import Breakage, breakages
+from hil.pytest_plugin.selection import source_of, use_source
+from hil.vocabulary.errors import HilError, did_you_mean
+
+FOUND = pytest.StashKey["list[Seen]"]()
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What became of one broken robot.
+
+    Attributes:
+        breakage: what was wrong with it.
+        by: the test that noticed; empty for a blind spot.
+    """
+
+    breakage: Breakage
+    by: str
+
+
+def check_session(config: pytest.Config) -> None:
+    """Raise `pytest.UsageError` where robots cannot be broken: real devices, or several processes."""
+    try:
+        source = source_of(config)
+        if source.real:
+            raise pytest.UsageError(
+                f"--hil-blind-spots: {', '.join(source.real)} of bench {source.config.name} are real, and "
+                "real robots are not broken on purpose; add --emulate"
+            )
+        _chosen(config)
+    except HilError as error:
+        raise pytest.UsageError(str(error)) from None
+    if config.getoption("numprocesses", None):
+        raise pytest.UsageError("--hil-blind-spots runs in one process; leave -n out")
+
+
+def _chosen(config: pytest.Config) -> list[Breakage]:
+    pattern, known = config.getoption("hil_blind_spots"), breakages(source_of(config))
+    chosen = [b for b in known if fnmatchcase(b.name, pattern)]
+    if not chosen:
+        names = [b.name for b in known]
+        raise pytest.UsageError(
+            f"--hil-blind-spots={pattern}: no such breakage; {did_you_mean(pattern, names) or 'one of'} "
+            + ", ".join(names)
+        )
+    return chosen
+
+
+def run(session: pytest.Session) -> None:
+    """The suite on the sound robot, then on every broken one; what was found goes to the session's stash."""
+    config = session.config
+    seconds = [_sound(session, item, after) for item, after in pairs(session.items)]
+    able = _quick_first(session.items, seconds)
+    reporter: TerminalReporter | None = config.pluginmanager.get_plugin("terminalreporter")
+    if session.testsfailed or not able:
+        session.testsfailed = max(session.testsfailed, 1)
+        if reporter is not None:
+            reporter.write_line("\non the sound robot the suite has to pass; blind spots were not looked for")
+        return
+    source = source_of(config)
+    session.stash[FOUND] = found = []
+    try:
+        for breakage in _chosen(config):
+            use_source(config, breakage.of(source))
+            found.append(Seen(breakage, _noticed(session, able)))
+            if reporter is not None:
+                reporter.write("." if found[-1].by else "B" if breakage.matters else "b")
+    finally:
+        use_source(config, source)
+    session.testsfailed += sum(1 for seen in found if not seen.by and seen.breakage.matters)
+
+
+def _sound(session: pytest.Session, item: pytest.Item, after: pytest.Item | None) -> float | None:
+    """Run a test as always; its duration with fixtures, s, or None where it was skipped."""
+    reports = runtestprotocol(item, nextitem=after, log=True)
+    if session.shouldfail:
+        raise session.Failed(session.shouldfail)
+    return sum(r.duration for r in reports) if any(r.when == "call" and r.passed for r in reports) else None
+
+
+def _quick_first(items: Sequence[pytest.Item], seconds: Sequence[float | None]) -> list[pytest.Item]:
+    """Tests that ran, module by module, because those of a module share fixtures."""
+    modules: dict[object, list[tuple[float, pytest.Item]]] = {}
+    for item, duration in zip(items, seconds, strict=True):
+        if duration is not None:
+            modules.setdefault(item.parent, []).append((duration, item))
+    ranked = sorted(modules.values(), key=lambda members: sum(duration for duration, _ in members))
+    return [item for members in ranked for _, item in members]
+
+
+def pairs(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
+    """Each test with the one that follows it."""
+    return zip(items, [*items[1:], None], strict=True)
+
+
+def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
+    """Name of the first test that fails."""
+    for item, after in pairs(items):
+        getattr(item, "_initrequest", lambda: None)()  # fixtures of the test are made anew
+        if any(report.failed for report in runtestprotocol(item, nextitem=after, log=False)):
+            session._setupstate.teardown_exact(None)
+            return item.nodeid
+    return ""
+
+
+def summary(reporter: TerminalReporter, found: Sequence[Seen]) -> None:
+    """The table: what was noticed by whom, and what by nobody."""
+    blind = [seen for seen in found if not seen.by and seen.breakage.matters]
+    borne = [seen for seen in found if not seen.by and not seen.breakage.matters]
+    reporter.section("blind spots")
+    width = max(len(seen.breakage.name) for seen in found)
+    for seen in found:
+        if seen.by:
+            reporter.write_line(f"{seen.breakage.name:{width}}  {seen.by}")
+    for seen in borne:
+        reporter.write_line(
+            f"{seen.breakage.name:{width}}  by no test, and it is of a kind that a bench bears"
+        )
+    for seen in blind:
+        reporter.write_line(f"{seen.breakage.name:{width}}  BLIND: no test notices it", red=True)
+    reporter.write_line(
+        f"{len(found)} broken robots: {len(found) - len(blind) - len(borne)} noticed, {len(borne)} borne, "
+        f"{len(blind)} blind spots",
+        red=bool(blind), green=not blind,
+    )  # fmt: skip
