@@ -12,7 +12,7 @@ import time
 import pytest
 from kills import end_keeper
 
-from hil.drivers.adhesion.keeper import client, door
+from hil.drivers.adhesion.keeper import client, door, understudy
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import Door
 from hil.drivers.adhesion.keeper.spec import Spec
@@ -43,6 +43,17 @@ def is_unkept(spec):
     return connection is None
 
 
+def log_and_understudy(connection, spec, but=None):
+    """Path of the log and the understudy's process id; None before there is one (but this)."""
+    status = client.ask(connection, {"do": "status"}, spec)
+    return (status["log"], status["understudy"]) if status["understudy"] not in (None, but) else None
+
+
+def written(log):
+    with open(log, encoding="utf-8") as file:
+        return file.read()
+
+
 def set_when_heard(connection, spec, point=POINT):
     """Ask for a set-point as soon as the keeper has heard its fan."""
     eventually(lambda: client.ask(connection, {"do": "status"}, spec)["report"])
@@ -68,8 +79,7 @@ def test_it_keeps_the_fan_through_every_signal_that_can_be_caught(keeper):
     status = client.ask(connection, {"do": "status"}, spec)
     assert (status["pid"], status["state"]) == (pid, "keeping")
     assert max(fan.gaps_s(since_s)) <= 0.2
-    with open(status["log"], encoding="utf-8") as log:
-        assert "SIGTERM is not heeded" in log.read()
+    assert "SIGTERM is not heeded" in written(status["log"])
 
 
 def test_it_belongs_to_no_session_and_no_parent_of_ours(keeper):
@@ -201,6 +211,71 @@ def test_it_ends_with_the_process_that_emulates_its_bus(wire):
             emulator.wait()
             connection.settimeout(10.0)
             assert connection.recv(1) == b""
+
+
+def test_an_emulator_that_ends_takes_keeper_and_understudy_along_in_two_plain_lines(wire):
+    """The understudy goes on for no bus that is gone, and starts none of its own that would wait for it."""
+    fan, spec = wire
+    marking = f"from hil.vocabulary.emulated_bus import Mark; m = Mark({spec.bus!r}); print(); input()"
+    command = [sys.executable, "-c", marking]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
+        emulator.stdout.readline()
+        with client.find_or_start(spec) as connection:
+            set_when_heard(connection, spec)
+            log, second = eventually(lambda: log_and_understudy(connection, spec))
+            emulator.kill()
+            emulator.wait()
+            connection.settimeout(10.0)
+            assert connection.recv(1) == b""
+    assert eventually(lambda: "so is the understudy" in written(log))
+    *_, keepers, understudys = written(log).splitlines()
+    assert keepers.endswith(f"{spec.bus} was emulated and is gone; so is the keeper")
+    assert understudys.endswith(
+        f"{spec.bus} was emulated and is gone; so is the understudy, process {second}"
+    )
+    assert is_unkept(spec)
+
+
+def test_an_understudy_that_is_killed_is_replaced_and_both_are_told_of(keeper):
+    fan, spec, connection = keeper
+    set_when_heard(connection, spec)
+    log, first = eventually(lambda: log_and_understudy(connection, spec))
+    os.kill(first, signal.SIGKILL)
+    _, second = eventually(lambda: log_and_understudy(connection, spec, but=first))
+    gone = f"the understudy of the fan's keeper, process {first}, is gone; another is started"
+    assert eventually(lambda: gone in written(log))
+    assert eventually(lambda: f"the fan's keeper has an understudy, process {second}" in written(log))
+
+
+def test_an_understudy_that_hangs_up_is_replaced_at_the_next_beat(monkeypatch):
+    """By what the kernel says of its connection, not by how long it has been silent."""
+    started, said = [], []
+    monkeypatch.setattr(understudy.subprocess, "Popen", lambda command, **how: started.append(command))
+    monkeypatch.setattr(understudy, "_LASTING_NS", 0)
+    seen = understudy.Understudies(Spec("socketcan", "can0", 7), ["start"], said.append)
+    seen.see_to_one(time.monotonic_ns())
+    seen.heard(4711)
+    seen.see_to_one(time.monotonic_ns())
+    assert len(started) == 1
+    seen.left(1)
+    seen.see_to_one(time.monotonic_ns())
+    assert len(started) == 1
+    seen.left(4711)
+    seen.see_to_one(time.monotonic_ns())
+    assert len(started) == 2
+    assert said[-1] == "the understudy of the fan's keeper, process 4711, is gone; another is started"
+
+
+def test_understudies_that_end_as_soon_as_they_have_come_are_not_started_without_pause(monkeypatch):
+    started = []
+    monkeypatch.setattr(understudy.subprocess, "Popen", lambda command, **how: started.append(command))
+    monkeypatch.setattr(understudy, "_LASTING_NS", 10**15)
+    seen = understudy.Understudies(Spec("socketcan", "can0", 7), ["start"], lambda text: None)
+    for pid in range(1, 10):
+        seen.see_to_one(time.monotonic_ns())
+        seen.heard(pid)
+        seen.left(pid)
+    assert len(started) == 1
 
 
 def test_nothing_is_left_where_it_listened(keeper):

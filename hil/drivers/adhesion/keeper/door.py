@@ -31,6 +31,8 @@ _LONGEST_NAME = 100
 
 Answer = Callable[[Mapping[str, Any], str], Mapping[str, Any]]
 """Answers a request, of (what was asked, who asks in words); raises `HilError` to refuse it."""
+Left = Callable[[int], None]
+"""Told the process id of a client that has hung up: the kernel does so at once for one that dies."""
 
 
 def address(spec: Spec) -> str:
@@ -54,9 +56,15 @@ class TakenError(DeviceError):
 
 
 class Door:
-    """The keeper's end; raises `TakenError` when the fan has a keeper already."""
+    """The keeper's end; raises `TakenError` when the fan has a keeper already.
 
-    def __init__(self, spec: Spec) -> None:
+    Args:
+        spec: the fan.
+        left: told of clients that have hung up.
+    """
+
+    def __init__(self, spec: Spec, left: Left = lambda pid: None) -> None:
+        self._left = left
         self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         try:
             self._listener.bind(address(spec))
@@ -107,9 +115,11 @@ class Door:
             who = "process {} of user {}".format(*peer(connection))
             connection.send(_answered(packet, who, answer))
         except OSError:
+            pid = peer(connection)[0]
             self._ready.unregister(connection)
             connection.close()
             self.clients -= 1
+            self._left(pid)
 
 
 def _answered(packet: bytes, who: str, answer: Answer) -> bytes:

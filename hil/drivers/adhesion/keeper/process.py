@@ -1,6 +1,6 @@
 """The keeper's process: started apart from everything, deaf to signals, ended only by an `off` that is done.
 
-    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--log FILE]
+    python -m hil.drivers.adhesion.keeper SPEC [--stay] [--understudy] [--emulated] [--log FILE]
 
 The first line on stdout says whether it works: its process id, or the error. Then it is silent. A keeper of
 a running fan starts a second one as its understudy.
@@ -49,7 +49,11 @@ class Process:
     def __init__(self, spec: Spec, log: Log, *, stay: bool, emulated: bool) -> None:
         self._spec, self._log, self._stay = spec, log, stay
         self._keeper = Keeper(spec)
-        self._door = Door(spec)
+        command = [*KEEPER, spec.to_json(), "--understudy"]
+        command += [] if log.path is None else ["--log", str(log.path)]
+        command += ["--emulated"] if emulated else []
+        self._understudies = Understudies(spec, command, log.say)
+        self._door = Door(spec, self._understudies.left)
         try:
             self._beat = Beat(spec, self._keeper, log.say, None if stay else open_bus(spec))
         except (HilError, OSError):
@@ -60,9 +64,6 @@ class Process:
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
         self._asked, self._asked_ns = ("", ""), 0
-        command = [*KEEPER, spec.to_json(), "--understudy"]
-        command += [] if log.path is None else ["--log", str(log.path)]
-        self._understudies = Understudies(command)
 
     def go_on_from(self, latest: Status) -> None:
         """Send what a keeper has sent whose last status is known."""
@@ -171,6 +172,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("spec", help="the fan, as Spec.to_json writes it")
     parser.add_argument("--stay", action="store_true", help="in the foreground, also without a fan to keep")
     parser.add_argument("--understudy", action="store_true", help="wait beside the keeper there is")
+    parser.add_argument("--emulated", action="store_true", help="end with whoever emulates the bus")
     parser.add_argument("--log", type=Path, help="log file; stderr when not given")
     given = parser.parse_args(argv)
     if not given.stay:
@@ -185,6 +187,7 @@ def main(argv: list[str] | None = None) -> int:
         _tell({"error": str(error)})
         return error.exit_code if isinstance(error, HilError) else EXIT_DEVICE
     if process is None:
+        log.close()
         return 0
     log.say(f"keeper of {spec.name}, process {os.getpid()}" + f"; not permitted: {refused}" * bool(refused))
     _tell({"pid": os.getpid()})
@@ -199,8 +202,11 @@ def main(argv: list[str] | None = None) -> int:
 def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
     """A keeper that has its fan, in an understudy once the other is gone; None where nobody needs it."""
     latest: Status = {}
-    emulated = is_emulated(spec.bus)
+    emulated = given.emulated or is_emulated(spec.bus)
     while True:
+        if emulated and not is_emulated(spec.bus):
+            log.say(f"{spec.bus} was emulated and is gone; so is the understudy, process {os.getpid()}")
+            return None
         try:
             process = Process(spec, log, stay=given.stay, emulated=emulated)
         except TakenError:

@@ -11,7 +11,7 @@ import os
 import select
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.door import MOST_BYTES
@@ -20,6 +20,8 @@ from hil.vocabulary.clock import nanoseconds
 
 _ASK_S = 0.025
 _AGAIN_NS, _ABSENT_NS = nanoseconds(5.0), nanoseconds(1.0)
+_LASTING_NS = nanoseconds(0.1)
+"""Those that end sooner are started at the slow pace: whatever ends them would end the next."""
 
 
 def stand_beside(spec: Spec) -> client.Status:
@@ -47,22 +49,35 @@ class Understudies:
     """Sees to it that a keeper has an understudy.
 
     Args:
+        spec: what is kept.
         command: starts one.
+        say: told in words which come and go.
 
     Attributes:
-        pid: of the latest that has asked.
+        pid: of the latest that has asked; None where it has hung up.
     """
 
-    def __init__(self, command: Sequence[str]) -> None:
-        self._command = tuple(command)
+    def __init__(self, spec: Spec, command: Sequence[str], say: Callable[[str], None]) -> None:
+        self._whose, self._command, self._say = spec.whose, tuple(command), say
         self._starting: subprocess.Popen[bytes] | None = None
         self._asked_ns: int | None = None
-        self._due_ns = 0
+        self._came_ns = self._due_ns = 0
         self.pid: int | None = None
 
     def heard(self, pid: object) -> None:
         """One has asked for the status."""
-        self._asked_ns, self.pid = time.monotonic_ns(), pid if isinstance(pid, int) else None
+        self._asked_ns = time.monotonic_ns()
+        if isinstance(pid, int) and pid != self.pid:
+            self.pid, self._came_ns = pid, self._asked_ns
+            self._say(f"{self._whose} keeper has an understudy, process {pid}")
+
+    def left(self, pid: int) -> None:
+        """A client has hung up. Another understudy is due at once, unless this one had only just come."""
+        if pid == self.pid:
+            self._say(f"the understudy of {self._whose} keeper, process {pid}, is gone; another is started")
+            self.pid = self._asked_ns = None
+            if time.monotonic_ns() - self._came_ns >= _LASTING_NS:
+                self._due_ns = 0
 
     def present(self, now_ns: int) -> bool:
         """Whether there is one now."""
@@ -72,6 +87,11 @@ class Understudies:
         """Start one where there is none; never waits for it."""
         if now_ns < self._due_ns or self.present(now_ns):
             return
+        if self.pid is not None:
+            self._say(
+                f"the understudy of {self._whose} keeper, process {self.pid}, hangs; another is started"
+            )
+            self.pid = None
         self._due_ns = now_ns + _AGAIN_NS
         if self._starting is not None:
             self._starting.poll()
