@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
+from hil.config.can_bus import Claim
 from hil.config.device import DeviceConfig
 from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.values import Within
 
+VESC_ID = "VESC id"
 Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
 
 
@@ -94,6 +97,10 @@ class VescConfig(MotorConfig):
     def counts_per_turn(self) -> int:
         """Electrical turns."""
         return self.pole_pairs
+
+    def claims(self) -> Iterable[Claim]:
+        """The controller's and ours."""
+        return (Claim("controller_id", VESC_ID, self.controller_id), Claim("own_id", VESC_ID, self.own_id))
 
     def keeper(self) -> dict[str, Any]:
         """As of any motor controller."""

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from hil.config.adhesion import AdhesionConfig
+from hil.config.can_bus import quarrels
 from hil.config.environment import SURFACES
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
@@ -30,6 +31,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_the_environment(config)
     yield from _of_the_emulation(config)
     yield from _of_imperfections(config)
+    yield from quarrels(config.devices())
     if config.environment.on_wall:
         yield from _of_a_wall(config)
 

@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field, model_validator
 
-from hil.config.device import DeviceConfig
+from hil.config.can_bus import CanConfig, Claim
 from hil.config.values import Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
+_SHIPPED_FRAMES = (0x1A0, 0x1A1)
 
 Names = tuple[str, str, str, str]
 
 
-class EncodersConfig(DeviceConfig):
+class EncodersConfig(CanConfig):
     """How the AS5045 node is reached, decoded and judged.
 
     Attributes:
-        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
-        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         dbc: path of a DBC file; the shipped `as5045.dbc` when None.
         signals: DBC signal with the raw word of each steering axis, wheel order FL BL BR FR.
         node_id: added to the frame identifiers of the DBC: the node's address switch.
@@ -37,10 +37,6 @@ class EncodersConfig(DeviceConfig):
     PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
 
     model: Literal["as5045"] = "as5045"
-    interface: str = Field("socketcan", min_length=1)
-    channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     dbc: str | None = None
     signals: Names = ("AngleFL", "AngleBL", "AngleBR", "AngleFR")
     node_id: int = Field(0, ge=0, le=0x3F)
@@ -58,6 +54,11 @@ class EncodersConfig(DeviceConfig):
     def dbc_path(self) -> Path:
         """The DBC file in use."""
         return SHIPPED_DBC if self.dbc is None else Path(self.dbc)
+
+    def claims(self) -> Iterable[Claim]:
+        """Both frames of the shipped DBC; those of another are not known here."""
+        if self.dbc is None:
+            yield from (Claim("node_id", "frame", frame_id + self.node_id) for frame_id in _SHIPPED_FRAMES)
 
     @model_validator(mode="after")
     def _check(self) -> EncodersConfig:

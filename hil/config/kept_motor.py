@@ -6,18 +6,16 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from hil.config.device import DeviceConfig
+from hil.config.can_bus import CanConfig
 from hil.config.values import Patience, Within
 
 HIGHEST_DUTY = 0.95
 
 
-class KeptMotorConfig(DeviceConfig):
+class KeptMotorConfig(CanConfig):
     """Of a motor whose commands come from a process of its own, its keeper.
 
     Attributes:
-        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
-        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
             Tool; the doctor reads what it truly is, where the controller tells.
         ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
@@ -25,10 +23,6 @@ class KeptMotorConfig(DeviceConfig):
         fail_after_s: uninterrupted silence that raises.
     """
 
-    interface: str = Field("socketcan", min_length=1)
-    channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
     ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
     ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0

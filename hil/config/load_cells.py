@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from hil.config.can_bus import CanConfig, Claim
 from hil.config.device import DeviceConfig
 from hil.config.values import Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
+_SHIPPED_FRAME = 0x1B0
 
 Pair = tuple[float, float]
 
@@ -38,12 +41,10 @@ class LoadCellsConfig(DeviceConfig):
     fail_after_s: Patience = 1.0
 
 
-class CanCellsConfig(LoadCellsConfig):
+class CanCellsConfig(LoadCellsConfig, CanConfig):
     """Cells whose microcontroller sends them on CAN.
 
     Attributes:
-        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
-        options: further keyword arguments of the python-can interface.
         dbc: path of a DBC file; the shipped `load_cells.dbc` when None.
         signals: DBC signals with the raw counts of both cells, in one message.
         node_id: added to the message's identifier.
@@ -52,10 +53,6 @@ class CanCellsConfig(LoadCellsConfig):
     PATHS: ClassVar[tuple[str, ...]] = ("dbc",)
 
     model: Literal["hx711_can"] = "hx711_can"
-    interface: str = Field("socketcan", min_length=1)
-    channel: str = Field("can0", min_length=1)
-    bitrate: int = Field(500_000, gt=0, le=1_000_000)
-    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
     dbc: str | None = None
     signals: tuple[str, str] = ("Cell1", "Cell2")
     node_id: int = Field(0, ge=0, le=0x3F)
@@ -64,6 +61,11 @@ class CanCellsConfig(LoadCellsConfig):
     def dbc_path(self) -> Path:
         """The DBC file in use."""
         return SHIPPED_DBC if self.dbc is None else Path(self.dbc)
+
+    def claims(self) -> Iterable[Claim]:
+        """The frame of the shipped DBC; that of another is not known here."""
+        if self.dbc is None:
+            yield Claim("node_id", "frame", _SHIPPED_FRAME + self.node_id)
 
 
 class LineCellsConfig(LoadCellsConfig):

@@ -16,6 +16,7 @@ import can
 
 from hil.drivers.arrivals import ArrivalClock
 from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.emulated_bus import bitrate_of, bus_name
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
@@ -35,8 +36,9 @@ def open_bus(
     """The bus of a table with `interface`, `channel`, `bitrate` and `options`.
 
     Raises:
-        DeviceError: it cannot be opened; named after the device.
+        DeviceError: it cannot be opened, or is emulated with another bit rate; named after the device.
     """
+    _check_bitrate(device, config)
     options: dict[str, Any] = dict(config.options)
     try:
         return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
@@ -48,6 +50,34 @@ def open_bus(
             expected=expected,
             remedy=f"check {device}.interface and {device}.channel; bring the interface up",
         ) from None
+
+
+def _check_bitrate(device: str, config: Any) -> None:
+    """An emulated bus knows its bit rate, where a real one has error frames only, or silence."""
+    there = bitrate_of(bus_name(config.interface, config.channel, config.options))
+    if there is not None and there != config.bitrate:
+        raise DeviceError(
+            device,
+            f"the bus runs at {there} bit/s, {device}.bitrate is {config.bitrate}: nobody would be heard",
+            port=f"{config.interface}:{config.channel}",
+            expected="one bit rate on all of the bus",
+            remedy=f"set {device}.bitrate = {there}",
+        )
+
+
+def remedy_of_silence(device: str, config: Any, node: str) -> str:
+    """What to look at where nothing is heard on a bus: what silences all of it first.
+
+    Args:
+        device: name in the bench file.
+        config: its table.
+        node: who should be heard, as in `check the supply of {node}`.
+    """
+    shown = f", `ip -details link show {config.channel}`" * (config.interface == "socketcan")
+    return (
+        f"check first that all on the bus have the same bit rate ({device}.bitrate = {config.bitrate}"
+        f"{shown}), then CAN wiring, adapter and termination, and the supply of {node}"
+    )
 
 
 def shut(device: str, bus: can.BusABC | None) -> None:

@@ -244,7 +244,7 @@ class CanFace(Face):
                 port=f"{interface}:{address}",
                 remedy="choose another python-can interface or address",
             ) from None
-        self._mark = Mark(bus_name(interface, address, self._options))
+        self._mark = Mark(bus_name(interface, address, self._options), channel.bitrate)
         self._queue = channel.listen()
         self.sent = self.lost = 0
 

@@ -182,8 +182,8 @@ class AdhesionWatch:
         silent_s = (t_ns - max(last_ns or 0, self._began_ns or 0)) / NS_PER_S
         stop(
             f"stale_{name}",
-            f"nothing usable from the {noun} for {silent_s:.2f} s: whether the robot is "
-            "pressed on the wall is not known; check supply, CAN wiring and adapter",
+            f"nothing usable from the {noun} for {silent_s:.2f} s: whether the robot is pressed on the wall "
+            "is not known; check bit rate, wiring and adapter of the CAN bus, and the supply",
         )
         return False
 

@@ -2,6 +2,8 @@
 
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
 emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked.
+
+Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
 """
 
 from __future__ import annotations
@@ -9,10 +11,13 @@ from __future__ import annotations
 import contextlib
 import socket
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 _MULTICAST_PORT = 43113
 """Where python-can's `udp_multicast` is when no port is named."""
+_AT = ", bit/s: "
+_SOCKETS = Path("/proc/net/unix")
 
 
 def bus_name(interface: str, channel: str, options: Mapping[str, Any]) -> str:
@@ -26,16 +31,19 @@ class Mark:
 
     Args:
         name: as `bus_name` gives it.
+        bitrate: of the bus, in bit/s.
     """
 
-    def __init__(self, name: str) -> None:
-        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        with contextlib.suppress(OSError):
-            self._socket.bind(_address(name))
+    def __init__(self, name: str, bitrate: int) -> None:
+        self._sockets = [socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2)]
+        for marked, text in zip(self._sockets, (name, f"{name}{_AT}{bitrate}"), strict=True):
+            with contextlib.suppress(OSError):
+                marked.bind(_address(text))
 
     def close(self) -> None:
         """Take the mark away. Idempotent."""
-        self._socket.close()
+        for marked in self._sockets:
+            marked.close()
 
 
 def is_emulated(name: str) -> bool:
@@ -46,6 +54,17 @@ def is_emulated(name: str) -> bool:
         except OSError:
             return False
     return True
+
+
+def bitrate_of(name: str) -> int | None:
+    """Bit rate of an emulated bus, bit/s; None where no living process emulates one of this name."""
+    beginning = f"@{_address(name)[1:]}{_AT}"
+    with contextlib.suppress(OSError, ValueError):
+        for line in _SOCKETS.read_text(encoding="utf-8", errors="replace").splitlines():
+            _, found, bitrate = line.partition(beginning)
+            if found:
+                return int(bitrate)
+    return None
 
 
 def _address(name: str) -> str:

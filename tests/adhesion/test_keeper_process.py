@@ -8,6 +8,7 @@ import stat
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import pytest
 from kills import end_keeper
@@ -41,6 +42,17 @@ def is_unkept(spec):
     if connection is not None:
         connection.close()
     return connection is None
+
+
+@contextmanager
+def emulating(spec):
+    """A process that says that it emulates the fan's bus."""
+    mark = f"Mark({spec.bus!r}, {spec.bitrate})"
+    code = f"from hil.vocabulary.emulated_bus import Mark; marked = {mark}; print(); input()"
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
+        emulator.stdout.readline()
+        yield emulator
 
 
 def log_and_understudy(connection, spec, but=None):
@@ -201,32 +213,24 @@ def test_a_bus_that_is_not_there_is_told_to_who_starts_it(tmp_path, monkeypatch)
 def test_it_ends_with_the_process_that_emulates_its_bus(wire):
     """Whoever wrote the bench file: one that names the bus as if it were real gets no keeper for ever."""
     _, spec = wire
-    marking = f"from hil.vocabulary.emulated_bus import Mark; m = Mark({spec.bus!r}); print(); input()"
-    command = [sys.executable, "-c", marking]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
-        emulator.stdout.readline()
-        with client.find_or_start(spec) as connection:
-            set_when_heard(connection, spec)
-            emulator.kill()
-            emulator.wait()
-            connection.settimeout(10.0)
-            assert connection.recv(1) == b""
+    with emulating(spec) as emulator, client.find_or_start(spec) as connection:
+        set_when_heard(connection, spec)
+        emulator.kill()
+        emulator.wait()
+        connection.settimeout(10.0)
+        assert connection.recv(1) == b""
 
 
 def test_an_emulator_that_ends_takes_keeper_and_understudy_along_in_two_plain_lines(wire):
     """The understudy goes on for no bus that is gone, and starts none of its own that would wait for it."""
-    fan, spec = wire
-    marking = f"from hil.vocabulary.emulated_bus import Mark; m = Mark({spec.bus!r}); print(); input()"
-    command = [sys.executable, "-c", marking]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as emulator:
-        emulator.stdout.readline()
-        with client.find_or_start(spec) as connection:
-            set_when_heard(connection, spec)
-            log, second = eventually(lambda: log_and_understudy(connection, spec))
-            emulator.kill()
-            emulator.wait()
-            connection.settimeout(10.0)
-            assert connection.recv(1) == b""
+    _, spec = wire
+    with emulating(spec) as emulator, client.find_or_start(spec) as connection:
+        set_when_heard(connection, spec)
+        log, second = eventually(lambda: log_and_understudy(connection, spec))
+        emulator.kill()
+        emulator.wait()
+        connection.settimeout(10.0)
+        assert connection.recv(1) == b""
     assert eventually(lambda: "so is the understudy" in written(log))
     *_, keepers, understudys = written(log).splitlines()
     assert keepers.endswith(f"{spec.bus} was emulated and is gone; so is the keeper")
@@ -237,7 +241,7 @@ def test_an_emulator_that_ends_takes_keeper_and_understudy_along_in_two_plain_li
 
 
 def test_an_understudy_that_is_killed_is_replaced_and_both_are_told_of(keeper):
-    fan, spec, connection = keeper
+    _, spec, connection = keeper
     set_when_heard(connection, spec)
     log, first = eventually(lambda: log_and_understudy(connection, spec))
     os.kill(first, signal.SIGKILL)

@@ -126,7 +126,7 @@ def test_a_time_out_in_the_bench_file_that_cannot_hold_a_robot_is_refused(timeou
 
 @pytest.mark.parametrize("fault", ["adhesion:baud_mismatch", "adhesion:off", "adhesion:bus_off"])
 def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault, driver):
-    told = r"no VESC answers.*500000 bit/s.*same bit rate"
+    told = r"no VESC answers.*500000 bit/s.*check first .*same bit rate .adhesion.bitrate = 500000"
     with (
         fan_world(faults=[fault], **ON) as (_w, clock, _n, _b),
         pytest.raises(DeviceTimeoutError, match=told),

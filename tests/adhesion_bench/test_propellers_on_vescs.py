@@ -136,7 +136,7 @@ def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, opti
 
 @pytest.mark.parametrize("fault", ["thrust:baud_mismatch", "thrust:off", "thrust:bus_off"])
 def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault):
-    told = r"thrust.*no VESC answers.*500000 bit/s.*same bit rate"
+    told = r"thrust.*no VESC answers.*500000 bit/s.*check first .*same bit rate .thrust.bitrate = 500000"
     with made(faults=[fault]) as (_, _, _, driver, _), pytest.raises(DeviceTimeoutError, match=told):
         driver.open()
 

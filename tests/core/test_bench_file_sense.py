@@ -63,6 +63,44 @@ def test_a_limit_says_what_it_would_take(path, value, told):
     assert told in problem
 
 
+@pytest.mark.parametrize(
+    ("overrides", "paths"),
+    [
+        ({"adhesion.own_id": 1}, ["adhesion.own_id: VESC id 1 is that of adhesion.controller_id"]),
+        (
+            {"adhesion.controller_id": 3},
+            ["thrust.controller_ids: VESC id 3 is that of adhesion.controller_id"],
+        ),
+        ({"thrust.own_id": 254}, ["thrust.own_id: VESC id 254 is that of adhesion.own_id"]),
+        ({"thrust.own_id": 2}, ["thrust.own_id: VESC id 2 is that of thrust.controller_ids"]),
+        (
+            {"thrust.own_id": 1, "adhesion.own_id": 3},
+            [
+                "thrust.own_id: VESC id 1 is that of adhesion.controller_id",
+                "thrust.controller_ids: VESC id 3 is that of adhesion.own_id",
+            ],
+        ),
+        ({"encoders.node_id": 15}, ["load_cells.node_id: frame 432 is that of encoders.node_id"]),
+        ({"encoders.bitrate": 250_000}, ["adhesion.bitrate: 500000, but encoders.bitrate = 250000"]),
+        ({"adhesion.model": "dronecan", "adhesion.own_id": 42}, ["adhesion.own_id: DroneCAN node 42"]),
+    ],
+)
+def test_who_shares_a_bus_shares_no_identifier_and_its_bit_rate(overrides, paths, tmp_path):
+    """Everything that quarrels is told; what is on a bus of its own may be called as it likes."""
+    path = tmp_path / "bench.toml"
+    tables = '[adhesion]\n[thrust]\nmodel = "vesc"\n[load_cells]\nmodel = "hx711_can"\n[encoders]\n'
+    path.write_text(f'schema = 1\nname = "one bus"\n{tables}', encoding="utf-8")
+    load_bench(str(path))
+    with pytest.raises(ConfigError) as caught:
+        load_bench(str(path), overrides=overrides)
+    problems = caught.value.problems
+    assert all(any(problem.startswith(start) for problem in problems) for start in paths), problems
+    assert caught.value.exit_code == 2
+    apart = {"thrust.channel": "can1", "load_cells.channel": "can2", "encoders.channel": "can3"}
+    own = {key: value for key, value in overrides.items() if key not in ("adhesion.own_id", "thrust.own_id")}
+    load_bench(str(path), overrides={**own, **apart})
+
+
 @pytest.mark.parametrize("watchdog_s", [0.0, 0.12, 0.2, 2.54])
 def test_on_a_wall_the_watchdog_stops_the_wheels_within_a_tenth_of_a_second(watchdog_s):
     (problem,) = refused(**{"servos.watchdog_s": watchdog_s})

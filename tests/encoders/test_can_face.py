@@ -7,6 +7,7 @@ import can
 import pytest
 
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
+from hil.drivers.can_link import open_bus
 from hil.drivers.encoders import As5045Encoders
 from hil.fakes.can_wire import CanChannel, CanFace
 from hil.fakes.server import EmulationServer
@@ -54,6 +55,22 @@ def test_third_party_client_hears_the_frames_on_udp_multicast(encoder_bench):
     assert face.sent >= 40
     assert face.filenos() == []
     face.on_readable(0, 0)
+
+
+def test_a_client_of_another_bit_rate_is_told_both(encoder_bench):
+    """Multicast would let it in, a real bus would not."""
+    bench = encoder_bench()
+    face = CanFace(bench.channel, address=GROUP, dbc=SHIPPED_DBC, options={"port": PORT})
+    where = {"interface": "udp_multicast", "channel": GROUP, "options": {"port": PORT, "hop_limit": 0}}
+    try:
+        with pytest.raises(DeviceError, match=r"runs at 500000 bit/s, encoders.bitrate is 250000") as caught:
+            As5045Encoders(EncodersConfig(bitrate=250_000, **where), MonotonicClock()).open()
+        assert caught.value.exit_code == 3
+        assert caught.value.remedy == "set encoders.bitrate = 500000"
+        open_bus("encoders", EncodersConfig(**where)).shutdown()
+    finally:
+        face.close()
+    open_bus("encoders", EncodersConfig(bitrate=250_000, **where)).shutdown()
 
 
 def test_the_driver_reads_the_served_bus_in_real_time(encoder_bench):

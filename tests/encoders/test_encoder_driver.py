@@ -173,6 +173,14 @@ def test_open_says_what_is_missing(encoder_bench, fault):
     bench.driver.close()
 
 
+def test_error_frames_are_no_frames_of_another_node(encoder_bench):
+    """What a wrong bit rate looks like: nothing but error frames, before a first frame has come."""
+    bench = encoder_bench("encoders:baud_mismatch")
+    told = "no sample set .* error frames.*check first .*same bit rate .encoders.bitrate = 500000"
+    with pytest.raises(DeviceTimeoutError, match=told):
+        bench.driver.open()
+
+
 def test_open_names_frames_that_do_not_match_the_dbc(encoder_bench):
     bench = encoder_bench(node_id=8)
     with pytest.raises(DeviceError, match="0x1A8"):

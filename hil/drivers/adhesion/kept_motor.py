@@ -15,7 +15,7 @@ from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.kept import Keep, Kept
 from hil.drivers.adhesion.keeper.spec import Spec
-from hil.drivers.can_link import CanLink
+from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
@@ -112,5 +112,6 @@ class KeptMotor(Holding[S], Generic[C, S]):
             f"reaches it for {self._config.timeout_s:g} s {then}. Secure the robot",
             port=self._link.port,
             expected="status message 1",
-            remedy="plug the CAN adapter in again; check wiring, supply and bit rate",
+            remedy="plug the CAN adapter in again; "
+            + remedy_of_silence(self.name, self._config, "the controller"),
         )

@@ -11,7 +11,7 @@ from hil.config.adhesion import VescConfig
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.settings import QUESTIONS, SHORT, Answers, question
 from hil.drivers.adhesion.vesc import EVERYBODY, Pong, Status, Status4, Status5, decode, ping_frame
-from hil.drivers.can_link import CanLink
+from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.finding import Finding, Level
@@ -87,8 +87,8 @@ class Seen:
         return DeviceTimeoutError(
             name, f"no VESC answers{link.told()}", port=link.port,
             expected=f"controller {config.controller_id} at {config.bitrate} bit/s",
-            remedy="check its supply, the CAN wiring and termination, and that both ends have the same bit "
-            "rate (VESC Tool, App Settings, General, CAN Baud Rate)",
+            remedy=remedy_of_silence(name, config, "the controller") + "; VESC Tool has its bit rate in App "
+            "Settings, General, CAN Baud Rate",
         )  # fmt: skip
 
     def findings(self, name: str, config: VescConfig, answers: Answers) -> Iterator[Finding]:

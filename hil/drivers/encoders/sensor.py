@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.arrivals import ArrivalClock
-from hil.drivers.can_link import BUS_ERRORS, open_bus, shut
+from hil.drivers.can_link import BUS_ERRORS, open_bus, remedy_of_silence, shut
 from hil.drivers.encoders.as5045 import decode_word
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.timeline import NodeTimeline
@@ -29,7 +29,6 @@ _WAIT_S = 0.02
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 _NO_WORD = (math.nan, Status.TIMEOUT)
-_REMEDY = "check the CAN wiring, the termination, the bit rate and the node's supply"
 
 
 class As5045Encoders(Sensor[EncoderSample]):
@@ -161,7 +160,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             f"no sample set for {duration_s:.1f} s{seen}",
             port=self._port,
             expected=f"{self._config.rate_hz:g} sets per second",
-            remedy=_REMEDY,
+            remedy=remedy_of_silence(self.name, self._config, "the encoders' node"),
         )
 
     def _await_first_set(self) -> None:
@@ -185,7 +184,10 @@ class As5045Encoders(Sensor[EncoderSample]):
                 silences -= 1
                 continue
             layout = self._layout.get(message.arbitration_id)
-            if layout is None or message.is_extended_id or message.is_error_frame:
+            if message.is_error_frame:
+                self.error_frames += 1
+                continue
+            if layout is None or message.is_extended_id:
                 others[message.arbitration_id] = message.dlc
             elif len(message.data) != layout.length:
                 wrong[message.arbitration_id] = len(message.data)

@@ -12,7 +12,7 @@ from cantools.database import Error as CantoolsError
 from cantools.database import UnsupportedDatabaseFormatError
 
 from hil.config.load_cells import CanCellsConfig
-from hil.drivers.can_link import CanLink
+from hil.drivers.can_link import CanLink, remedy_of_silence
 from hil.drivers.load_cells.judging import Judge
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
@@ -23,7 +23,6 @@ from hil.vocabulary.signals import LoadCellSample
 _WAIT_S = 0.02
 _MOST_BYTES = 4 << 20
 _BITS = 24
-_REMEDY = "check the CAN wiring, the termination, the bit rate and the supply of the cells' node"
 
 
 class CanCells(Sensor[LoadCellSample]):
@@ -126,7 +125,8 @@ class CanCells(Sensor[LoadCellSample]):
     def _silent(self, duration_s: float) -> DeviceTimeoutError:
         return DeviceTimeoutError(
             self.name, f"no conversion for {duration_s:.1f} s{self._link.told()}", port=self._link.port,
-            expected=f"{self._config.rate_hz:g} per second", remedy=_REMEDY,
+            expected=f"{self._config.rate_hz:g} per second",
+            remedy=remedy_of_silence(self.name, self._config, "the cells' node"),
         )  # fmt: skip
 
 

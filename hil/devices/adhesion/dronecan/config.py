@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Literal
 
 from pydantic import Field
 
 from hil.config.adhesion import MotorConfig
+from hil.config.can_bus import Claim
+
+_NODE = "DroneCAN node"
 
 
 class DroneCanConfig(MotorConfig):
@@ -24,6 +28,10 @@ class DroneCanConfig(MotorConfig):
     node_id: int = Field(42, ge=1, le=127)
     esc_index: int = Field(0, ge=0, le=2)
     own_id: int = Field(120, ge=1, le=127)
+
+    def claims(self) -> Iterable[Claim]:
+        """The controller's and the keeper's."""
+        return (Claim("node_id", _NODE, self.node_id), Claim("own_id", _NODE, self.own_id))
 
     def keeper(self) -> dict[str, Any]:
         """As of any motor controller, which has no set-point of current here."""

@@ -15,6 +15,7 @@ from hil.drivers.adhesion.dronecan.frames import EscStatus, StatusReader
 from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.motor import Figures, MotorFan
+from hil.drivers.can_link import remedy_of_silence
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.finding import Finding
@@ -117,8 +118,8 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
         return DeviceTimeoutError(
             self.name, f"no DroneCAN node answers{self._link.told()}", port=port,
             expected=f"node {node_id} at {self._config.bitrate} bit/s",
-            remedy="check its supply, the CAN wiring and termination, the bit rate, and that it speaks "
-            "DroneCAN (VESC Tool: CAN Mode UAVCAN)",
+            remedy=remedy_of_silence(self.name, self._config, "the controller")
+            + ", and that it speaks DroneCAN (VESC Tool: CAN Mode UAVCAN)",
         )  # fmt: skip
 
     def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:

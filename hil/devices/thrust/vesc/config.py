@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator
 
-from hil.config.adhesion import VescConfig
+from hil.config.adhesion import VESC_ID, VescConfig
+from hil.config.can_bus import Claim
 from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
 from hil.config.thrust import ThrustConfig
 from hil.config.values import Within
@@ -62,6 +64,11 @@ class VescThrustConfig(ThrustConfig, KeptMotorConfig):
             )
             for controller_id in self.controller_ids
         )
+
+    def claims(self) -> Iterable[Claim]:
+        """The controllers' and ours."""
+        theirs = (Claim("controller_ids", VESC_ID, one) for one in self.controller_ids)
+        return (*theirs, Claim("own_id", VESC_ID, self.own_id))
 
     def keeper(self) -> dict[str, Any]:
         """As of any motor; every controller gets the same command."""

@@ -184,7 +184,8 @@ class Keeper:
     def _silent(self) -> DeviceError:
         heard = ", ".join(map(str, sorted(self.others)[:_MOST_LISTED]))
         remedy = (
-            "check its supply, the CAN bit rate and wiring; switch on status messages 1, 4 and 5 in VESC Tool"
+            f"check first the CAN bit rate ({self._spec.device}.bitrate = {self._spec.bitrate}), then wiring "
+            "and its supply; switch on status messages 1, 4 and 5 in VESC Tool"
         )
         return DeviceError(
             self._spec.device,

@@ -74,7 +74,7 @@ class Understudies:
     def left(self, pid: int) -> None:
         """A client has hung up. Another understudy is due at once, unless this one had only just come."""
         if pid == self.pid:
-            self._say(f"the understudy of {self._whose} keeper, process {pid}, is gone; another is started")
+            self._tell_of_another("is gone")
             self.pid = self._asked_ns = None
             if time.monotonic_ns() - self._came_ns >= _LASTING_NS:
                 self._due_ns = 0
@@ -99,3 +99,6 @@ class Understudies:
         self._starting = subprocess.Popen(
             self._command, stdin=nowhere, stdout=nowhere, stderr=nowhere, start_new_session=True
         )
+
+    def _tell_of_another(self, what: str) -> None:
+        self._say(f"the understudy of {self._whose} keeper, process {self.pid}, {what}; another is started")

@@ -1,0 +1,82 @@
+"""Devices on CAN buses: where each is, which identifiers are its own, and which of them two claim at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import combinations
+from typing import NamedTuple
+
+from pydantic import Field
+
+from hil.config.device import DeviceConfig
+from hil.vocabulary.emulated_bus import bus_name
+
+
+class Claim(NamedTuple):
+    """An identifier that nobody else on the bus may have.
+
+    Attributes:
+        key: of the device's table.
+        what: `VESC id`, `DroneCAN node` or `frame`; different ones do not meet.
+        number: the identifier.
+    """
+
+    key: str
+    what: str
+    number: int
+
+
+class CanConfig(DeviceConfig):
+    """A device on a CAN bus.
+
+    Attributes:
+        interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
+        options: further keyword arguments of the python-can interface (`host`, `port`, ...).
+    """
+
+    interface: str = Field("socketcan", min_length=1)
+    channel: str = Field("can0", min_length=1)
+    bitrate: int = Field(500_000, gt=0, le=1_000_000)
+    options: dict[str, bool | int | float | str] = Field(default_factory=dict)
+
+    @property
+    def bus(self) -> str:
+        """The bus, as messages call it."""
+        return bus_name(self.interface, self.channel, self.options)
+
+    def claims(self) -> Iterable[Claim]:
+        """Identifiers that are its own, as far as the table tells."""
+        return ()
+
+
+def quarrels(devices: Mapping[str, DeviceConfig]) -> Iterator[tuple[str, str]]:
+    """Dotted path and text of every identifier and bit rate about which devices of one bus disagree.
+
+    Args:
+        devices: tables by kind. An emulated device is on no bus with a real one.
+    """
+    tables = [(name, table) for name, table in devices.items() if isinstance(table, CanConfig)]
+    for name, table in tables:
+        for one, other in combinations(table.claims(), 2):
+            yield from _quarrel(table.bus, name, one, name, other)
+    for (name, table), (rival, theirs) in combinations(tables, 2):
+        if table.backend != theirs.backend or table.bus != theirs.bus:
+            continue
+        if table.backend == "real" and table.bitrate != theirs.bitrate:
+            yield (
+                f"{rival}.bitrate",
+                f"{theirs.bitrate}, but {name}.bitrate = {table.bitrate}: all nodes of the bus {table.bus} "
+                "have one bit rate",
+            )
+        for one in table.claims():
+            for other in theirs.claims():
+                yield from _quarrel(table.bus, name, one, rival, other)
+
+
+def _quarrel(bus: str, name: str, one: Claim, rival: str, other: Claim) -> Iterator[tuple[str, str]]:
+    if one[1:] == other[1:]:
+        yield (
+            f"{rival}.{other.key}",
+            f"{other.what} {other.number} is that of {name}.{one.key}, too: on the bus {bus} each may be "
+            "there once; change one of them",
+        )
