@@ -79,7 +79,7 @@ def command(
             tree = result.to_json() | {"folder": str(result.folder), "report": report}
             click.echo(json.dumps(tree, allow_nan=False))
         else:
-            click.echo(_text(result))
+            click.echo(text_of(result))
             click.echo(f"report: {report or 'could not be written'}")
     return code
 
@@ -140,17 +140,21 @@ def _plan_text(plan: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _text(result: Result) -> str:
+def text_of(result: Result) -> str:
+    """What ended it first, then what was measured, and the verdict."""
     from hil.bench.holding import held_in_words
 
     lines = []
-    for row in result.measurements:
-        value = "-" if row["value"] is None else f"{row['value']:.4g}"
-        limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
-        lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     for problem in (result.error, *result.teardown_errors):
         if problem is not None:
             lines.append(f"{problem.kind} in {problem.step!r}: {problem.message}")
+    measured = [row for row in result.measurements if row["outcome"] != "NOT MEASURED"]
+    for row in measured:
+        value = "-" if row["value"] is None else f"{row['value']:.4g}"
+        limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
+    if missing := len(result.measurements) - len(measured):
+        lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     lines.append(held_in_words(result.facts["held"]))
     lines.append(f"{result.verdict.value}: {result.procedure}, results in {result.folder}")
     return "\n".join(lines)

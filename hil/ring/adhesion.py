@@ -183,7 +183,7 @@ class AdhesionWatch:
         stop(
             f"stale_{name}",
             f"nothing usable from the {noun} for {silent_s:.2f} s: whether the robot is pressed on the wall "
-            "is not known; check bit rate, wiring and adapter of the CAN bus, and the supply",
+            "is not known; check its bus (bit rate, wiring, adapter) and its supply",
         )
         return False
 

@@ -1,0 +1,37 @@
+"""What `hil run` says at the terminal: why a run ended comes before what it did not measure."""
+
+from hil.cli.run import text_of
+from hil.procedure.measurements import Measurement, Verdict
+from hil.procedure.results import Failure, Result, judge
+
+HELD = {"state": "NOT HELD", "moved_m": None, "why": "the bench did not open"}
+
+
+def lines_of(tmp_path, values, error):
+    declared = [Measurement(f"m{k}", "m", high=1.0) for k in range(33)]
+    rows = judge(declared, values, {}, error is None)
+    verdict = Verdict.PASS if error is None else Verdict.ERROR
+    return text_of(Result("bring_up", verdict, tmp_path, rows, {"held": HELD}, error)).splitlines()
+
+
+def test_the_reason_comes_first_and_what_was_not_measured_is_one_line(tmp_path):
+    error = Failure("DeviceTimeoutError", "adhesion: no VESC answers", "start", 3)
+    reason, missing, held, verdict = lines_of(tmp_path, {}, error)
+    assert reason == "DeviceTimeoutError in 'start': adhesion: no VESC answers"
+    assert missing.split() == "NOT MEASURED 33 of 33: the run ended before them".split()
+    assert held.startswith("NOT HELD: nobody looked")
+    assert verdict.startswith("ERROR: bring_up")
+
+
+def test_what_was_measured_before_is_told_value_by_value(tmp_path):
+    reason, first, second, missing, *_ = lines_of(tmp_path, {"m0": 0.5, "m7": 2.0}, Failure("X", "y", "z", 3))
+    assert reason == "X in 'z': y"
+    assert first.split() == ["PASS", "m0", "0.5", "m", "<=", "1"]
+    assert second.split()[:2] == ["FAIL", "m7"]
+    assert "31 of 33" in missing
+
+
+def test_a_run_that_ended_well_tells_every_value_and_nothing_of_the_rest(tmp_path):
+    *rows, _held, _verdict = lines_of(tmp_path, {f"m{k}": 0.5 for k in range(33)}, None)
+    assert len(rows) == 33
+    assert not any("NOT MEASURED" in row for row in rows)
