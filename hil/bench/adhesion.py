@@ -72,7 +72,10 @@ def keeper_spec(config: BenchConfig) -> Spec:
     """
     table = _fan(config)
     if not isinstance(table, MotorConfig):
-        raise ConfigError(f"{config.name}: a fan without a keeper", expected="one whose controller is on CAN")
+        raise ConfigError(
+            f"{config.name}: a fan without a keeper", expected="one whose controller is on CAN",
+            remedy='adhesion.model = "vesc" or "dronecan"',
+        )  # fmt: skip
     return Spec(**table.keeper())
 
 

@@ -120,6 +120,7 @@ def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
         utilisation=safety.utilisation_limit,
         nominal_thrust_n=thrust_wanted_n(config),
         full_thrust_n=0.0 if push is None else push.full_force_n,
+        wanted_n=force_wanted_n(config),
         zero_n=None if cells is None else sum(cells.zero_n),
         reports_thrust=isinstance(push, KeptMotorConfig),
         stale_s=safety.adhesion_stale_s,

@@ -45,7 +45,7 @@ def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: flo
     from hil.bench import adhesion
 
     if force_n is not None and duty is not None:
-        raise UsageError("--force and --duty are both given", expected="one of them")
+        raise UsageError("--force and --duty are both given", expected="one of them", remedy="leave one out")
     config = _config(bench)
     spec = adhesion.keeper_spec(config)
     reached_n = adhesion.switch_on(config, force_n=force_n, duty=duty, wait_s=wait_s, say=_progress)
@@ -154,7 +154,11 @@ def keep(bench: str, propellers: bool) -> int:
 
     specs = adhesion.kept_specs(_config(bench))
     if (spec := specs.get("thrust" if propellers else "adhesion")) is None:
-        raise UsageError(f"{bench} has no {'propellers' if propellers else 'fan'} that can be kept")
+        missing = "propellers" if propellers else "fan"
+        raise UsageError(
+            f"{bench} has no {missing} that can be kept", expected=f"a {missing} on CAN, not emulated here",
+            remedy="leave out --propellers" if propellers else "add [adhesion] to the bench file",
+        )  # fmt: skip
     if adhesion.keeper_status(spec) is not None:
         raise UsageError(
             f"{spec.name} has a keeper already", remedy="`hil adhesion status` names its process"

@@ -35,6 +35,7 @@ class AdhesionLimits:
         reserve: the measured force exceeds the need by this share, at least.
         utilisation: no wheel uses more of its friction.
         nominal_thrust_n, full_thrust_n: push of the propellers where nobody reports a throttle, and at full.
+        wanted_n: what the fan is asked for at rest: all of the margin is what that is above the need.
         rated_n, rated_rpm, rated_w: force and battery power of the fan at a speed; NaN without one.
         low_input_v, hot_fet_c: of the fan's battery and controller.
         zero_n: of the load cells, their sum; None without cells.
@@ -47,6 +48,7 @@ class AdhesionLimits:
     utilisation: float = 0.8
     nominal_thrust_n: float = 0.0
     full_thrust_n: float = 0.0
+    wanted_n: float = math.nan
     rated_n: float = math.nan
     rated_rpm: float = math.nan
     rated_w: float = math.nan
@@ -230,7 +232,7 @@ class AdhesionWatch:
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
         if soon_n >= limit_n and self._most <= self.limits.utilisation:
             return
-        told = f"{force_n:.1f} N of adhesion"
+        told = f"{force_n:.1f} N of adhesion, {self._left(force_n)}"
         if falling:
             left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
             told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
@@ -247,6 +249,12 @@ class AdhesionWatch:
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
                 f"{100 * self.limits.utilisation:.0f} %: {told}",
             )
+
+    def _left(self, force_n: float) -> str:
+        """What is left of the margin that the wanted force has, in words."""
+        margin_n, whole_n = force_n - self._needed_n, self.limits.wanted_n - self._needed_n
+        share = f" ({100.0 * max(margin_n, 0.0) / whole_n:.0f} %)" if whole_n > 0.0 else ""
+        return f"{margin_n:.1f} N of margin left{share}"
 
     def _compare(self, t_ns: int, stop: Blame) -> None:
         """Cells against the fan's speed; its power says which of the two is believed."""
@@ -269,19 +277,18 @@ class AdhesionWatch:
 
     def _judge_controller(self, fan: AdhesionSample, force_n: float, stop: Blame) -> None:
         """Battery and heat of the fan."""
-        limits, margin_n = self.limits, force_n - self.figures["adhesion_needed_n"]
-        left = f"{margin_n:.1f} N of margin now"
+        limits = self.limits
         if fan.input_v < limits.low_input_v:
             stop(
                 "battery_low",
                 f"the fan's battery has {fan.input_v:.1f} V under load, less than {limits.low_input_v:g}: "
-                f"{left}; bring the robot down",
+                f"{self._left(force_n)}; bring the robot down",
             )
         if fan.fet_c > limits.hot_fet_c:
             stop(
                 "fan_hot",
                 f"the fan's controller is at {fan.fet_c:.0f} degC, more than {limits.hot_fet_c:g}: it will "
-                f"slow the fan down by itself; {left}",
+                f"slow the fan down by itself; {self._left(force_n)}",
             )
 
 

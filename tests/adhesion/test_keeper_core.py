@@ -217,8 +217,9 @@ def test_a_kept_fan_that_falls_silent_is_kept():
     ],
 )
 def test_times_that_would_let_go_of_the_robot_are_refused(change, said):
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=said) as refused:
         Spec("socketcan", "can0", 7, **change)
+    assert refused.value.remedy
 
 
 def test_a_spec_survives_the_way_to_the_process():

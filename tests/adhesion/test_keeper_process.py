@@ -149,9 +149,18 @@ def test_nonsense_is_refused_and_changes_nothing(keeper):
         b'{"do": "set", "quantity": "duty", "value": "much"}',
         b'{"do": "set", "quantity": "duty", "value": NaN}',
         b'{"do": "set", "quantity": "duty", "value": -0.3}',
+        b'{"do": "set", "quantity": "speed", "value": 0.3}',
+        b'{"do": "set", "quantity": "duty", "value": 1' + b"0" * 400 + b"}",
+        b'{"do": "set"}',
+        b'{"do": "set", "quantity": "' + b"\xc3\xa4" * 4000 + b'", "value": 0.3}',
+        b'{"do": "' + b"fly" * 2500 + b'"}',
+        b'{"do": "off"}',
     ):
         connection.send(packet)
-        assert json.loads(connection.recv(door.MOST_BYTES))["error"]["exit_code"] == 2
+        refused = json.loads(connection.recv(door.MOST_BYTES))["error"]
+        assert refused["exit_code"] == 2
+        assert refused["expected"]
+        assert refused["remedy"]
     assert client.ask(connection, {"do": "status"}, spec)["target"] == ["duty", POINT.value]
 
 

@@ -59,6 +59,9 @@ def test_falling_adhesion_stops_the_wheels_with_a_fifth_of_the_margin_left(seed)
     assert stop is not None
     assert stop.reason in ("adhesion", "utilisation")
     assert "s are left" in str(stop)
+    told = re.search(r"N of margin left \((\d+) %\)", str(stop))
+    assert told is not None
+    assert 20 <= int(told[1]) <= 90
     margin = (force_when_at_rest(seen, 2.0) - needed_n) / (whole_n - needed_n)
     assert margin >= 0.2
 
@@ -116,8 +119,16 @@ def test_a_small_leak_of_the_cells_own_drift_stops_nothing():
 @pytest.mark.parametrize(
     ("overrides", "reason", "told"),
     [
-        ({"emulation.adhesion.ambient_c": 60.0}, "fan_hot", r"at 8\d degC, more than 80.*N of margin now"),
-        ({"adhesion.low_input_v": 23.0}, "battery_low", r"has 22.\d V under load.*N of margin now"),
+        (
+            {"emulation.adhesion.ambient_c": 60.0},
+            "fan_hot",
+            r"at 8\d degC, more than 80.*N of margin left \(\d+ %\)",
+        ),
+        (
+            {"adhesion.low_input_v": 23.0},
+            "battery_low",
+            r"has 22.\d V under load.*N of margin left \(\d+ %\)",
+        ),
     ],
 )
 def test_a_hot_controller_and_a_low_battery_stop_the_robot(overrides, reason, told):

@@ -18,7 +18,7 @@ def test_the_reason_comes_first_and_what_was_not_measured_is_one_line(tmp_path):
     error = Failure("DeviceTimeoutError", "adhesion: no VESC answers", "start", 3)
     reason, missing, held, verdict = lines_of(tmp_path, {}, error)
     assert reason == "DeviceTimeoutError in 'start': adhesion: no VESC answers"
-    assert missing.split() == "NOT MEASURED 33 of 33: the run ended before them".split()
+    assert missing == "NOT MEASURED 33 of 33: the run ended before them"
     assert held.startswith("NOT HELD: nobody looked")
     assert verdict.startswith("ERROR: bring_up")
 

@@ -89,14 +89,18 @@ class TeensyThrust(Holding[ThrustSample]):
         full_n = self._config.full_force_n
         if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
             raise UsageError(
-                f"{self.name}: a force of {force_n:g} N", expected=f"0 to {full_n:g} N (thrust.full_force_n)"
+                f"{self.name}: a force of {force_n:g} N",
+                expected=f"0 to {full_n:g} N (thrust.full_force_n)",
+                remedy="ask for less, or correct thrust.full_force_n",
             )
         self.set_duty(self._config.throttle_for(force_n))
 
     def set_duty(self, duty: float) -> None:
         """Ask for a throttle 0..1; raises `UsageError`, or `DeviceError` where the port takes nothing."""
         if not (math.isfinite(duty) and 0.0 <= duty <= 1.0):
-            raise UsageError(f"{self.name}: a throttle of {duty:g}", expected="0 to 1")
+            raise UsageError(
+                f"{self.name}: a throttle of {duty:g}", expected="0 to 1", remedy="a share of full throttle"
+            )
         self._must_be_open()
         self._step = round(STEPS * duty)
         self._send(self._step)

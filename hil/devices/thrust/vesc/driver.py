@@ -112,7 +112,9 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
         full_n, kept = self._config.full_force_n, self._must_be_open()
         if not (math.isfinite(force_n) and 0.0 <= force_n <= full_n):
             raise UsageError(
-                f"{self.name}: a force of {force_n:g} N", expected=f"0 to {full_n:g} N (thrust.full_force_n)"
+                f"{self.name}: a force of {force_n:g} N",
+                expected=f"0 to {full_n:g} N (thrust.full_force_n)",
+                remedy="ask for less, or correct thrust.full_force_n",
             )
         if force_n == 0.0 and kept.status().get("sent") is None:
             return

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import DeviceError, UsageError
+from hil.vocabulary.errors import DeviceError, UsageError, did_you_mean
 
 _LISTEN_NS = nanoseconds(1.5)
 """For so long after its start a keeper looks for a fan that runs already."""
@@ -38,7 +38,10 @@ def check_point(spec: Spec, point: SetPoint) -> None:
     highest = spec.highest.get(point.quantity)
     if highest is None:
         known = ", ".join(spec.highest)
-        raise UsageError(f"{spec.device} set-point of {point.quantity}", expected=f"one of {known}")
+        raise UsageError(
+            f"{spec.device} set-point of {point.quantity}", expected=f"one of {known}",
+            remedy=did_you_mean(point.quantity, spec.highest) or f"ask {spec.whose} keeper for one of these",
+        )  # fmt: skip
     if not math.isfinite(point.value) or not 0.0 < point.value <= highest:
         raise UsageError(
             f"{spec.device} set-point {point.quantity} = {point.value:g}",

@@ -102,7 +102,10 @@ class DroneCan(Dialect):
         self._spec = spec
         wanted = {"esc_index", "node_id", "rpm_per_v"}
         if missing := wanted - set(spec.details):
-            raise ConfigError(f"{spec.name}: details without {', '.join(sorted(missing))}")
+            raise ConfigError(
+                f"{spec.name}: details without {', '.join(sorted(missing))}",
+                remedy="start its keeper by `hil adhesion keep`, from a bench file",
+            )
         self._index, self._node_id = int(spec.details["esc_index"]), int(spec.details["node_id"])
         self._reader = dronecan.StatusReader()
         self._raw_ids, self._rpm_ids, self._status_ids = count(), count(), count()

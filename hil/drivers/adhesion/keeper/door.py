@@ -24,10 +24,12 @@ from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import DeviceError, HilError, UsageError
 
 MOST_BYTES = 8192
+HOW_TO_ASK = 'send one JSON object a packet; docs/adhesion.md, "The socket", shows each'
 _MOST_CLIENTS = 32
 _MOST_AT_ONCE = 16
 _PEER = struct.Struct("3i")
 _LONGEST_NAME = 100
+_MOST_TEXT = 1000
 
 Answer = Callable[[Mapping[str, Any], str], Mapping[str, Any]]
 """Answers a request, of (what was asked, who asks in words); raises `HilError` to refuse it."""
@@ -71,8 +73,9 @@ class Door:
         except OSError as error:
             self._listener.close()
             raise TakenError(
-                spec.device, f"it has a keeper already ({error.strerror})", port=spec.name
-            ) from None
+                spec.device, f"it has a keeper already ({error.strerror})", port=spec.name,
+                expected="one keeper of a fan", remedy="`hil adhesion status` names its process",
+            ) from None  # fmt: skip
         self._listener.listen(_MOST_CLIENTS)
         self._listener.setblocking(False)
         self._ready = selectors.DefaultSelector()
@@ -126,17 +129,22 @@ def _answered(packet: bytes, who: str, answer: Answer) -> bytes:
     try:
         asked = json.loads(packet)
         if not isinstance(asked, dict):
-            raise UsageError("a request to the keeper that is no object", expected='{"do": "status"}')
+            raise UsageError(
+                "a request to the keeper that is no object", expected='{"do": "status"}', remedy=HOW_TO_ASK
+            )
         told = answer(asked, who)
     except HilError as error:
         told = {"error": _described(error)}
     except (ValueError, RecursionError):
-        told = {"error": _described(UsageError("a request to the keeper that is no JSON"))}
+        no_json = UsageError(
+            "a request to the keeper that is no JSON", expected='{"do": "status"}', remedy=HOW_TO_ASK
+        )
+        told = {"error": _described(no_json)}
     return json.dumps(told).encode()[:MOST_BYTES]
 
 
 def _described(error: HilError) -> dict[str, object]:
     return {
-        "message": error.message, "expected": error.expected, "remedy": error.remedy,
+        "message": error.message[:_MOST_TEXT], "expected": error.expected, "remedy": error.remedy,
         "exit_code": error.exit_code,
     }  # fmt: skip

@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import json
+import math
 import os
 import sys
 import time
@@ -21,7 +22,7 @@ from typing import Any
 from hil.drivers.adhesion.keeper.beat import Beat, open_bus
 from hil.drivers.adhesion.keeper.client import KEEPER, Status
 from hil.drivers.adhesion.keeper.core import Keeper, SetPoint
-from hil.drivers.adhesion.keeper.door import Door, TakenError
+from hil.drivers.adhesion.keeper.door import HOW_TO_ASK, Door, TakenError
 from hil.drivers.adhesion.keeper.log import Log
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
@@ -122,15 +123,9 @@ class Process:
         """Do what a program asks for; raises `HilError` to refuse it."""
         now_ns, do = time.monotonic_ns(), asked.get("do")
         if do == "set":
-            quantity, value = asked.get("quantity"), asked.get("value")
-            if (
-                not isinstance(quantity, str)
-                or isinstance(value, bool)
-                or not isinstance(value, (int, float))
-            ):
-                raise UsageError("a set-point for the keeper", expected="a quantity and a number")
-            self._keeper.wish(now_ns, SetPoint(quantity, float(value)))
-            self._tell_of_wish(now_ns, who, quantity, value)
+            point = _point(asked)
+            self._keeper.wish(now_ns, point)
+            self._tell_of_wish(now_ns, who, point)
             if self._beat.sent_ns is None:
                 self._beat.beat(now_ns)
         elif do == "off":
@@ -138,6 +133,7 @@ class Process:
             if not isinstance(why, str) or not why.strip():
                 raise UsageError(
                     "the fan is not stopped without a confirmation that the robot does not hang by it",
+                    expected='"confirmed_by" and why nothing hangs by it',
                     remedy="`hil adhesion off --tethered`, or off the wall by load cells and IMU",
                 )
             self._log.say(f"off, asked for by {who}, confirmed: {why[:200]}")
@@ -146,15 +142,15 @@ class Process:
             if asked.get("as") == "understudy":
                 self._understudies.heard(asked.get("pid"))
         else:
-            raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off")
+            raise UsageError(f"the keeper cannot {do!r}", expected="status, set or off", remedy=HOW_TO_ASK)
         return self._status(now_ns)
 
-    def _tell_of_wish(self, now_ns: int, who: str, quantity: str, value: float) -> None:
+    def _tell_of_wish(self, now_ns: int, who: str, point: SetPoint) -> None:
         """Log who sets what; a bench that trims its set-point all the time is told of once a minute."""
-        asked = (who, quantity)
+        asked = (who, point.quantity)
         if asked != self._asked or now_ns - self._asked_ns > _REPEAT_NS:
             self._asked, self._asked_ns = asked, now_ns
-            self._log.say(f"set to {quantity} {value:g} by {who}")
+            self._log.say(f"set to {point.quantity} {point.value:g} by {who}")
 
     def _status(self, now_ns: int) -> dict[str, Any]:
         return {
@@ -164,6 +160,20 @@ class Process:
             "since": self._began,
             "log": str(self._log.path or ""),
         }
+
+
+def _point(asked: Mapping[str, Any]) -> SetPoint:
+    """The set-point that a request is about; raises `UsageError`."""
+    quantity, value = asked.get("quantity"), asked.get("value")
+    if not isinstance(quantity, str) or isinstance(value, bool) or not isinstance(value, (int, float)):
+        raise UsageError(
+            f"a set-point for the keeper of {quantity!r} and {value!r}",
+            expected="a quantity and a number", remedy=HOW_TO_ASK,
+        )  # fmt: skip
+    try:
+        return SetPoint(quantity, float(value))
+    except OverflowError:
+        return SetPoint(quantity, math.inf)
 
 
 def main(argv: list[str] | None = None) -> int:
