@@ -90,7 +90,7 @@ def discover(
     for port in serial_ports() if ports is None else ports:
         say(f"asking {port}")
         _ask_serial(found, port, clock, asking)
-    search = Search(given or {}, clock, say, sysfs)
+    search = Search(given or {}, clock, say, sysfs, found.sections)
     for model in models:
         if model.search is not None and model.kind not in found.sections:
             answer = model.search(search)

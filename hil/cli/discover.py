@@ -12,14 +12,16 @@ import click
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 if TYPE_CHECKING:
-    from hil.config.encoders import EncodersConfig
+    from collections.abc import Iterator
+
+    from hil.config.can_bus import CanConfig
     from hil.config.mocap import MocapConfig
 
 
 @click.command()
 @click.option("--port", "ports", multiple=True, help="Serial port or pyserial URL (repeatable).")
 @click.option(
-    "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to listen on."
+    "--can", "buses", multiple=True, metavar="INTERFACE:CHANNEL[:PORT]", help="CAN bus to ask (repeatable)."
 )
 @click.option("--mocap", metavar="ADDRESS[:PORT]", help="Motion-capture server, and its command port.")
 @click.option(
@@ -44,10 +46,10 @@ def command(
         if out.exists():
             raise UsageError(f"{out} exists already", remedy="choose another name for --out")
         check_file(out)
-    given: dict[str, list[Any]] = {
-        "encoders": [_bus(text) for text in buses],
-        "mocap": [_server(mocap)] if mocap else [],
-    }
+    given: dict[str, list[Any]] = {"mocap": [_server(mocap)] if mocap else []}
+    for text in buses:
+        for kind, table in _on_bus(text):
+            given.setdefault(kind, []).append(table)
     for kind, table in _tables(places).items():
         given[kind] = [*given.get(kind, []), table]
     found = discover(
@@ -75,16 +77,21 @@ def command(
     return EXIT_PASS
 
 
-def _bus(text: str) -> EncodersConfig:
-    from hil.config.encoders import EncodersConfig
+def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:
+    """Kind and table of every model that could be on a bus."""
+    from hil.config.can_bus import SEARCH_S, CanConfig
     from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.kinds import kinds
 
     interface, _, rest = text.partition(":")
     channel, _, port = rest.partition(":")
     if not interface or not channel or (port and not port.isdigit()):
         raise UsageError(f"--can {text!r}", expected="INTERFACE:CHANNEL or INTERFACE:CHANNEL:PORT")
     options: dict[str, str | int | bool] = {"port": int(port)} if port else {}
-    return EncodersConfig(interface=interface, channel=channel, options=options)
+    for model in (model for kind in kinds().values() for model in kind.models if model.search is not None):
+        if issubclass(model.config, CanConfig):
+            table = {"interface": interface, "channel": channel, "options": options}
+            yield model.kind, model.config(**table, open_timeout_s=SEARCH_S)
 
 
 def _server(text: str) -> MocapConfig:

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pydantic import Field
 
 from hil.config.device import DeviceConfig
 from hil.vocabulary.emulated_bus import bus_name
+
+SEARCH_S = 0.5
+"""So long discovery waits for a device on a bus."""
 
 
 class Claim(NamedTuple):
@@ -32,17 +35,25 @@ class CanConfig(DeviceConfig):
     Attributes:
         interface, channel, bitrate: as python-can names them (`socketcan`, `can0`).
         options: further keyword arguments of the python-can interface (`host`, `port`, ...).
+        open_timeout_s: longest wait for a first sample or report.
     """
 
     interface: str = Field("socketcan", min_length=1)
     channel: str = Field("can0", min_length=1)
     bitrate: int = Field(500_000, gt=0, le=1_000_000)
     options: dict[str, bool | int | float | str] = Field(default_factory=dict)
+    open_timeout_s: float = Field(1.0, gt=0, le=30)
 
     @property
     def bus(self) -> str:
         """The bus, as messages call it."""
         return bus_name(self.interface, self.channel, self.options)
+
+    def table(self, **found: Any) -> dict[str, Any]:
+        """Its table in a bench file, with what was found; how long discovery waited is no part of it."""
+        waited = {"open_timeout_s"}
+        told = self.model_dump(mode="json", exclude_none=True, exclude_defaults=True, exclude=waited)
+        return {**told, **found}
 
     def claims(self) -> Iterable[Claim]:
         """Identifiers that are its own, as far as the table tells."""

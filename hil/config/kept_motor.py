@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import Field
-
 from hil.config.can_bus import CanConfig
 from hil.config.values import Patience, Within
 
@@ -19,14 +17,12 @@ class KeptMotorConfig(CanConfig):
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
             Tool; the doctor reads what it truly is, where the controller tells.
         ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
-        open_timeout_s: longest wait for its first report.
         fail_after_s: uninterrupted silence that raises.
     """
 
     timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
     ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
     ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
-    open_timeout_s: float = Field(1.0, gt=0, le=30)
     fail_after_s: Patience = 1.0
 
     def keeper(self) -> dict[str, Any]:

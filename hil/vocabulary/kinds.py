@@ -71,12 +71,14 @@ class Search:
         clock: for time-outs.
         say: receives progress.
         sysfs: where the kernel tells of its devices.
+        found: by kind, tables of what has been found so far.
     """
 
     given: Mapping[str, Sequence[Any]]
     clock: Clock
     say: Callable[[str], None]
     sysfs: Path
+    found: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def opens(device: Device) -> bool:

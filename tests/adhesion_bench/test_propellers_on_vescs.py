@@ -8,9 +8,14 @@ import pytest
 from worlds import duty_frame, heard, send
 
 import hil
+from hil.bench.discover import Discovery
 from hil.bench.settings import thrust_wanted_n
+from hil.config.adhesion import VescConfig
+from hil.config.loading import load_bench
 from hil.config.robot import RobotConfig
 from hil.devices.adhesion.in_world import KeptInWorld
+from hil.devices.adhesion.vesc import VESC
+from hil.devices.thrust.vesc import VESC_THRUST
 from hil.devices.thrust.vesc.config import VescThrustConfig
 from hil.devices.thrust.vesc.driver import VescThrust
 from hil.devices.thrust.vesc.propellers import PropellerNode, VescThrustTruthOptions, propellers
@@ -23,11 +28,12 @@ from hil.fakes.plant import make_plant
 from hil.fakes.world import VirtualClock, World
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, SafetyStop, UsageError
+from hil.vocabulary.kinds import Search
 from hil.vocabulary.signals import Status
 
 S = 1_000_000_000
 CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
-VESC = {"thrust.model": "vesc"}
+ON_VESCS = {"thrust.model": "vesc"}
 
 
 @contextmanager
@@ -49,6 +55,35 @@ def made(*, faults=(), keys=None, told=None, **options):
         driver.close()
         bus.shutdown()
         channel.close()
+
+
+def found_on_one_bus(ids, tmp_path):
+    """What discovery makes of a bus with controllers of these ids, asked for fan and propellers."""
+    with made(told=VescThrustConfig(controller_ids=ids)) as (_world, clock, _nodes, _driver, _bus):
+        bus = {"interface": "hil", "channel": "propellers", "open_timeout_s": 0.5}
+        given = {"adhesion": [VescConfig(**bus)], "thrust": [VescThrustConfig(**bus)]}
+        found = Discovery()
+        search = Search(given, clock, lambda text: None, tmp_path, found.sections)
+        for model in (VESC, VESC_THRUST):
+            if (answer := model.search(search)) is not None:
+                found.take(model, answer)
+        return found
+
+
+def test_discovery_finds_them_beside_the_fans_and_its_file_can_be_read(tmp_path):
+    found = found_on_one_bus((1, 2, 5), tmp_path)
+    bus = {"interface": "hil", "channel": "propellers"}
+    assert found.sections["adhesion"] == {**bus, "controller_id": 1}
+    assert found.sections["thrust"] == {"model": "vesc", **bus, "controller_ids": [2, 5]}
+    assert "controllers 2, 5 are taken for the propellers'" in found.notes
+    (tmp_path / "found.toml").write_text(found.to_toml(), encoding="utf-8")
+    assert load_bench(tmp_path / "found.toml").thrust.controller_ids == (2, 5)
+
+
+def test_a_bus_with_the_fans_controller_alone_has_no_propellers(tmp_path):
+    found = found_on_one_bus((7,), tmp_path)
+    assert found.sections["adhesion"]["controller_id"] == 7
+    assert "thrust" not in found.sections
 
 
 def after(driver, clock, seconds):
@@ -188,11 +223,11 @@ def test_reports_that_cannot_be_true_are_marked(spec, status):
 @pytest.mark.parametrize("ids", [[], [2, 2], [2, 255], [1, 2, 3, 4, 5]])
 def test_controllers_that_cannot_be_are_named_by_their_key(ids):
     with pytest.raises(ConfigError, match=r"thrust.*controller_ids"):
-        hil.open_bench("emulated", overrides={**VESC, "thrust.controller_ids": ids})
+        hil.open_bench("emulated", overrides={**ON_VESCS, "thrust.controller_ids": ids})
 
 
 def test_nothing_moves_before_they_push_and_the_robot_is_held_at_the_end():
-    cold = {**VESC, "emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
+    cold = {**ON_VESCS, "emulation.adhesion.start": "tethered", "emulation.thrust.start": "tethered"}
     with hil.open_bench("emulated", seed=1, overrides=cold) as bench:
         wanted_n = thrust_wanted_n(bench.config)
         assert bench.world.plant.working_point is not None
@@ -206,7 +241,7 @@ def test_nothing_moves_before_they_push_and_the_robot_is_held_at_the_end():
 
 
 def test_propellers_that_do_not_come_up_leave_the_servos_without_torque():
-    weak = {**VESC, "emulation.thrust.start": "off", "emulation.thrust.highest_a": 1.0}
+    weak = {**ON_VESCS, "emulation.thrust.start": "off", "emulation.thrust.highest_a": 1.0}
     bench = hil.open_bench("emulated", seed=1, overrides=weak)
     with pytest.raises(SafetyStop, match=r"pushed up with \d+.\d N of 22.3") as caught:
         bench.__enter__()
@@ -215,7 +250,7 @@ def test_propellers_that_do_not_come_up_leave_the_servos_without_torque():
 
 
 def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
-    with hil.open_bench("emulated", seed=1, overrides=VESC) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=ON_VESCS) as bench:
         node = next(part for part in bench.world._parts if isinstance(part, PropellerNode))
 
         def fail(record):
@@ -232,7 +267,7 @@ def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
 
 
 def test_one_controller_that_says_nothing_stops_the_wheels():
-    with hil.open_bench("emulated", seed=1, overrides=VESC) as bench:
+    with hil.open_bench("emulated", seed=1, overrides=ON_VESCS) as bench:
         node = next(part for part in bench.world._parts if isinstance(part, PropellerNode))
 
         def hush(record):

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from hil.config.adhesion import VescConfig
+from hil.devices.adhesion.on_buses import controllers
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Holding
 from hil.vocabulary.kinds import DeviceModel, Found, Search
@@ -15,7 +16,6 @@ if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
     from hil.drivers.adhesion.keeper.kept import Keep
 
-_OPEN_TIMEOUT_S = 0.5
 _TOLD = ("controller_id",)
 
 
@@ -60,26 +60,14 @@ def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
 
 def _search(search: Search) -> Found | None:
     """Ping the controllers on the CAN buses that were named, or that the system has."""
-    from hil.drivers.adhesion.settings import Answers
-    from hil.drivers.adhesion.who import ask_who
-    from hil.drivers.can_link import CanLink, detected
-    from hil.vocabulary.errors import HilError
+    from hil.drivers.can_link import detected
 
     named = [c for c in search.given.get("adhesion", ()) if isinstance(c, VescConfig)]
-    for config in named or detected(VescConfig, open_timeout_s=_OPEN_TIMEOUT_S):
-        search.say(f"asking for a VESC on {config.interface}:{config.channel}")
-        link = CanLink("adhesion", config, search.clock)
-        try:
-            link.open()
-            seen = ask_who(link, config, search.clock, Answers())
-        except HilError:
-            continue
-        finally:
-            link.close()
-        if ids := sorted({*seen.pongs, *seen.statuses}):
-            table = config.model_dump(mode="json", exclude_none=True, exclude_defaults=True)
-            notes = (f"controllers {', '.join(map(str, ids))}: the first is taken for the fan's",)
-            return Found({**table, "controller_id": ids[0]}, notes if len(ids) > 1 else ())
+    for config, ids in controllers(search, named or detected(VescConfig)):
+        wanted = VescConfig().controller_id
+        own = wanted if wanted in ids else ids[0]
+        notes = (f"controllers {', '.join(map(str, ids))}: {own} is taken for the fan's",)
+        return Found(config.table(controller_id=own), notes if len(ids) > 1 else ())
     return None
 
 

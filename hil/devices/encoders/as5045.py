@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from hil.config.can_bus import SEARCH_S
 from hil.config.encoders import EncodersConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Sensor
@@ -13,8 +14,6 @@ from hil.vocabulary.signals import EncoderSample
 
 if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
-
-_OPEN_TIMEOUT_S = 0.5
 
 
 def _driver(config: EncodersConfig, clock: Clock) -> Sensor[EncoderSample]:
@@ -53,10 +52,10 @@ def _search(search: Search) -> Found | None:
     from hil.drivers.can_link import detected
     from hil.drivers.encoders import As5045Encoders
 
-    for config in search.given.get("encoders") or detected(EncodersConfig, open_timeout_s=_OPEN_TIMEOUT_S):
+    for config in search.given.get("encoders") or detected(EncodersConfig, open_timeout_s=SEARCH_S):
         search.say(f"listening on {config.interface}:{config.channel}")
         if opens(As5045Encoders(config, search.clock)):
-            return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+            return Found(config.table())
     return None
 
 

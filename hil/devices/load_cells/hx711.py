@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
+from hil.config.can_bus import SEARCH_S
 from hil.config.load_cells import CanCellsConfig, LineCellsConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Sensor
@@ -13,8 +14,6 @@ from hil.vocabulary.signals import LoadCellSample
 
 if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
-
-_OPEN_TIMEOUT_S = 0.5
 
 
 def _on_can(config: CanCellsConfig, clock: Clock) -> Sensor[LoadCellSample]:
@@ -67,10 +66,10 @@ def _search(search: Search) -> Found | None:
     from hil.drivers.load_cells import CanCells
 
     given = [c for c in search.given.get("load_cells", ()) if isinstance(c, CanCellsConfig)]
-    for config in given or detected(CanCellsConfig, open_timeout_s=_OPEN_TIMEOUT_S):
+    for config in given or detected(CanCellsConfig, open_timeout_s=SEARCH_S):
         search.say(f"listening for load cells on {config.interface}:{config.channel}")
         if opens(CanCells(config, search.clock)):
-            return Found(config.model_dump(mode="json", exclude_none=True, exclude_defaults=True))
+            return Found(config.table())
     return None
 
 

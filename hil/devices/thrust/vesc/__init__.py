@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from hil.devices.thrust.vesc.config import VescThrustConfig
+from hil.config.adhesion import VescConfig
+from hil.devices.adhesion.on_buses import controllers
+from hil.devices.thrust.vesc.config import MOST_CONTROLLERS, VescThrustConfig
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.interfaces import Holding
-from hil.vocabulary.kinds import DeviceModel
+from hil.vocabulary.kinds import DeviceModel, Found, Search
 from hil.vocabulary.signals import ThrustSample
 
 if TYPE_CHECKING:
@@ -50,6 +52,22 @@ def _reach(endpoint: Mapping[str, Any]) -> dict[str, Any]:
     return where(endpoint, _TOLD)
 
 
+def _search(search: Search) -> Found | None:
+    """Ping the controllers on the CAN buses that were named, or that the system has; the fan's is none."""
+    from hil.drivers.can_link import detected
+
+    fan = VescConfig.model_validate(search.found["adhesion"]) if "adhesion" in search.found else None
+    named = [c for c in search.given.get("thrust", ()) if isinstance(c, VescThrustConfig)]
+    for config, ids in controllers(search, named or detected(VescThrustConfig)):
+        others = [one for one in ids if fan is None or (config.bus, one) != (fan.bus, fan.controller_id)]
+        own, left = others[:MOST_CONTROLLERS], others[MOST_CONTROLLERS:]
+        if own:
+            notes = [f"controllers {', '.join(map(str, own))} are taken for the propellers'"]
+            notes += [f"nobody uses controllers {', '.join(map(str, left))}"] * bool(left)
+            return Found(config.table(controller_ids=own), tuple(notes))
+    return None
+
+
 VESC_THRUST = DeviceModel(
     kind="thrust",
     name="vesc",
@@ -58,5 +76,6 @@ VESC_THRUST = DeviceModel(
     driver=_driver,
     emulate=_emulate,
     imperfections=_imperfections,
+    search=_search,
     reach=_reach,
 )

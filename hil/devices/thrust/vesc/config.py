@@ -15,7 +15,7 @@ from hil.config.thrust import ThrustConfig
 from hil.config.values import Within
 
 Id = Annotated[int, Field(ge=0, le=254)]
-_MOST = 4
+MOST_CONTROLLERS = 4
 
 
 class VescThrustConfig(ThrustConfig, KeptMotorConfig):
@@ -30,7 +30,7 @@ class VescThrustConfig(ThrustConfig, KeptMotorConfig):
     """
 
     model: Literal["vesc"] = "vesc"
-    controller_ids: tuple[Id, ...] = Field((2, 3), min_length=1, max_length=_MOST)
+    controller_ids: tuple[Id, ...] = Field((2, 3), min_length=1, max_length=MOST_CONTROLLERS)
     own_id: Id = 253
     pole_pairs: int = Field(7, ge=1, le=50)
     full_rpm: Annotated[float, Within(1000.0, 100_000.0, "1/min of a propeller, not electrical")] = 9000.0

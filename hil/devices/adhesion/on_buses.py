@@ -1,0 +1,38 @@
+"""VESCs on CAN buses that somebody has named, or that the system has: for discovery."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from typing import TypeVar
+
+from hil.config.adhesion import VescConfig
+from hil.config.can_bus import SEARCH_S, CanConfig
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.kinds import Search
+
+C = TypeVar("C", bound=CanConfig)
+
+
+def controllers(search: Search, buses: Iterable[C]) -> Iterator[tuple[C, list[int]]]:
+    """Each bus with the ids of those that answer a ping or report, where there are any."""
+    from hil.drivers.adhesion.settings import Answers
+    from hil.drivers.adhesion.who import ask_who
+    from hil.drivers.can_link import CanLink
+
+    for bus in buses:
+        search.say(f"asking for VESCs on {bus.interface}:{bus.channel}")
+        asked = VescConfig(
+            interface=bus.interface, channel=bus.channel, bitrate=bus.bitrate, options=bus.options,
+            open_timeout_s=SEARCH_S,
+        )  # fmt: skip
+        link = CanLink("adhesion", asked, search.clock)
+        try:
+            link.open()
+            seen = ask_who(link, asked, search.clock, Answers())
+        except HilError as error:
+            search.say(str(error))
+            continue
+        finally:
+            link.close()
+        if ids := sorted({*seen.pongs, *seen.statuses}):
+            yield bus, ids
