@@ -1,7 +1,8 @@
 """A python-can bus as a driver needs it: opened, drained within bounds, with errors that say what to do.
 
-In real time a thread takes the frames, as python-can needs 50 us for each, and the loop finds them in a
-queue. Where nothing leads from the clock to the time of day (virtual time) there is no thread.
+In real time a thread takes the frames, as python-can needs 50 us for each, and has samples made of them; the
+loop finds those in a queue. Where nothing leads from the clock to the time of day (virtual time) there is no
+thread.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ _ERROR_COUNTS = 16
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
 Arrived = tuple[int, can.Message]
+Meaning = Callable[[int, can.Message, int], Any]
+"""What a frame says to a device, of (arrival, frame, time now); None for nothing. In real time a thread
+calls it, and nobody else."""
 T = TypeVar("T")
 
 
@@ -113,6 +117,8 @@ class CanLink:
         self._bus: can.BusABC | None = None
         self._reader: threading.Thread | None = None
         self._read: deque[Arrived] = deque(maxlen=_MOST_FRAMES)
+        self._meaning: Meaning | None = None
+        self._said: deque[Any] = deque(maxlen=_MOST_FRAMES)
         self._arrivals = ArrivalClock()
         self.error, self.error_frames = "", 0
 
@@ -132,6 +138,8 @@ class CanLink:
         self._arrivals = ArrivalClock()
         self.error, self.error_frames = "", 0
         self._read.clear()
+        self._said.clear()
+        self._meaning = None
         self._bus = bus = open_bus(self._device, self._config)
         if self._clock.wall_offset() is not None:
             name = f"{self._device} on CAN"
@@ -169,10 +177,37 @@ class CanLink:
         read = self._read
         return [read.popleft() for _ in range(len(read))]
 
+    def listen_for(self, meaning: Meaning) -> None:
+        """From now on `heard` gives what frames say, and `take` nothing.
+
+        What waits is dropped: it is older than whoever reads next would think.
+        """
+        for _ in range(_MOST_FRAMES):
+            if not self.take():
+                break
+        self._meaning = meaning
+
+    def heard(self) -> list[Any]:
+        """What frames have said since the last call, oldest first, once somebody listens for it."""
+        said = self._said
+        if self._reader is None and self._bus is not None and self._meaning is not None:
+            return self._meant(self._drain(self._bus, 0.0), self._meaning)
+        return [said.popleft() for _ in range(len(said))] if said else []
+
+    def _meant(self, arrived: list[Arrived], meaning: Meaning) -> list[Any]:
+        """What frames say, without those that say nothing."""
+        now_ns = self._clock.now_ns()
+        said = [meaning(t_ns, message, now_ns) for t_ns, message in arrived]
+        return [one for one in said if one is not None]
+
     def _read_on(self, bus: can.BusABC) -> None:
         """Take frames from the bus until it is closed: in a thread, so that the loop does not pay for it."""
         while self._bus is bus:
-            self._read.extend(self._drain(bus, _WAIT_S))
+            arrived = self._drain(bus, _WAIT_S)
+            if (meaning := self._meaning) is None:
+                self._read.extend(arrived)
+            else:
+                self._said.extend(self._meant(arrived, meaning))
 
     def _drain(self, bus: can.BusABC, wait_s: float) -> list[Arrived]:
         """Frames that wait on the bus; a bounded number."""
@@ -198,12 +233,6 @@ class CanLink:
                 arrival_ns = self._arrivals.arrival_ns(message.timestamp, self._clock.now_ns())
                 found.append((arrival_ns, message))
         return found
-
-    def let_go(self) -> None:
-        """Drop what waits: it is older than whoever reads next would think."""
-        for _ in range(_MOST_FRAMES):
-            if not self.take():
-                return
 
     def told(self) -> str:
         """What the interface has said, to be appended to a complaint; empty for nothing."""

@@ -22,6 +22,7 @@ _AHEAD_S = 0.5
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
+_OK = Status.OK
 LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
 
@@ -70,7 +71,8 @@ class AdhesionLimits:
 
     def cells_n(self, sample: LoadCellSample) -> float:
         """Force by the cells, without their zeros; NaN where one cannot be used."""
-        return float(sample.force_n[0] + sample.force_n[1]) - (self.zero_n or 0.0)
+        first_n, second_n = sample.force_n.tolist()
+        return float(first_n + second_n) - (self.zero_n or 0.0)
 
     def speed_n(self, sample: AdhesionSample) -> float:
         """Force by the fan's speed."""
@@ -113,7 +115,7 @@ class AdhesionWatch:
         self._fan_ns: int | None = None
         self._thrust_ns: int | None = None
         self._began_ns: int | None = None
-        self._trend = {"load cells": ForceTrend(), "fan's speed": ForceTrend()}
+        self._cells_trend, self._speed_trend = ForceTrend(), ForceTrend()
         self._apart_ns: int | None = None
         self._trouble = ""
         self._fan: AdhesionSample | None = None
@@ -148,20 +150,20 @@ class AdhesionWatch:
     def _take(self, inputs: Inputs, events: list[Event]) -> None:
         """Newest force by each measure."""
         for sample in inputs.load_cells:
-            if sample.status[0] is Status.OK and sample.status[1] is Status.OK:
+            if sample.status[0] is _OK and sample.status[1] is _OK:
                 self._cells_n, self._cells_ns = self.limits.cells_n(sample), sample.stamp.t_ns
-                self._trend["load cells"].follow(sample.stamp.t_ns, self._cells_n)
+                self._cells_trend.follow(self._cells_ns, self._cells_n)
         for fan in inputs.adhesion:
             if fan.trouble != self._trouble:
                 self._trouble = fan.trouble
                 told = fan.trouble or "the fan is kept running as it should be again"
                 events.append(Event(inputs.t_ns, "warning" if fan.trouble else "info", "adhesion", told))
-            if fan.status is Status.OK and self._has_fan:
+            if fan.status is _OK and self._has_fan:
                 self._fan, self._fan_ns = fan, fan.stamp.t_ns
                 self._speed_n = self.limits.speed_n(fan)
-                self._trend["fan's speed"].follow(fan.stamp.t_ns, self._speed_n)
+                self._speed_trend.follow(self._fan_ns, self._speed_n)
         for push in inputs.thrust:
-            if push.status is Status.OK and math.isfinite(push.throttle):
+            if push.status is _OK and math.isfinite(push.throttle):
                 self._thrust_n = self.limits.full_thrust_n * push.throttle**2
                 self._thrust_ns = push.stamp.t_ns
 
@@ -225,7 +227,7 @@ class AdhesionWatch:
         """The force against its limit, now and soon, and the friction that the wheels use."""
         limit_n = (1.0 + self.limits.reserve) * self._needed_n
         measure, rate_n_s = "", 0.0
-        for name, trend in self._trend.items():
+        for name, trend in (("load cells", self._cells_trend), ("fan's speed", self._speed_trend)):
             if (slope := trend.slope_n_s()) < rate_n_s:
                 measure, rate_n_s = name, slope
         falling = rate_n_s < _FALLING_N_S

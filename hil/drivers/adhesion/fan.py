@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import cast
 
 import can
 
@@ -17,9 +17,9 @@ from hil.drivers.adhesion.vesc import Packet, Status, Status4, Status5, address,
 from hil.drivers.adhesion.who import Seen, ask_who
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import AdhesionSample
 
 _SLOW_REPORTS_NS = nanoseconds(1.5)
+Report = Status | Status4 | Status5
 _READ = (Packet.STATUS, Packet.STATUS_4, Packet.STATUS_5)
 
 
@@ -31,7 +31,16 @@ class _Slow:
     fet_c: float = math.nan
     motor_c: float = math.nan
     input_v: float = math.nan
-    seen_ns: dict[str, int] = field(default_factory=dict)
+    seen_4_ns: int = -_SLOW_REPORTS_NS
+    seen_5_ns: int = -_SLOW_REPORTS_NS
+
+    def take(self, said: Status4 | Status5, t_ns: int) -> None:
+        """A report that has come."""
+        if isinstance(said, Status5):
+            self.input_v, self.seen_5_ns = said.input_v, t_ns
+        else:
+            self.input_a, self.fet_c, self.motor_c = said.input_a, said.fet_c, said.motor_c
+            self.seen_4_ns = t_ns
 
 
 class VescFan(MotorFan[VescConfig]):
@@ -65,35 +74,26 @@ class VescFan(MotorFan[VescConfig]):
     def _input_v(self) -> float:
         return self._slow.input_v
 
-    def _says_something(self, message: can.Message) -> bool:
-        return message.is_extended_id and message.arbitration_id in self._reports
+    def _report(self, message: can.Message) -> Report | None:
+        if message.arbitration_id not in self._reports or not message.is_extended_id:
+            return None
+        return cast("Report | None", decode(message.arbitration_id, message.data))
 
-    def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
-        said, slow = decode(message.arbitration_id, message.data), self._slow
-        if isinstance(said, Status4):
-            slow.input_a, slow.fet_c, slow.motor_c = said.input_a, said.fet_c, said.motor_c
-            slow.seen_ns["4"] = t_ns
-        elif isinstance(said, Status5):
-            slow.input_v = said.input_v
-            slow.seen_ns["5"] = t_ns
-        elif isinstance(said, Status):
-            if t_ns <= self._latest_ns:
-                return
-            self._latest_ns = t_ns
-            yield self._sample(self._figures(said, t_ns), said, t_ns, now_ns, trouble)
-
-    def _figures(self, said: Status, t_ns: int) -> Figures:
-        slow, never_ns = self._slow, -_SLOW_REPORTS_NS
-        current_4 = t_ns - slow.seen_ns.get("4", never_ns) < _SLOW_REPORTS_NS
-        current_5 = t_ns - slow.seen_ns.get("5", never_ns) < _SLOW_REPORTS_NS
+    def _figures(self, said: Report, t_ns: int) -> Figures | None:
+        slow = self._slow
+        if not isinstance(said, Status):
+            slow.take(said, t_ns)
+            return None
+        old_ns = t_ns - _SLOW_REPORTS_NS
+        current_4, current_5 = slow.seen_4_ns > old_ns, slow.seen_5_ns > old_ns
         return Figures(
-            speed_rpm=said.erpm / self._config.pole_pairs,
-            duty=said.duty,
-            motor_a=said.current_a,
-            input_a=slow.input_a if current_4 else math.nan,
-            input_v=slow.input_v if current_5 else math.nan,
-            fet_c=slow.fet_c if current_4 else math.nan,
-            motor_c=slow.motor_c if current_4 else math.nan,
+            said.erpm / self._config.pole_pairs,
+            said.duty,
+            said.current_a,
+            slow.input_a if current_4 else math.nan,
+            slow.input_v if current_5 else math.nan,
+            slow.fet_c if current_4 else math.nan,
+            slow.motor_c if current_4 else math.nan,
         )
 
     def diagnose(self) -> tuple[Finding, ...]:

@@ -11,6 +11,8 @@ from abc import abstractmethod
 from collections.abc import Mapping
 from typing import Generic, TypeVar
 
+import can
+
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.kept import Keep, Kept
@@ -65,16 +67,20 @@ class KeptMotor(Holding[S], Generic[C, S]):
             identity = self._greet(spec)
             self._kept = self._keep(spec, self._clock)
             self._kept.open()
-            self._link.let_go()
+            self._forget()
+            self._link.listen_for(self._meaning)
         except BaseException:
             self.close()
             raise
-        self._forget()
         self._identity = identity
 
     @abstractmethod
     def _greet(self, spec: Spec) -> dict[str, str]:
         """Find who is meant on the open bus, look whether it may be trusted; its identity."""
+
+    @abstractmethod
+    def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> S | None:
+        """The sample that a frame completes; None for none: keepers' commands pass by here, too."""
 
     def close(self) -> None:
         """Let go of the bus; what runs goes on. Idempotent; never raises."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 from abc import abstractmethod
-from collections.abc import Iterator
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import can
 
@@ -56,6 +55,7 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         keep: Keep,
         name: str = "adhesion",
     ) -> None:
+        self._fastest_rpm = _FASTEST * config.rated_rpm
         super().__init__(config, clock, keep, name, "the fan")
 
     def _forget(self) -> None:
@@ -72,13 +72,8 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
             DeviceTimeoutError: the controller has been silent for `fail_after_s`.
         """
         kept = self._must_be_open()
-        frames, now_ns = self._link.take(), self._clock.now_ns()
-        samples: list[AdhesionSample] = []
-        if frames:
-            trouble = kept.trouble()
-            for t_ns, message in frames:
-                if self._says_something(message):
-                    samples += self._taken(t_ns, message, now_ns, trouble)
+        samples: list[AdhesionSample] = self._link.heard()
+        now_ns = self._clock.now_ns()
         if samples:
             self._good_ns = now_ns
             self._latest = samples[-1]
@@ -91,13 +86,20 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
             raise self._silence("the fan's controller", now_ns - self._good_ns, "it lets go of the motor")
         return tuple(samples)
 
+    def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> AdhesionSample | None:
+        said, kept = self._report(message), self._kept
+        figures = None if said is None else self._figures(said, t_ns)
+        if figures is None or t_ns <= self._latest_ns:
+            return None
+        self._latest_ns = t_ns
+        return self._sample(figures, said, t_ns, now_ns, "" if kept is None else kept.trouble())
+
     def _sample(self, figures: Figures, raw: object, t_ns: int, now_ns: int, trouble: str) -> AdhesionSample:
         """A report as a sample; `raw` is what never stays the same while a fan runs."""
-        status = Status.OK
-        too_fast = abs(figures.speed_rpm) > _FASTEST * self._config.rated_rpm
-        if too_fast or abs(figures.duty) > 1.05:
+        status, speed_rpm = Status.OK, abs(figures.speed_rpm)
+        if speed_rpm > self._fastest_rpm or abs(figures.duty) > 1.05:
             status = Status.IMPLAUSIBLE
-        elif self._stuck.stuck(raw, t_ns) and abs(figures.speed_rpm) > _RUNNING_RPM:
+        elif self._stuck.stuck(raw, t_ns) and speed_rpm > _RUNNING_RPM:
             status = Status.FROZEN
         self._sequence += 1
         if status is not Status.OK:
@@ -134,13 +136,13 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         with contextlib.suppress(HilError):
             self.set_force_n(self._config.highest_force_n)
 
-    def _says_something(self, message: can.Message) -> bool:
-        """Whether a frame may be of the fan's controller: its keeper's commands pass by here, too."""
-        return message.is_extended_id
+    @abstractmethod
+    def _report(self, message: can.Message) -> Any:
+        """What a frame of the fan's controller reports; None for any other."""
 
     @abstractmethod
-    def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
-        """The samples that a frame completes."""
+    def _figures(self, said: Any, t_ns: int) -> Figures | None:
+        """What a report of speed says, with what others have said; None for another report."""
 
     @abstractmethod
     def _input_v(self) -> float:

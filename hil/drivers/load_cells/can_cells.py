@@ -63,6 +63,7 @@ class CanCells(Sensor[LoadCellSample]):
         except BaseException:
             self.close()
             raise
+        self._link.listen_for(self._sample)
         self._good_ns = self._clock.now_ns()
         self._identity = {
             "model": "HX711",
@@ -86,15 +87,17 @@ class CanCells(Sensor[LoadCellSample]):
             raise DeviceError(
                 self.name, "used while closed", port=self._link.port, remedy="call open() first"
             )
-        frames, now_ns, samples = self._link.take(), self._clock.now_ns(), []
-        for t_ns, message in frames:
-            if (raw := self._counts(message)) is not None:
-                samples.append(self._judge.sample(raw, t_ns, now_ns))
+        samples: list[LoadCellSample] = self._link.heard()
+        now_ns = self._clock.now_ns()
         if samples:
             self._good_ns, self._link.error = now_ns, ""
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent((now_ns - self._good_ns) / NS_PER_S)
         return tuple(samples)
+
+    def _sample(self, t_ns: int, message: Any, now_ns: int) -> LoadCellSample | None:
+        raw = self._counts(message)
+        return None if raw is None else self._judge.sample(raw, t_ns, now_ns)
 
     def _counts(self, message: Any) -> tuple[int, int] | None:
         if message.arbitration_id != self._frame_id or message.is_extended_id:

@@ -60,7 +60,7 @@ class TeensyThrust(Holding[ThrustSample]):
 
     def close(self) -> None:
         """Let go of the port; the propellers go on. Idempotent; never raises."""
-        self._identity = {}
+        self._identity, self._next_ns = {}, 0
         port, self._port = self._port, None
         let_go(port)
 
@@ -74,10 +74,10 @@ class TeensyThrust(Holding[ThrustSample]):
         Raises:
             DeviceTimeoutError: the port has taken nothing for half a second.
         """
-        self._must_be_open()
         now_ns = self._clock.now_ns()
         if now_ns < self._next_ns - _SLACK_NS:
             return ()
+        self._must_be_open()
         self._next_ns = max(self._next_ns + self._repeat_ns, now_ns - self._repeat_ns)
         status = Status.OK if self._step is None or self._send(self._step) else Status.TIMEOUT
         throttle = math.nan if self._step is None or status is not Status.OK else self._step / STEPS

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
 from typing import Any
 
 import can
@@ -19,7 +18,6 @@ from hil.drivers.can_link import remedy_of_silence
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.finding import Finding
-from hil.vocabulary.signals import AdhesionSample
 
 _WAIT_S = 0.01
 _ASK_NS = nanoseconds(0.1)
@@ -122,17 +120,13 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
             + ", and that it speaks DroneCAN (VESC Tool: CAN Mode UAVCAN)",
         )  # fmt: skip
 
-    def _taken(self, t_ns: int, message: can.Message, now_ns: int, trouble: str) -> Iterator[AdhesionSample]:
-        said = self._reader.take(message.arbitration_id, message.data)
-        config = self._config
-        if said is None or (said.node_id, said.index) != (config.node_id, config.esc_index):
-            return
-        if t_ns > self._latest_ns:
-            self._latest_ns = t_ns
-            self._volts = said.voltage_v
-            yield self._sample(self._figures(said), said, t_ns, now_ns, trouble)
+    def _report(self, message: can.Message) -> EscStatus | None:
+        said, config = self._reader.take(message.arbitration_id, message.data), self._config
+        ours = said is not None and (said.node_id, said.index) == (config.node_id, config.esc_index)
+        return said if ours and message.is_extended_id else None
 
-    def _figures(self, said: EscStatus) -> Figures:
+    def _figures(self, said: EscStatus, t_ns: int) -> Figures:
+        self._volts = said.voltage_v
         return Figures(
             speed_rpm=float(said.rpm),
             duty=math.nan,

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import cast
+
+import can
 
 from hil.config.adhesion import VescConfig
 from hil.devices.thrust.vesc.config import VescThrustConfig
@@ -11,8 +14,8 @@ from hil.drivers.adhesion.keeper.kept import Keep, finding
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.kept_motor import KeptMotor
 from hil.drivers.adhesion.settings import Answers
+from hil.drivers.adhesion.vesc import Packet, address, decode
 from hil.drivers.adhesion.vesc import Status as Report
-from hil.drivers.adhesion.vesc import decode
 from hil.drivers.adhesion.who import Seen, ask_who
 from hil.drivers.stuck import StuckTest
 from hil.vocabulary.clock import Clock
@@ -38,6 +41,7 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
     """
 
     def __init__(self, config: VescThrustConfig, clock: Clock, keep: Keep, name: str = "thrust") -> None:
+        self._reports = {address(Packet.STATUS, one) for one in config.controller_ids}
         self._known: dict[int, tuple[VescConfig, Seen, Answers]] = {}
         super().__init__(config, clock, keep, name, "the propellers")
 
@@ -71,22 +75,25 @@ class VescThrust(KeptMotor[VescThrustConfig, ThrustSample]):
             DeviceTimeoutError: a controller has been silent for `fail_after_s`.
         """
         self._must_be_open()
-        frames, now_ns = self._link.take(), self._clock.now_ns()
-        samples: list[ThrustSample] = []
-        for t_ns, message in frames:
-            said = decode(message.arbitration_id, message.data) if message.is_extended_id else None
-            if not isinstance(said, Report) or said.controller_id not in self._heard_ns:
-                continue
-            self._heard_ns[said.controller_id] = now_ns
-            self._newest[said.controller_id] = (t_ns, said)
-            if len(self._newest) == len(self._heard_ns) and t_ns > self._latest_ns:
-                samples.append(self._sample(t_ns, now_ns))
+        samples: list[ThrustSample] = self._link.heard()
+        now_ns = self._clock.now_ns()
         silent, since_ns = min(self._heard_ns.items(), key=lambda heard: heard[1])
         if now_ns - since_ns > self._fail_ns:
             raise self._silence(f"controller {silent}", now_ns - since_ns, "its propellers stop")
         if samples:
             self._link.error = ""
         return tuple(samples)
+
+    def _meaning(self, t_ns: int, message: can.Message, now_ns: int) -> ThrustSample | None:
+        if message.arbitration_id not in self._reports or not message.is_extended_id:
+            return None
+        said = cast("Report | None", decode(message.arbitration_id, message.data))
+        if said is None:
+            return None
+        self._heard_ns[said.controller_id] = now_ns
+        self._newest[said.controller_id] = (t_ns, said)
+        whole = len(self._newest) == len(self._heard_ns) and t_ns > self._latest_ns
+        return self._sample(t_ns, now_ns) if whole else None
 
     def _sample(self, t_ns: int, now_ns: int) -> ThrustSample:
         """The newest reports of all; `throttle` is the share of full speed that gives the same force."""

@@ -73,7 +73,7 @@ class KeptByProcess(Kept):
         self._status: Status = {}
         self._wish: Request | None = None
         self._refused: HilError | None = None
-        self._in_for = ""
+        self._in_for = self._trouble = ""
         self._wish_until_ns = self._next_beat_ns = self._next_try_ns = 0
         self._beat = Beat(self._spec, Keeper(self._spec, adopts=False), _LOG.info)
 
@@ -120,11 +120,8 @@ class KeptByProcess(Kept):
             return self._beat.status(self._clock.now_ns()) if self._in_for else self._status
 
     def trouble(self) -> str:
-        """Who is missing, what was refused, or what is wrong with the bus."""
-        with self._lock:
-            if self._in_for:
-                return "; ".join(text for text in (self._in_for, self._beat.bus_error) if text)
-            return str(self._refused or self._status.get("bus_error", ""))
+        """Who is missing, what was refused, or what is wrong with the bus: as of the last look."""
+        return self._trouble
 
     def close(self) -> None:
         """Leave the fan to the keeper; a bench that stands in waits for a new one first."""
@@ -173,6 +170,10 @@ class KeptByProcess(Kept):
             self._look_for_another(t_ns)
         else:
             self._ask(self._link)
+        if self._in_for:
+            self._trouble = "; ".join(text for text in (self._in_for, self._beat.bus_error) if text)
+        else:
+            self._trouble = str(self._refused or self._status.get("bus_error", ""))
 
     def _amiss(self, t_ns: int) -> str:
         """What is wrong with the keeper; empty for nothing."""

@@ -1,0 +1,83 @@
+"""A CAN bus as drivers have it: the loop finds samples that were made elsewhere, of what says something."""
+
+import threading
+import time
+
+import can
+import numpy as np
+
+from hil.config.can_bus import CanConfig
+from hil.config.robot import RobotConfig
+from hil.drivers.can_link import CanLink
+from hil.fakes.can_wire import CanChannel
+from hil.fakes.loopback import free_udp_port
+from hil.fakes.plant import make_plant
+from hil.fakes.world import VirtualClock, World
+from hil.vocabulary.clock import MonotonicClock
+
+GROUP = "239.74.164.11"
+
+
+def meant(made_by):
+    """What frames of identifier 7 say; notes who asks."""
+
+    def meaning(t_ns, message, now_ns):
+        made_by.add(threading.get_ident())
+        assert t_ns <= now_ns
+        return bytes(message.data) if message.arbitration_id == 7 else None
+
+    return meaning
+
+
+def send(bus, *frames):
+    for frame_id, data in frames:
+        bus.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=True))
+
+
+def heard(link, count):
+    """So many of what is said, as far as it comes."""
+    found, end_s = [], time.monotonic() + 10.0
+    while len(found) < count and time.monotonic() < end_s:
+        found += link.heard()
+        time.sleep(0.005)
+    return found
+
+
+def test_in_real_time_a_thread_makes_the_samples_that_the_loop_takes():
+    options, made_by = {"port": free_udp_port(), "hop_limit": 0}, set()
+    config = CanConfig(interface="udp_multicast", channel=GROUP, options=options)
+    link = CanLink("adhesion", config, MonotonicClock())
+    link.open()
+    try:
+        with can.Bus(interface="udp_multicast", channel=GROUP, **options) as bus:
+            send(bus, (7, b"before"))
+            assert link.take(10.0)
+            assert link.heard() == []
+            link.listen_for(meant(made_by))
+            send(bus, (7, b"first"), (8, b"another"), (7, b"second"))
+            assert heard(link, 2) == [b"first", b"second"]
+    finally:
+        link.close()
+    assert made_by
+    assert threading.get_ident() not in made_by
+
+
+def test_in_virtual_time_whoever_asks_makes_them_and_nothing_old_is_among_them():
+    world, made_by = World(make_plant(RobotConfig(), rng=np.random.default_rng(0))), set()
+    channel = CanChannel(world, "asked").open()
+    link = CanLink("adhesion", CanConfig(interface="hil", channel="asked"), VirtualClock(world))
+    link.open()
+    try:
+        with can.Bus(interface="hil", channel="asked") as bus:
+            send(bus, (7, b"before"))
+            world.advance_to(1_000_000)
+            link.listen_for(meant(made_by))
+            assert link.heard() == []
+            send(bus, (8, b"another"), (7, b"first"))
+            world.advance_to(2_000_000)
+            assert link.heard() == [b"first"]
+            assert link.heard() == []
+    finally:
+        link.close()
+        channel.close()
+    assert made_by == {threading.get_ident()}
