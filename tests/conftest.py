@@ -20,6 +20,7 @@ gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which 
 ROOT = Path(__file__).resolve().parents[1]
 REAL_TIME = (
     "adhesion/test_adhesion_command.py", "adhesion/test_keeper_process.py",
+    "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
     "devices/test_guide.py", "emulate/", "live/test_live_command.py",
     "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",
     "bench/test_doctor_slow_adapter.py::test_an_adapter_as_delivered_is_recognised_at_the_wire",

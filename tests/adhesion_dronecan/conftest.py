@@ -38,7 +38,8 @@ def made(*, faults=(), nodes=((42, 0),), **options):
     ]
     bus = can.Bus(interface="hil", channel=CHANNEL)
     try:
-        yield SimpleNamespace(world=world, clock=VirtualClock(world), node=fans[0] if fans else None, bus=bus)
+        node = fans[0] if fans else None
+        yield SimpleNamespace(world=world, clock=VirtualClock(world), node=node, bus=bus, channel=channel)
     finally:
         bus.shutdown()
         channel.close()
