@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from hil.config.device import ImuConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.client import Status
+from hil.drivers.adhesion.keeper.door import keepers
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 from hil.vocabulary.errors import ConfigError, DeviceError, UsageError
@@ -32,6 +33,7 @@ __all__ = [
     "keeper_spec",
     "keeper_status",
     "kept_specs",
+    "other_keepers",
     "seen_off_the_wall",
     "switch_off",
     "switch_on",
@@ -101,6 +103,12 @@ def keeper_status(spec: Spec) -> Status | None:
         return None
     with connection:
         return client.ask(connection, {"do": "status"}, spec)
+
+
+def other_keepers(specs: Collection[Spec]) -> list[str]:
+    """Names of fans and propellers on the buses of these that have a keeper and are not among them."""
+    named, buses = {spec.name for spec in specs}, {spec.bus for spec in specs}
+    return [name for name in keepers() if name not in named and name.rpartition(", controller ")[0] in buses]
 
 
 def switch_on(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli.options import FiniteRange, SuggestingGroup
-from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, UsageError
+from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DeviceError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -72,6 +72,12 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     specs = adhesion.kept_specs(config)
     why = "the operator: tethered or off the wall" if tethered else adhesion.seen_off_the_wall(config)
     found = {kind: adhesion.switch_off(spec, why, say=_progress) for kind, spec in specs.items()}
+    kind, spec = next(iter(specs.items()))
+    if found[kind] is None and (others := adhesion.other_keepers(specs.values())):
+        raise DeviceError(
+            kind, "it has no keeper and was not stopped; on its bus is kept " + "; ".join(others),
+            port=spec.name, expected="the one that runs", remedy=f"name that one in [{kind}] of {bench}",
+        )  # fmt: skip
     if as_json:
         click.echo(json.dumps({**_told(specs, found), "confirmed_by": why}))
         return EXIT_PASS

@@ -58,13 +58,19 @@ def is_emulated(name: str) -> bool:
 
 def bitrate_of(name: str) -> int | None:
     """Bit rate of an emulated bus, bit/s; None where no living process emulates one of this name."""
-    beginning = f"@{_address(name)[1:]}{_AT}"
-    with contextlib.suppress(OSError, ValueError):
-        for line in _SOCKETS.read_text(encoding="utf-8", errors="replace").splitlines():
-            _, found, bitrate = line.partition(beginning)
-            if found:
-                return int(bitrate)
+    for bitrate in abstract_names(f"{_address(name)[1:]}{_AT}"):
+        return int(bitrate)
     return None
+
+
+def abstract_names(beginning: str) -> list[str]:
+    """What follows `beginning` in the names of this machine's sockets in the abstract space, each once."""
+    try:
+        lines = _SOCKETS.read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return []
+    parts = (line.partition(f"@{beginning}") for line in lines)
+    return sorted({end for _, found, end in parts if found})
 
 
 def _address(name: str) -> str:

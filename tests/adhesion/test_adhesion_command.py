@@ -19,6 +19,8 @@ from hil.bench.adhesion import keeper_spec, kept_specs
 from hil.bench.drivers import make_rig
 from hil.cli import main
 from hil.config.loading import load_bench
+from hil.drivers.adhesion.keeper import client
+from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import UsageError
@@ -173,6 +175,21 @@ def test_a_fan_that_is_not_there_is_named_and_none_is_started(at_wire, hil):
     assert code == 3, err
     assert "controller 7" in err
     assert fan.duty == 0.0
+
+
+def test_off_of_another_controller_says_which_one_runs_on(at_wire, hil):
+    """A wrong id must not look like a fan that was stopped."""
+    _, spec, path = at_wire
+    with client.find_or_start(spec) as connection:
+        while not client.ask(connection, {"do": "status"}, spec)["report"]:
+            time.sleep(0.02)
+        client.ask(connection, client.set_request(SetPoint("duty", 0.3)), spec)
+        port = spec.options["port"]
+        wrong = bench_file(path.parent, spec.interface, spec.channel, spec.controller_id + 1, port)
+        code, _, err = hil("adhesion", "off", "--bench", wrong, "--tethered")
+        assert code == 3
+        assert f"was not stopped; on its bus is kept {spec.name}" in err
+        assert client.ask(connection, {"do": "status"}, spec)["state"] == "keeping"
 
 
 def test_keep_is_a_keeper_in_the_foreground_that_no_signal_ends(at_wire, hil):

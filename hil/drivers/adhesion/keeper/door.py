@@ -21,6 +21,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.emulated_bus import abstract_names
 from hil.vocabulary.errors import DeviceError, HilError, UsageError
 
 MOST_BYTES = 8192
@@ -29,6 +30,7 @@ _MOST_CLIENTS = 32
 _MOST_AT_ONCE = 16
 _PEER = struct.Struct("3i")
 _LONGEST_NAME = 100
+_PREFIX = "hil-adhesion "
 _MOST_TEXT = 1000
 
 Answer = Callable[[Mapping[str, Any], str], Mapping[str, Any]]
@@ -39,7 +41,12 @@ Left = Callable[[int], None]
 
 def address(spec: Spec) -> str:
     """Where the keeper of a fan is to be found."""
-    return f"\0hil-adhesion {spec.name}"[:_LONGEST_NAME]
+    return f"\0{_PREFIX}{spec.name}"[:_LONGEST_NAME]
+
+
+def keepers() -> list[str]:
+    """Names of all fans and propellers that have a keeper on this machine."""
+    return abstract_names(_PREFIX)
 
 
 def peer(connection: socket.socket) -> tuple[int, int]:

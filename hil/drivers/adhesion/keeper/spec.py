@@ -65,14 +65,15 @@ class Spec:
             )  # fmt: skip
         if self.timeout_s == 0.0:
             raise ConfigError(
-                f"{self.name}: time-out 0: the fan would run for ever once nobody commands it",
+                f"{self.name}: {self.device}.timeout_s = 0: without a time-out {self.noun} would run for "
+                "ever once nobody commands it",
                 expected="the controller's time-out in s",
                 remedy="set it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
             )
         if self.timeout_s < _PERIODS * self.period_s:
             raise ConfigError(
-                f"{self.name}: the controller's time-out of {self.timeout_s:g} s is too short for commands "
-                f"every {self.period_s:g} s: one late command would let go of the robot",
+                f"{self.name}: {self.device}.timeout_s = {self.timeout_s:g}: a time-out too short for "
+                f"commands every {self.period_s:g} s: one late command would let go of the robot",
                 expected=f"at least {_PERIODS * self.period_s:g} s",
                 remedy="raise it in VESC Tool (App Settings, General, Timeout), 1000 ms is usual",
             )
