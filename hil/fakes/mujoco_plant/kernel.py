@@ -2,8 +2,9 @@
 
 Plain Python on indexed numbers, compiled by numba where that is installed. The servos are those of the own
 plant (`hil.fakes.plant.kernel`: firmware, motor, limits, play), with its vectors `c`, `s` and `q`; body and
-wheels are MuJoCo's (`qpos`, `qvel`), found by the indices `a`. A steering servo leads its fork by a stiff
-spring; a drive servo turns its wheel by its torque.
+wheels are MuJoCo's (`qpos`, `qvel`), found by the indices `a`. A steering servo takes its fork along: the
+torque of a step is what brings it to where servo and play want it at the step's end. On a spring, however
+stiff, it would overshoot whenever the play is taken up. A drive servo turns its wheel by its torque.
 """
 
 from __future__ import annotations
@@ -37,11 +38,13 @@ from hil.fakes.plant.kernel import (
 from hil.vocabulary.geometry import Array
 
 # Indices `a`: four each.
-DRIVE_Q, DRIVE_V, DRIVE_CTRL, STEER_Q, STEER_CTRL, PAIR = range(0, 24, 4)
+DRIVE_Q, DRIVE_V, DRIVE_CTRL, STEER_Q, STEER_V, STEER_CTRL, PAIR = range(0, 28, 4)
 
-# Parameters `p`.
-SPRING, SPRING_DAMPING, RATIO_SPEED, RATIO, SLOWEST, HEIGHT = range(6)
+# Parameters `p`: four for the forks, then scalars.
+FORK_INERTIA, RATIO_SPEED, RATIO, SLOWEST, HEIGHT = 0, 4, 5, 6, 7
 
+FORK_DAMPING_N_M_S = 0.6
+"""Of the forks, which nothing else holds while the robot is set down; the servos' torque makes up for it."""
 SLIDING_M_S = 0.02
 """A wheel that moves faster than this over the surface does not hold; creep at full speed is 5 mm/s."""
 _LIFTED_M, _TIPPED_COSINE = 0.01, math.cos(math.radians(2.0))
@@ -60,7 +63,7 @@ def prepare(
         c: constants, as in `hil.fakes.plant.kernel`.
         s: state, likewise: of it body, joints, wheel headings, slip and the fall are used here.
         q: commands, likewise.
-        p: spring of the forks, and friction's regularisation.
+        p: inertia of the forks about their axes, friction's regularisation, and how high the body stands.
         a: where the joints stand in MuJoCo's vectors.
         qpos: MuJoCo's positions.
         qvel: MuJoCo's velocities.
@@ -76,9 +79,10 @@ def prepare(
     follow_references(c, s, q)
     speed = 0.0
     for i in range(4):
-        before = steer_joint(i, c, s, q)
-        lead = s[HEADING + i] - qpos[a[STEER_Q + i]]
-        ctrl[a[STEER_CTRL + i]] = p[SPRING] * lead + p[SPRING_DAMPING] * (s[HEADING + i] - before) / c[DT]
+        steer_joint(i, c, s, q)
+        wanted = (s[HEADING + i] - qpos[a[STEER_Q + i]]) / c[DT]
+        push = p[FORK_INERTIA + i] * (wanted - qvel[a[STEER_V + i]]) / c[DT]
+        ctrl[a[STEER_CTRL + i]] = push + FORK_DAMPING_N_M_S * wanted
         angle = s[ANGLE + i]
         finish_joint(i, c[DT], s[RATE + i], c, s, q)
         s[ANGLE + i] = angle

@@ -30,7 +30,8 @@ JOINTS = (*(f"drive_{w}" for w in WHEELS), *(f"steer_{w}" for w in WHEELS))
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 LONGEST_STEP_S = 0.002
 STEP_S = 0.001
-SPRING_N_M, SPRING_DAMPING_N_M_S, _FORK_ARMATURE_KG_M2 = 90.0, 0.6, 1e-3
+_FORK_ARMATURE_KG_M2 = 1e-3
+"""Of steering gears and rotors: more than a fork itself has, so that what acts on it hardly turns it."""
 _ROUND = ("SPHERE", "ELLIPSOID", "CYLINDER", "CAPSULE")
 _AXES = {"drive": ((0.0, 1.0, 0.0), "+y, to the left"), "steer": ((0.0, 0.0, 1.0), "+z, off the surface")}
 _AGREE = 0.999
@@ -204,7 +205,7 @@ def _dress(mj: Any, spec: Any, p: TrueParameters, contact: ContactSetting) -> tu
 
 
 def _set_motors(model: Any, p: TrueParameters) -> None:
-    """Rotors and gear friction of the drives; what makes a fork follow its servo."""
+    """Rotors and gear friction of the drives; the gears that forks hang on."""
     joints = p.joints
     for i, wheel in enumerate(WHEELS):
         drive, steer = (int(model.joint(f"{kind}_{wheel}").dofadr[0]) for kind in ("drive", "steer"))
@@ -212,7 +213,7 @@ def _set_motors(model: Any, p: TrueParameters) -> None:
         model.dof_damping[drive] = joints.viscous_n_m_s[i]
         model.dof_frictionloss[drive] = joints.coulomb_n_m[i] + _rolling_n_m(p, i)
         model.dof_armature[steer] = _FORK_ARMATURE_KG_M2
-        model.dof_damping[steer] = SPRING_DAMPING_N_M_S
+        model.dof_damping[steer] = mk.FORK_DAMPING_N_M_S
         model.dof_frictionloss[steer] = 0.0
 
 
@@ -237,12 +238,13 @@ def _check_axes(model: Any, data: Any, source: str) -> None:
 def _indices(model: Any, pairs: tuple[str, ...]) -> Indices:
     """`a` of the kernel."""
     drives, steers = ([model.joint(f"{kind}_{w}") for w in WHEELS] for kind in ("drive", "steer"))
-    a = np.zeros(24, dtype=np.int64)
+    a = np.zeros(28, dtype=np.int64)
     for at, values in (
         (mk.DRIVE_Q, [j.qposadr[0] for j in drives]),
         (mk.DRIVE_V, [j.dofadr[0] for j in drives]),
         (mk.DRIVE_CTRL, [model.actuator(f"drive_{w}").id for w in WHEELS]),
         (mk.STEER_Q, [j.qposadr[0] for j in steers]),
+        (mk.STEER_V, [j.dofadr[0] for j in steers]),
         (mk.STEER_CTRL, [model.actuator(f"steer_{w}").id for w in WHEELS]),
         (mk.PAIR, [model.pair(name).id for name in pairs]),
     ):

@@ -16,7 +16,7 @@ import numpy as np
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
-from hil.fakes.mujoco_plant.model import SPRING_DAMPING_N_M_S, SPRING_N_M, Built, as_built, load_mujoco
+from hil.fakes.mujoco_plant.model import Built, as_built, load_mujoco
 from hil.fakes.plant import kernel as k
 from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.compiled import numba_available
@@ -68,10 +68,10 @@ class MujocoRobot(SteppedBody):
         constants = make_constants(p, patches, tilt_rad, step_ns / NS_PER_S)
         super().__init__(p, constants, tilt_rad=tilt_rad, faults=faults, step_ns=step_ns, by_hand=by_hand)
         self._state[k.HEADING : k.HEADING + 4] = p.steering_offset_rad
-        self._friction = np.zeros(6)
+        self._step_parameters = np.zeros(8)
         data = built.data
         self._vectors = (
-            constants, self._state, self._commands, self._friction, built.indices, data.qpos, data.qvel,
+            constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos, data.qvel,
             data.ctrl, built.model.pair_friction,
         )  # fmt: skip
         self._prepare, self._finish = _kernels()
@@ -103,9 +103,19 @@ class MujocoRobot(SteppedBody):
         self.parameters = replace(self.parameters, wheel_radius_m=radius_m)
         self._constants[k.RADIUS : k.RADIUS + 4] = radius_m
         creep = self._built.contact.ratio_times_speed(float(np.mean(data.efc_R[data.contact.efc_address])))
-        self._friction[:] = (
-            SPRING_N_M, SPRING_DAMPING_N_M_S, creep, HOLDING_IMPRATIO, CREEP_FLOOR_M_S, data.qpos[2],
-        )  # fmt: skip
+        self._step_parameters[:] = [
+            *self._fork_inertia_kg_m2(), creep, HOLDING_IMPRATIO, CREEP_FLOOR_M_S, data.qpos[2],
+        ]  # fmt: skip
+
+    def _fork_inertia_kg_m2(self) -> list[float]:
+        """Inertia of each fork about its axis, with the wheel in it and the gears behind it."""
+        model, data, found = self._built.model, self._built.data, []
+        for steer in self._built.indices[mk.STEER_V : mk.STEER_V + 4]:
+            turning, momentum = np.zeros(model.nv), np.zeros(model.nv)
+            turning[steer] = 1.0
+            self._mujoco.mj_mulM(model, data, momentum, turning)
+            found.append(float(momentum[steer]))
+        return found
 
     def _rests(self, normal_m_s2: float, press_n: float) -> bool:
         """Whether the robot comes to rest on four wheels from where it was described."""
