@@ -16,7 +16,9 @@ import numpy as np
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
-from hil.fakes.mujoco_plant.model import Built, as_built, load_mujoco
+from hil.fakes.mujoco_plant.description import WHEELS
+from hil.fakes.mujoco_plant.model import Built, as_built
+from hil.fakes.mujoco_plant.reading import JOINTS, load_mujoco
 from hil.fakes.plant import kernel as k
 from hil.fakes.plant.body import SteppedBody, checked_pose
 from hil.fakes.plant.compiled import numba_available
@@ -71,8 +73,8 @@ class MujocoRobot(SteppedBody):
         self._step_parameters = np.zeros(8)
         data = built.data
         self._vectors = (
-            constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos, data.qvel,
-            data.ctrl, built.model.pair_friction,
+            constants, self._state, self._commands, self._step_parameters, built.indices, data.qpos,
+            data.qvel, data.ctrl, built.model.pair_friction,
         )  # fmt: skip
         self._prepare, self._finish = _kernels()
         self._load_kernels()
@@ -93,10 +95,7 @@ class MujocoRobot(SteppedBody):
         weight_n = self.parameters.mass_kg * GRAVITY_M_S2
         normal_m_s2 = -GRAVITY_M_S2 * math.cos(self.tilt_rad)
         if not self._rests(normal_m_s2, self._constants[k.ADHESION]) and not self._rests(0.0, weight_n):
-            raise ConfigError(
-                f"emulation.mjcf = {self._built.source}: the robot does not come to rest on its wheels",
-                expected="masses, inertias and an option timestep that MuJoCo's contacts can carry",
-            )
+            raise self._restless()
         model, data = self._built.model, self._built.data
         model.opt.gravity[:] = -GRAVITY_M_S2 * math.sin(self.tilt_rad), 0.0, normal_m_s2
         radius_m = self.parameters.wheel_radius_m + 0.5 * self._by_wheel(data.contact.dist)
@@ -121,14 +120,48 @@ class MujocoRobot(SteppedBody):
         """Whether the robot comes to rest on four wheels from where it was described."""
         model, data, a = self._built.model, self._built.data, self._built.indices
         self._mujoco.mj_resetData(model, data)
-        data.qpos[2] -= self._built.lowest_m
         data.qpos[a[mk.STEER_Q : mk.STEER_Q + 4]] = self._state[k.HEADING : k.HEADING + 4]
+        self._mujoco.mj_kinematics(model, data)
+        data.qpos[2] -= self._heights_m().min()
         model.opt.gravity[:] = 0.0, 0.0, normal_m_s2
         model.opt.impratio = HOLDING_IMPRATIO
         data.ctrl[self._built.fan] = press_n
         self._mujoco.mj_step(model, data, nstep=round(_SETTLE_S * NS_PER_S / self._step_ns))
         still = mk.is_sound(data.qpos, data.qvel) and float(np.abs(data.qvel).max()) < _AT_REST
-        return still and np.count_nonzero(data.efc_force[data.contact.efc_address] > 0.0) == 4
+        return still and bool(np.all(self._loads_n() > 0.0))
+
+    def _restless(self) -> ConfigError:
+        """Why a robot that was set down and pressed on does not stand."""
+        model, data = self._built.model, self._built.data
+        where = f"emulation.mjcf = {self._built.source}: the robot does not come to rest on its wheels"
+        if not mk.is_sound(data.qpos, data.qvel):
+            return ConfigError(
+                f"{where}: the simulation diverges", expected="heavier parts, or a smaller option timestep"
+            )
+        high_mm, loads_n = 1e3 * self._heights_m(), self._loads_n()
+        if np.any(loads_n <= 0.0):
+            off = [f"{w} by {high_mm[i]:.2g} mm" for i, w in enumerate(WHEELS) if loads_n[i] <= 0.0]
+            return ConfigError(
+                f"{where}: wheels are off the surface: {', '.join(off)}",
+                expected="wheels whose lowest points lie in one plane, and a centre of mass between them",
+            )
+        fastest = int(np.argmax(np.abs(data.qvel)))
+        joint = model.joint(int(model.dof_jntid[fastest])).name
+        return ConfigError(
+            f"{where}: {f'joint {joint}' if joint in JOINTS else 'its body'} still moves with "
+            f"{abs(float(data.qvel[fastest])):.2g} {'m/s' if fastest < 3 else 'rad/s'} {_SETTLE_S} s later",
+            expected="masses, inertias and an option timestep that MuJoCo's contacts can carry",
+        )
+
+    def _heights_m(self) -> Array:
+        """(4,) how high the lowest point of each wheel is."""
+        places: Array = self._built.data.geom_xpos[list(self._built.wheel_of), 2]
+        return places - self._built.radius_m
+
+    def _loads_n(self) -> Array:
+        """(4,) what each wheel bears."""
+        data = self._built.data
+        return self._by_wheel(data.efc_force[data.contact.efc_address])
 
     def _put(self, pose: Array) -> None:
         """Move the settled robot to where it begins, at rest, joints at zero, and let it hang."""
@@ -200,10 +233,7 @@ class MujocoRobot(SteppedBody):
         return self._built.data.qpos[steer].tolist()  # type: ignore[no-any-return]
 
     def _look(self) -> PlantState:
-        data, loads = self._built.data, np.zeros(4)
-        if not self._state[k.FALLEN]:
-            loads = self._by_wheel(data.efc_force[data.contact.efc_address])
-        self._state[k.LOAD : k.LOAD + 4] = loads
+        self._state[k.LOAD : k.LOAD + 4] = 0.0 if self._state[k.FALLEN] else self._loads_n()
         return super()._look()
 
 
