@@ -74,11 +74,11 @@ WRONG = {
     "no free joint": ((r"<freejoint/>", ""), "0 free joints; expected one"),
     "two wheels swapped": (
         ((r"_FL", "_XX"), (r"_BR", "_FL"), (r"_XX", "_BR")),
-        r"wheel FL stands at x = -0\.113, y = -0\.113 m; .* that is the place of BR",
+        r"wheel FL stands at x = -0\.1125, y = -0\.1125 m; .* that is the place of BR",
     ),
     "lengths in mm": (
         (r'name="fork_(..)" pos="(-?)0\.1125 (-?)0\.1125', r'name="fork_\1" pos="\g<2>112.5 \g<3>112.5'),
-        r"wheel FL stands at x = 112, y = 112 m; \[robot\] has it at 0\.113, 0\.113: correct",
+        r"wheel FL stands at x = 112\.5, y = 112\.5 m; \[robot\] has it at 0\.1125, 0\.1125: correct",
     ),
     "a cylinder that lies flat": (
         (r'"ellipsoid"', '"cylinder"'), r"wheel FL \(cylinder\): its axis is 90 deg off that of joint",
@@ -134,8 +134,14 @@ def test_what_is_wrong_with_a_file_is_named(written, case):
 
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
-    with pytest.raises(ConfigError, match=r"nowhere\.xml"):
-        robot(mjcf=tmp_path / "nowhere.xml")
+    for path in (tmp_path / "nowhere.xml", tmp_path):
+        with pytest.raises(ConfigError, match=rf"{path}: no such file; expected an MJCF file"):
+            robot(mjcf=path)
+
+
+def test_a_file_is_held_against_what_the_bench_says_and_not_against_the_hidden_truth(written):
+    with pytest.raises(ConfigError, match=r"has it at 0\.1125, 0\.1125; that"):
+        robot(7, random=True, mjcf=written((r"_FL", "_XX"), (r"_BR", "_FL"), (r"_XX", "_BR")))
 
 
 def test_a_robot_that_cannot_stand_is_refused(written):

@@ -66,7 +66,7 @@ def make_mujoco_plant(
     if randomise_truth:
         touch = touch.drawn(rng)
     return MujocoRobot(
-        build_model(truth, touch, mjcf, step_s),
+        build_model(truth, touch, robot, mjcf, step_s),
         truth,
         patches=ground.patches,
         tilt_rad=tilt_rad,

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from hil.config.robot import RobotConfig
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import (
     FRICTION_TIME_CONSTANT_S,
@@ -76,13 +77,18 @@ class Built:
 
 
 def build_model(
-    p: TrueParameters, contact: ContactSetting, mjcf: Path | None = None, step_s: float | None = None
+    p: TrueParameters,
+    contact: ContactSetting,
+    robot: RobotConfig | None = None,
+    mjcf: Path | None = None,
+    step_s: float | None = None,
 ) -> Built:
     """Compile the robot on its surface.
 
     Args:
         p: what the robot truly is; of a robot from a file only motors, fan and friction are taken from here.
         contact: how wheels touch the surface.
+        robot: what the bench takes the robot for; not asked where it is left out.
         mjcf: the user's own robot; generated without one.
         step_s: internal step; that of the user's file, or 1 ms.
 
@@ -93,7 +99,7 @@ def build_model(
     spec = read_robot(mj, p, mjcf)
     if mjcf is None or step_s is not None:
         spec.option.timestep = STEP_S if step_s is None else step_s
-    names = _dress(mj, spec, p, contact, _tyres(mj, spec, p, source))
+    names = _dress(mj, spec, p, contact, _tyres(mj, spec, robot, source))
     model = compiled(spec, source)
     _set_motors(model, p)
     data = at_zero(mj, model)
@@ -104,13 +110,14 @@ def build_model(
     return Built(model, data, a, fan, thrust, turn, wheel_of, radius_m, contact, source)
 
 
-def _tyres(mj: Any, spec: Any, p: TrueParameters, source: str) -> list[Any]:
+def _tyres(mj: Any, spec: Any, robot: RobotConfig | None, source: str) -> list[Any]:
     """The four geoms on which the robot rolls, of a robot that fits the bench."""
     name_wheels(spec)
     model = compiled(spec, source)
     refuse(source, not_finite(model))
     geoms = [int(model.geom(wheel_geoms(spec.joint(f"drive_{w}"))[0].name).id) for w in WHEELS]
-    refuse(source, unlike(mj, model, geoms, p))
+    if robot is not None:
+        refuse(source, unlike(mj, model, geoms, robot))
     return put_on_ellipsoids(mj, spec, model)
 
 

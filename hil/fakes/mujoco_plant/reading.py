@@ -48,6 +48,8 @@ def read_robot(mj: Any, p: TrueParameters, mjcf: Path | None) -> Any:
     Raises:
         ConfigError: the file cannot be read, or is not one robot on four wheels.
     """
+    if mjcf is not None and not mjcf.is_file():
+        raise ConfigError(f"emulation.mjcf = {mjcf}: no such file", expected="an MJCF file")
     try:
         spec = mj.MjSpec.from_string(describe_robot(p)) if mjcf is None else mj.MjSpec.from_file(str(mjcf))
     except (ValueError, OSError) as error:

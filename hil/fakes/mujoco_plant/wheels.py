@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from hil.config.robot import RobotConfig
 from hil.fakes.mujoco_plant.description import WHEELS
 from hil.fakes.mujoco_plant.reading import JOINTS, wheel_geoms
-from hil.fakes.plant.parameters import TrueParameters
 from hil.vocabulary.geometry import Array
 
 _AXES = {"drive": ((0.0, 1.0, 0.0), "+y, to the left"), "steer": ((0.0, 0.0, 1.0), "+z, off the surface")}
@@ -128,7 +128,7 @@ def not_finite(model: Any) -> list[str]:
     ]
 
 
-def unlike(mj: Any, model: Any, geoms: list[int], p: TrueParameters) -> list[str]:
+def unlike(mj: Any, model: Any, geoms: list[int], robot: RobotConfig) -> list[str]:
     """What of a compiled robot turns wrongly, does not roll, or is not the bench's robot."""
     data, body = at_zero(mj, model), int(model.jnt_bodyid[0])
     if abs(float(data.qpos[3])) < math.cos(0.5 * math.radians(0.1)):
@@ -142,12 +142,12 @@ def unlike(mj: Any, model: Any, geoms: list[int], p: TrueParameters) -> list[str
             problems.append(f"joint {name} turns about ({shown}) of the robot's body; expected {words}")
     places = np.array([data.geom_xpos[g] - data.xpos[body] for g in geoms])[:, :2]
     for i, wheel in enumerate(WHEELS):
-        problems += _unround(wheel, look_at_wheel(mj, model, wheel, geoms[i]), float(p.wheel_radius_m[i]))
-    problems += _displaced(places, np.column_stack([p.wheel_x_m, p.wheel_y_m]))
+        problems += _unround(wheel, look_at_wheel(mj, model, wheel, geoms[i]), robot.wheel_radius_m[i])
+    problems += _displaced(places, np.column_stack([robot.wheel_x_m, robot.wheel_y_m]))
     mass = float(model.body_subtreemass[body])
-    if not 1.0 / _MASS_FACTOR <= mass / p.mass_kg <= _MASS_FACTOR:
+    if not 1.0 / _MASS_FACTOR <= mass / robot.mass_kg <= _MASS_FACTOR:
         problems.append(
-            f"the robot weighs {mass:.3g} kg; [robot] mass_kg is {p.mass_kg:.3g}: correct the wrong one"
+            f"the robot weighs {mass:.3g} kg; [robot] mass_kg is {robot.mass_kg:.3g}: correct the wrong one"
         )
     return problems
 
@@ -182,7 +182,7 @@ def _displaced(places_m: Array, expected_m: Array) -> list[str]:
             hint = f"; that is the place of {WHEELS[nearest]}" if away_m[nearest] <= most_m else ""
             (x, y), (want_x, want_y) = places_m[i], expected_m[i]
             problems.append(
-                f"wheel {wheel} stands at x = {x:.3g}, y = {y:.3g} m; [robot] has it at {want_x:.3g}, "
-                f"{want_y:.3g}{hint}: correct the wrong one"
+                f"wheel {wheel} stands at x = {x:.4g}, y = {y:.4g} m; [robot] has it at {want_x:.4g}, "
+                f"{want_y:.4g}{hint}: correct the wrong one"
             )
     return problems
