@@ -144,7 +144,7 @@ def run(ctx: Context) -> None:
             break
         with ctx.step(f"fit {number}"):
             driven = [r for d in rounds for r in d.recordings]
-            results.append(improve(ctx, driven, chosen(ctx, driven, setting, p.model), p.method))
+            results.append(improve(ctx, driven, chosen(ctx, rounds, setting, p.model), p.method))
             files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
     fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
     with ctx.step("report"):

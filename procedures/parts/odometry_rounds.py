@@ -73,19 +73,38 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
     return Odometry(found.geometry, found.model)
 
 
-def chosen(ctx: Context, recordings: Sequence[Recording], setting: Setting, model: str) -> Candidate:
-    """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data."""
+def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str) -> Candidate:
+    """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data.
+
+    The model is to hold for what its own result will drive, not for repetitions of what it was fitted to. So
+    whole rounds are held out, and whole motions while there is one round.
+    """
     nominal = nominal_of(ctx.source.config).geometry
     if model != BY_EVIDENCE:
         return Candidate(model, replace(setting, model=model, choose_model=False), nominal)
-    choice = choose(recordings, candidates(setting, nominal), seed=ctx.seed, report=ctx.progress)
+    recordings = [r for d in rounds for r in d.recordings]
+    left_out, groups = held_out_together(rounds)
+    choice = choose(
+        recordings, candidates(setting, nominal), seed=ctx.seed, groups=groups, report=ctx.progress
+    )
     ctx.note(choice.in_words())
     rows = [[name, f"{1e3 * error_m:.2f}"] for name, error_m in sorted(choice.held_out_m.items(), key=_error)]
     ctx.table(
         f"Forward models, {ctx.where}", ["forward model", "position RMSE (mm)"], rows,
-        "Each on repetitions left out of its fit; the first is used.",
+        f"Each on {left_out} left out of its fit; the first is used.",
     )  # fmt: skip
     return choice.best
+
+
+def held_out_together(rounds: Sequence[Driven]) -> tuple[str, list[object]]:
+    """In words, and a label for each recording: its round; its motion while there is one round.
+
+    Two motions are too few to fit one without the other: then repetitions are left out.
+    """
+    if len(rounds) > 1:
+        return "rounds", [d.label for d in rounds for _ in d.recordings]
+    motions: list[object] = [r.motion for r in rounds[0].recordings]
+    return ("motions", motions) if len(set(motions)) > 2 else ("repetitions", [])
 
 
 def _error(row: tuple[str, float]) -> float:

@@ -1,7 +1,9 @@
 """The forward model is chosen by recordings that the fit did not see, and the choice says how clear it is."""
 
+import numpy as np
 import pytest
 
+from hil.calibration import choice as choice_module
 from hil.calibration.choice import Choice, candidates, choose
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import hidden_robot, make_set
@@ -25,6 +27,23 @@ def test_dry_contact_is_read_by_the_model_of_dry_friction():
 
 def test_where_contact_is_viscous_dry_friction_is_not_taken():
     assert found("viscous").best.setting.model != "dry-friction"
+
+
+def test_what_belongs_together_is_left_out_together(monkeypatch):
+    """Repetitions of one round are alike: a model that reads these need not read the next round."""
+    robot, seen = hidden_robot(1), []
+    recordings = make_set(robot, 1, BRIEF[:1], repetitions=4)
+
+    def judged(recordings, groups, candidate):
+        seen.append(list(groups))
+        return np.ones(len(recordings))
+
+    monkeypatch.setattr(choice_module, "_held_out", judged)
+    among = candidates(SETTING, robot.nominal.geometry)[:2]
+    for groups in ((), (0, 0, 0, 0), (0, 0, 1, 1)):
+        choose(recordings, among, seed=0, groups=groups)
+    assert [len(set(groups)) for groups in seen[::2]] == [4, 4, 2]
+    assert seen[-1] == [0, 0, 1, 1]
 
 
 def test_the_choice_says_how_clear_it_was():

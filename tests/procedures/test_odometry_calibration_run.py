@@ -1,6 +1,7 @@
 """Odometry calibration from end to end: rounds, result, report, installing, faults, seeds."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ from hil.calibration.versions import Shelf
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.procedures.odometry_calibration import Parameters
-from hil.procedures.parts.odometry_rounds import improvement_bound, rise_beyond_chance
+from hil.procedures.parts.odometry_rounds import (
+    Driven,
+    held_out_together,
+    improvement_bound,
+    rise_beyond_chance,
+)
 from hil.recording.plain_csv import read_plain
 from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import MonotonicClock
@@ -140,6 +146,17 @@ def plain_source():
 def test_more_rounds_than_allowed_are_refused():
     with pytest.raises(ValueError, match="min_rounds = 3 exceeds max_rounds = 2"):
         Parameters(min_rounds=3, max_rounds=2)
+
+
+def test_a_forward_model_is_judged_on_motions_and_then_on_rounds_that_its_fit_has_not_seen():
+    def driven(label, *motions):
+        return Driven(label, [SimpleNamespace(motion=m) for m in motions], None)
+
+    first = driven("round 1", "line_x", "line_x", "line_y", "circle_cw")
+    assert held_out_together([first]) == ("motions", ["line_x", "line_x", "line_y", "circle_cw"])
+    assert held_out_together([driven("round 1", "line_x", "line_x", "line_y")]) == ("repetitions", [])
+    second = driven("round 2", "line_x")
+    assert held_out_together([first, second]) == ("rounds", ["round 1"] * 4 + ["round 2"])
 
 
 def test_the_stop_rule_wants_more_than_chance():
