@@ -20,6 +20,7 @@ NAMES = (
     "bring_up", "steering_zero", "imu_calibration", "latency", "surface_identification", "tracker_extrinsics",
     "grid_scan", "odometry_calibration",
 )  # fmt: skip
+_FORM = {"odometry_calibration": ["--quick"]}
 _SETTINGS: dict[str, list[str]] = {
     "own": [],
     "creep": ["bench.emulation.plant=mujoco", "bench.emulation.contact=creep"],
@@ -36,7 +37,7 @@ def keys() -> Iterator[Row]:
 
 def run(procedure: str, world: str) -> Row:
     """One run: verdict, and each measurement that is not a pass with its value."""
-    words = [word for setting in _SETTINGS[world] for word in ("--set", setting)]
+    words = [*_FORM.get(procedure, []), *(w for setting in _SETTINGS[world] for w in ("--set", setting))]
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()):
         code = main(["run", procedure, "--seed", str(SEED), "--out", folder, *words])
         if code == EXIT_USAGE:
