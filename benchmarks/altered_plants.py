@@ -1,10 +1,10 @@
 """Odometry calibration of robots whose body and tyres are not what the bench file believes.
 
-`python benchmarks/altered_plants.py 0 1` runs the quick form of `odometry_calibration` (`--full`: the long one
-of `hil commission`) on emulated robots of these seeds, altered in one way after the other and in all at once.
-The bench file keeps what it said, so that the loads and tyres that the calibration believes are wrong. Printed
-are the errors of the validation runs and the forward model that held-out recordings chose; it ends with 1
-where fewer than nine of ten stay within 4 mm.
+`python benchmarks/altered_plants.py 0 1` runs the quick form of `odometry_calibration` (`--full`: the long
+one of `hil commission`) on emulated robots of these seeds, altered in one way after the other and in all at
+once. The bench file keeps what it said, so that the loads and tyres that the calibration believes are wrong.
+Printed are the errors of the validation runs and the forward model that held-out recordings chose; it ends
+with 1 where fewer than nine of ten stay within 4 mm.
 """
 
 from __future__ import annotations
