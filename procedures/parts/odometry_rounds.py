@@ -15,7 +15,7 @@ import numpy as np
 from hil.bench.settings import geometry_of, nominal_of
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.choice import Candidate, candidates, choose
+from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track
 from hil.calibration.problem import Setting
@@ -73,11 +73,11 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
     return Odometry(found.geometry, found.model)
 
 
-def chosen(ctx: Context, recordings: Sequence[Recording], setting: Setting, model: str) -> Candidate:
+def chosen(ctx: Context, recordings: Sequence[Recording], setting: Setting, model: str) -> Choice:
     """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data."""
     nominal = nominal_of(ctx.source.config).geometry
     if model != BY_EVIDENCE:
-        return Candidate(model, replace(setting, model=model, choose_model=False), nominal)
+        return Choice(Candidate(model, replace(setting, model=model, choose_model=False), nominal), {}, 1.0)
     choice = choose(recordings, candidates(setting, nominal), seed=ctx.seed, report=ctx.progress)
     ctx.note(choice.in_words())
     rows = [[name, f"{1e3 * error_m:.2f}"] for name, error_m in sorted(choice.held_out_m.items(), key=_error)]
@@ -85,23 +85,23 @@ def chosen(ctx: Context, recordings: Sequence[Recording], setting: Setting, mode
         f"Forward models, {ctx.where}", ["forward model", "position RMSE (mm)"], rows,
         "Each on repetitions left out of its fit; the first is used.",
     )  # fmt: skip
-    return choice.best
+    return choice
 
 
 def _error(row: tuple[str, float]) -> float:
     return row[1]
 
 
-def improve(ctx: Context, recordings: Sequence[Recording], used: Candidate, method: str) -> Calibration:
+def improve(ctx: Context, recordings: Sequence[Recording], choice: Choice, method: str) -> Calibration:
     """Fit the recordings of all rounds so far, with the prior at the robot as it is on paper.
 
     Rounds were driven with different parameters and each stands elsewhere in the backlash of its gears;
     together they show more than the latest (`docs/decisions/0007`).
     """
-    paper = replace(nominal_of(ctx.source.config), geometry=used.nominal)
+    paper = replace(nominal_of(ctx.source.config), geometry=choice.best.nominal)
     return calibrate(
-        recordings, used.setting, ctx.clock, method=method, seed=ctx.seed, nominal=paper, validate=False,
-        report=ctx.progress,
+        recordings, choice.best.setting, ctx.clock, method=method, seed=ctx.seed, nominal=paper,
+        choice=choice, validate=False, report=ctx.progress,
     )  # fmt: skip
 
 

@@ -186,9 +186,9 @@ class Identity(_Model):
 
 
 _KEYS = {
-    "name": "robot.name", "body": "robot", "servo_model": "servos.model_number", "drive_ids": "servos.drive_ids",
-    "steer_ids": "servos.steer_ids", "wheel_x_m": "robot.wheel_x_m", "wheel_y_m": "robot.wheel_y_m",
-    "wheel_radius_m": "robot.wheel_radius_m",
+    "name": "robot.name", "body": "robot", "servo_model": "servos.model_number",
+    "drive_ids": "servos.drive_ids", "steer_ids": "servos.steer_ids", "wheel_x_m": "robot.wheel_x_m",
+    "wheel_y_m": "robot.wheel_y_m", "wheel_radius_m": "robot.wheel_radius_m",
 }  # fmt: skip
 
 
