@@ -130,7 +130,7 @@ def _text(result: Calibration) -> str:
             f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
         )
     spread = ", ".join(f"{1e3 * s:.2f}" for s in std[:12])
-    lines.append(f"jackknife standard errors of x, y, r (mm): {spread}")
+    lines.append(f"standard errors of x, y, r (mm): {spread}")
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
     lines.append(
         f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters, "
