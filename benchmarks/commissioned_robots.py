@@ -1,9 +1,11 @@
 """What commissioning brings, over many emulated robots as delivered.
 
 `python benchmarks/commissioned_robots.py 0 1 2 3` commissions the robots of these seeds by the quick form
-(`--full` for the long one) and prints ends and errors of their wall lines, nothing and everything known.
+(`--full` for the long one; `--plant mujoco` in the second physics) and prints ends and errors of their wall
+lines, nothing and everything known.
 """
 
+import argparse
 import json
 import sys
 import tempfile
@@ -18,11 +20,12 @@ from hil.cli import main
 NAMES = ("nothing known", "everything known")
 
 
-def commissioned(seed, folder, full):
+def commissioned(seed, folder, asked):
     words = ["commission", "--seed", str(seed), "--out", str(folder), "--json"]
+    words += ["--set", f"bench.emulation.plant={asked.plant}"]
     said = StringIO()
     with redirect_stdout(said):
-        code = main(words if full else [*words, "--quick"])
+        code = main(words if asked.full else [*words, "--quick"])
     told = json.loads(said.getvalue())
     if code != 0 or NAMES[1] not in told.get("wall", {}):
         print(f"seed {seed}: exit code {code}, {told.get('stopped') or told.get('error')}", flush=True)
@@ -42,12 +45,15 @@ def row(wall):
 
 
 def run(words):
-    full = "--full" in words
-    seeds = [int(w) for w in words if not w.startswith("-")]
-    found = []
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seeds", type=int, nargs="+")
+    parser.add_argument("--full", action="store_true")
+    parser.add_argument("--plant", choices=("own", "mujoco"), default="own")
+    asked = parser.parse_args(words)
+    seeds, found = asked.seeds, []
     for seed in seeds:
         with tempfile.TemporaryDirectory() as scratch:
-            wall = commissioned(seed, Path(scratch) / "out", full)
+            wall = commissioned(seed, Path(scratch) / "out", asked)
         if wall is not None:
             found.append(row(wall))
             ends = [

@@ -1,16 +1,16 @@
 """Is the filter as sure as it may be on the emulated wall? Errors, NEES and NIS with two sets of noise.
 
 `python benchmarks/wall_noise.py 1 2 3 4` drives the X line and the Y line of `wall_tracking` in the worlds
-with these seeds (half a minute of processor time each) and estimates the recordings twice: with the noise
-of the profile `emulated`, which is what its sensors have, and with the defaults, which are for hardware. It
-prints the table of docs/estimation.md.
+with these seeds (half a minute of processor time each; `--plant mujoco` in the second physics) and estimates
+the recordings twice: with the noise of the profile `emulated`, which is what its sensors have, and with the
+defaults, which are for hardware. It prints the table of docs/estimation.md.
 """
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import io
-import sys
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,9 +30,11 @@ ROWS = {"wheels": 8, "gyro": 1, "tracker": 3}
 COLUMNS = ("rmse mm", "end mm", "deg", "NEES", "scale %", *(f"NIS {name}" for name in ROWS))
 
 
-def driven(seed: int, folder: Path) -> dict[str, OpenedRecording]:
+def driven(seed: int, plant: str, folder: Path) -> dict[str, OpenedRecording]:
     """Recordings of one world by line."""
-    wanted = ('feedbacks=["ekf"]', "optimal=false", f"cases={','.join(LINES)}")
+    wanted = (
+        'feedbacks=["ekf"]', "optimal=false", f"cases={','.join(LINES)}", f"bench.emulation.plant={plant}"
+    )  # fmt: skip
     settings = [word for setting in wanted for word in ("--set", setting)]
     with contextlib.redirect_stdout(io.StringIO()):
         code = main(["run", "wall_tracking", "--seed", str(seed), *settings, "--out", str(folder)])
@@ -58,12 +60,12 @@ def figures(config: EstimatorConfig, recording: OpenedRecording) -> list[float]:
     ]  # fmt: skip
 
 
-def table(seeds: Sequence[int]) -> str:
+def table(seeds: Sequence[int], plant: str) -> str:
     """Means over the worlds, one row per line and set of noise."""
     found: dict[str, list[list[float]]] = {}
     for seed in seeds:
         with tempfile.TemporaryDirectory() as scratch:
-            for line, recording in driven(seed, Path(scratch) / "run").items():
+            for line, recording in driven(seed, plant, Path(scratch) / "run").items():
                 own = recording.bench.config.estimator
                 for label, config in (("profile", own), ("defaults", EstimatorConfig())):
                     found.setdefault(f"{line}, {label}", []).append(figures(config, recording))
@@ -74,4 +76,10 @@ def table(seeds: Sequence[int]) -> str:
 
 
 if __name__ == "__main__":
-    print(table([int(word) for word in sys.argv[1:]] or [1]))
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("seeds", type=int, nargs="*", default=[1])
+    parser.add_argument("--plant", choices=("own", "mujoco"), default="own")
+    asked = parser.parse_args()
+    print(table(asked.seeds, asked.plant))

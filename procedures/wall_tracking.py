@@ -188,6 +188,8 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     with ctx.step("check the references"):
         refuse_what_cannot_be_followed(ctx.source.config, references(p, ctx.source.config))
+        for number in range(1, p.seeds):
+            _ = ctx.source.changed(seed=ctx.seed + number).config
     worlds = [
         ctx.checkpoint(f"world {number + 1} of {p.seeds}", partial(one_world, ctx, ctx.seed + number))
         for number in range(p.seeds)

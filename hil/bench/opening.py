@@ -61,7 +61,7 @@ def open_bench(
     """
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
-    checked = load_bench(config, emulate=emulate, overrides=overrides).settled(realtime=realtime)
+    checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
     emulated = checked.emulated()
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}

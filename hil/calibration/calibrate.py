@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks, reduce_recordings
 from hil.calibration.caveats import caveats
+from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
 from hil.calibration.evaluation import Track, cost, track
@@ -39,8 +40,9 @@ _VALIDATION_BLOCK_S = 0.5
 class Calibration:
     """Everything that a calibration found; `to_json` gives the documented keys.
 
-    `robot` is what errors before are counted from; `kept_cost` is the cost before and after on the recordings
-    that were not rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the
+    `robot` is what errors before are counted from; `choice` tells how held-out recordings decided the forward
+    model, None where they did not; `kept_cost` is the cost before and after on the recordings that were not
+    rejected; `wall_s` is the compute time of the calibration itself, `validation_s` that of the
     cross-validations.
     """
 
@@ -51,6 +53,7 @@ class Calibration:
     fit: Fit
     spectrum: Identifiability
     intervals: Jackknife
+    choice: Choice | None
     cost_before: float
     cost_after: float
     kept_cost: tuple[float, float]
@@ -109,12 +112,14 @@ class Calibration:
             "searched_dimensions": self.fit.solution.searched,
             "iterations": self.fit.solution.iterations,
             "converged": self.fit.solution.converged,
+            "forward_models": None if self.choice is None else self.choice.to_json(),
             "parameters": _named(z),
             "std": _named(self.intervals.std),
             "interval_95": _named(half),
             "at_bound": list(self.spectrum.at_bound),
             "unobservable": list(self.spectrum.unobservable),
             "determined_directions": self.spectrum.determined,
+            "determined_without_contact_law": self.spectrum.whatever_the_model,
             "directions": list(self.spectrum.directions),
             "singular_values": self.spectrum.singular_values.tolist(),
             "information": self.spectrum.information.tolist(),
@@ -151,6 +156,7 @@ def calibrate(
     method: str = "lm",
     seed: int = 0,
     nominal: Nominal | None = None,
+    choice: Choice | None = None,
     validate: bool = True,
     report: Report = silent,
 ) -> Calibration:
@@ -164,7 +170,9 @@ def calibrate(
         seed: of the stochastic methods.
         nominal: what the robot is on paper: start, prior mean, and what errors before are counted from;
             CAD by default.
-        validate: whether to run the cross-validations.
+        choice: how setting and nominal were chosen, where that was done before.
+        validate: whether to run the cross-validations. Where the setting leaves the forward model open they
+            decide it, by recordings left out of the fit; without them the fit's own residuals do.
         report: progress callback (what, done, total).
 
     Raises:
@@ -174,6 +182,10 @@ def calibrate(
         raise DataError("", "no recordings", expected="at least one")
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
+    if choice is None and validate and setting.choose_model and can_choose(recordings):
+        choice = choose(recordings, candidates(setting, robot.geometry), seed=seed, report=report)
+        setting, robot = choice.best.setting, replace(robot, geometry=choice.best.nominal)
+    chosen_ns = clock.now_ns()
     cad = robot.geometry
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
     check_geometry(blocks, robot)
@@ -184,7 +196,10 @@ def calibrate(
     spectrum = identifiability(found)
     before = [track(r, cad, setting.model, setting.signal) for r in recordings]
     after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]
-    intervals = jackknife(found, cad)
+    rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
+    intervals = jackknife(found, cad).beside(
+        found.solution.z, [(other.solution.z, jackknife(other, cad)) for other in rivals]
+    )
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
@@ -201,6 +216,7 @@ def calibrate(
         fit=found,
         spectrum=spectrum,
         intervals=intervals,
+        choice=choice,
         cost_before=cost(before),
         cost_after=cost(after),
         kept_cost=(_kept_cost(before, found), _kept_cost(after, found)),
@@ -209,13 +225,18 @@ def calibrate(
         recordings=tuple(recordings),
         warnings=caveats(recordings, found, spectrum, paper, tables, applied),
         evaluations=evaluations,
-        wall_s=(fitted_ns - begin_ns) / NS_PER_S,
-        validation_s=(clock.now_ns() - fitted_ns) / NS_PER_S,
+        wall_s=(fitted_ns - chosen_ns) / NS_PER_S,
+        validation_s=(clock.now_ns() - fitted_ns + chosen_ns - begin_ns) / NS_PER_S,
     )
 
 
 def _kept_cost(tracks: Sequence[Track], found: Fit) -> float:
     return cost([t for t in tracks if t.recording.name not in found.rejected])
+
+
+def _rival_fit(recordings: Sequence[Recording], rival: Candidate) -> Fit:
+    setting = rival.setting
+    return fit(reduce_recordings(recordings, setting.block_s, setting.signal), setting, rival.nominal)
 
 
 def _paper_fit(recordings: Sequence[Recording], nominal: WheelGeometry) -> Fit | None:

@@ -57,8 +57,10 @@ def caveats(
     out += worse_as_twist(deployed, found.problem.setting.model)
     total = len(found.solution.z)
     out.append(
-        f"the data determine {spectrum.determined} directions of the {total} parameters; "
-        "single parameters are effective values, only their combinations are measured"
+        f"the data determine {spectrum.determined} directions of the {total} parameters, "
+        f"{spectrum.whatever_the_model} without a law of contact: what goes beyond, only the model "
+        f"{found.problem.setting.model} claims; single parameters are effective values, only their "
+        "combinations are measured"
     )
     if paper is not None:
         out.append(

@@ -20,10 +20,9 @@ import numpy as np
 
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import position_rmse, track
-from hil.calibration.fitting import fit
+from hil.calibration.evaluation import position_rmse
 from hil.calibration.problem import Setting
-from hil.calibration.validation import repetition_numbers
+from hil.calibration.validation import left_out, repetition_numbers
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -31,6 +30,8 @@ from hil.vocabulary.progress import Report, silent
 
 _MOST_FOLDS = 5
 _BOOTSTRAP = 2000
+_CLEARLY = 0.975
+_EQUAL = (1.0, 1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -50,35 +51,53 @@ class Choice:
         best: the one chosen.
         held_out_m: position RMSE on recordings left out of the fit, mean, by candidate.
         confidence: share of bootstrap draws over recordings in which it predicts better than the runner-up.
+        rivals: candidates that may be as right: no clearly worse in these draws.
     """
 
     best: Candidate
     held_out_m: dict[str, float]
     confidence: float
+    rivals: tuple[Candidate, ...] = ()
 
     def in_words(self) -> str:
         """One sentence for a report."""
         order = sorted(self.held_out_m, key=lambda name: self.held_out_m[name])
         others = ", ".join(f"{name} {1e3 * self.held_out_m[name]:.2f} mm" for name in order[1:])
-        clear = "clear" if self.confidence > 0.975 else "no clear choice"
+        clear = "clear" if self.confidence > _CLEARLY else "no clear choice"
         return (
             f"Forward model by held-out recordings: {order[0]}, {1e3 * self.held_out_m[order[0]]:.2f} mm; "
             f"{others}. Better than the next with a confidence of {100 * self.confidence:.0f} %: {clear}."
         )
 
+    def to_json(self) -> dict[str, object]:
+        """Name of the best, error by candidate, and how clear it was."""
+        return {"best": self.best.name, "held_out_rmse_m": self.held_out_m, "confidence": self.confidence}
+
 
 def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
-    """The forward models; creep also with equal loads, and with tyres alike lengthwise and sideways."""
+    """The forward models; creep also with equal loads, and with tyres of other stiffness sideways.
+
+    Args:
+        setting: how to fit, whatever its forward model.
+        nominal: the robot on paper, with its loads by statics and its tyre ratio.
+    """
     creep = replace(setting, model="creep", choose_model=False)
-    equal = (1.0, 1.0, 1.0, 1.0)
-    loads, ratio = tuple(nominal.load), nominal.creep_ratio
-    return (
-        Candidate("exact", replace(creep, model="exact"), nominal),
-        Candidate("dry friction", replace(creep, model="dry-friction"), nominal),
-        Candidate(f"creep, loads by statics, tyre ratio {ratio:g}", creep, nominal),
-        Candidate("creep, loads by statics, tyre ratio 1", creep, nominal.with_tyres(loads, 1.0)),
-        Candidate("creep, equal loads, tyre ratio 1", creep, nominal.with_tyres(equal, 1.0)),
-    )
+    found = {
+        "exact": Candidate("exact", replace(creep, model="exact"), nominal),
+        "dry-friction": Candidate("dry friction", replace(creep, model="dry-friction"), nominal),
+    }
+    by_statics, ratio = tuple(float(v) for v in nominal.load), nominal.creep_ratio
+    known = "equal loads" if by_statics == _EQUAL else "loads by statics"
+    for loads, words, ratios in ((by_statics, known, (ratio, 1.0, 0.4)), (_EQUAL, "equal loads", (1.0,))):
+        for tyres in ratios:
+            name = f"creep, {words}, tyre ratio {tyres:g}"
+            found.setdefault(name, Candidate(name, creep, nominal.with_tyres(loads, tyres)))
+    return tuple(found.values())
+
+
+def can_choose(recordings: Sequence[Recording]) -> bool:
+    """Whether something can be left out: some motion was repeated."""
+    return len(set(repetition_numbers([r.motion for r in recordings]))) > 1
 
 
 def choose(
@@ -102,10 +121,10 @@ def choose(
     Raises:
         DataError: nothing can be left out.
     """
+    if len(set(groups)) < 2 and not can_choose(recordings):
+        raise DataError("", "one repetition only: no forward model can be chosen", expected="at least two")
     if len(set(groups)) < 2:
         groups = [n % _MOST_FOLDS for n in repetition_numbers([r.motion for r in recordings])]
-    if len(set(groups)) < 2:
-        raise DataError("", "one repetition only: no forward model can be chosen", expected="at least two")
     errors = []
     for done, candidate in enumerate(among):
         report("forward models", done, len(among))
@@ -114,10 +133,10 @@ def choose(
     means = [float(e.mean()) for e in errors]
     first, second, *_ = (*np.argsort(means), -1)
     picks = np.random.default_rng(seed).integers(0, len(recordings), (_BOOTSTRAP, len(recordings)))
-    better = (errors[second] - errors[first])[picks].mean(axis=1) > 0.0
-    return Choice(
-        among[first], {c.name: m for c, m in zip(among, means, strict=True)}, float(np.mean(better))
-    )
+    beaten = [float(np.mean((e - errors[first])[picks].mean(axis=1) > 0.0)) for e in errors]
+    rivals = tuple(c for k, c in enumerate(among) if k != first and beaten[k] <= _CLEARLY)
+    named = {c.name: m for c, m in zip(among, means, strict=True)}
+    return Choice(among[first], named, beaten[second], rivals)
 
 
 def _held_out(recordings: Sequence[Recording], groups: Sequence[object], candidate: Candidate) -> Array:
@@ -125,10 +144,5 @@ def _held_out(recordings: Sequence[Recording], groups: Sequence[object], candida
     setting, nominal = candidate.setting, candidate.nominal
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
     start = nominal.vector()[: 16 if setting.offsets else 12]
-    found = np.zeros(len(recordings))
-    for label in dict.fromkeys(groups):
-        inside = [k for k, g in enumerate(groups) if g != label]
-        geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
-        for k in (k for k, g in enumerate(groups) if g == label):
-            found[k] = position_rmse(track(recordings[k], geometry, setting.model, setting.signal))
-    return found
+    runs = left_out(recordings, blocks, setting, nominal, start, groups)
+    return np.array([position_rmse(run) for run in runs])

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import stats
 
 from hil.calibration.fitting import Fit, twist_correction
+from hil.calibration.freedom import model_freedom
 from hil.calibration.problem import PARAMETER_NAMES, Problem
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
@@ -26,6 +28,8 @@ class Identifiability:
         singular_values: RMS pose error (mm and mrad mixed) per 1 % of a length or 1 deg of an offset.
         information: data information over prior information per direction, largest first.
         determined: number of directions whose information exceeds the prior's.
+        whatever_the_model: how many plain kinematics determine; what goes beyond, only the law of contact
+            of the forward model claims.
         directions: the determined ones in words.
         at_bound: parameters on the box, or so near to it that the box decides them.
         unobservable: parameters whose spread the data reduce by less than a tenth.
@@ -35,6 +39,7 @@ class Identifiability:
     singular_values: Array
     information: Array
     determined: int
+    whatever_the_model: int
     directions: tuple[str, ...]
     at_bound: tuple[str, ...]
     unobservable: tuple[str, ...]
@@ -64,11 +69,21 @@ def identifiability(fit: Fit) -> Identifiability:
         singular_values=spectrum,
         information=values,
         determined=determined,
+        whatever_the_model=min(determined, _without_a_law(fit)),
         directions=tuple(_in_words(vectors[:, k] * spread, unit) for k in range(determined)),
         at_bound=tuple(n for n, b in zip(names, near, strict=True) if b),
         unobservable=tuple(n for n, r in zip(names, ratio, strict=True) if r > _PRIOR_ONLY),
         std_ratio=ratio,
     )
+
+
+def _without_a_law(fit: Fit) -> int:
+    """How many directions the data determine when wheels that contradict each other are just averaged."""
+    problem = fit.problem
+    plain = Problem(problem.blocks, replace(problem.setting, model="exact"), problem.tyres)
+    spread = problem.prior_std
+    information = data_information(plain.with_weights(problem.weights), fit.solution.z)
+    return int(np.count_nonzero(np.linalg.eigvalsh(spread[:, None] * information * spread) > 1.0))
 
 
 def data_information(problem: Problem, z: Array) -> Array:
@@ -97,18 +112,49 @@ def _in_words(direction: Array, unit: Array) -> str:
 
 @dataclass(frozen=True)
 class Jackknife:
-    """Standard errors (delete-one-recording, prior, play) and the t quantile for 95 % intervals."""
+    """Standard errors (recordings, motions, prior, play, forward model), and a quantile for 95 % intervals.
 
-    std: Array
-    twist_std: Array
+    Attributes:
+        covariance: (m, m) of the parameters.
+        twist_slopes: (m, 3, 3) derivative of the twist correction by each.
+        quantile: half width of a 95 % interval over its standard error.
+    """
+
+    covariance: Array
+    twist_slopes: Array
     quantile: float
+
+    @property
+    def std(self) -> Array:
+        """Standard errors of the parameters (m,)."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)), dtype=np.float64)
+
+    @property
+    def twist_std(self) -> Array:
+        """Standard errors of the twist correction (3, 3)."""
+        slopes = self.twist_slopes
+        variance = np.einsum("aij,ab,bij->ij", slopes, self.covariance, slopes)
+        return np.asarray(np.sqrt(variance), dtype=np.float64)
+
+    def beside(self, z: Array, others: Sequence[tuple[Array, Jackknife]]) -> Jackknife:
+        """Standard errors where other forward models may be as right: each counts as likely as this one.
+
+        Args:
+            z: (m,) parameters found.
+            others: parameters (m,) that the others find, and their standard errors.
+        """
+        total = self.covariance + sum(
+            (one.covariance + np.outer(found - z, found - z) for found, one in others),
+            np.zeros_like(self.covariance),
+        )
+        return replace(self, covariance=total / (1 + len(others)))
 
 
 def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
-    """Leave each recording out with one Gauss-Newton step.
+    """Leave each recording and each motion out with one Gauss-Newton step.
 
     The naive (J'J)^-1 would be too small by up to fifty times: errors along a recording are one
-    random walk.
+    random walk. What a forward model reads wrongly, it reads wrongly in all recordings of a motion.
     """
     problem, z = fit.problem, fit.solution.z
     _, je, jj = problem.normal_terms(z)
@@ -116,24 +162,22 @@ def jackknife(fit: Fit, nominal: WheelGeometry) -> Jackknife:
     total = np.einsum("r,rab->ab", weights, jj) + np.diag(problem.prior_precision())
     total += 1e-9 * np.diag(np.diag(total))
     free = (z > problem.lower) & (z < problem.upper)
-    count = len(weights)
+    count, motions = len(weights), np.array(problem.blocks.motions)
     if count < 2 or not free.any():
-        nothing = np.full(len(z), np.nan)
-        return Jackknife(nothing, np.full((3, 3), np.nan), float("nan"))
-    left_out = np.tile(z, (count, 1))
-    for k in range(count):
-        matrix = (total - weights[k] * jj[k])[np.ix_(free, free)]
-        left_out[k, free] += np.linalg.lstsq(matrix, (weights[k] * je[k])[free], rcond=1e-7)[0]
-    twists = np.array([twist_correction(v, nominal) for v in left_out])
-    factor = (count - 1) / count
-    variance = factor * ((left_out - left_out.mean(axis=0)) ** 2).sum(axis=0)
-    twist_variance = factor * ((twists - twists.mean(axis=0)) ** 2).sum(axis=0)
+        return Jackknife(np.full((len(z), len(z)), np.nan), np.full((len(z), 3, 3), np.nan), float("nan"))
     inverse = np.asarray(np.linalg.pinv(total), dtype=np.float64)
-    systematic = _prior_pull(problem, inverse) + _play(problem, inverse, jj)
-    slopes = _twist_slopes(problem, z, nominal)
+    covariance = _prior_pull(problem, inverse) + _play(problem, inverse, jj) + model_freedom(fit, inverse)
+    for groups in (np.arange(count), motions):
+        moved = np.zeros((len(set(groups)), len(z)))
+        for row, label in zip(moved, dict.fromkeys(groups), strict=True):
+            share = np.where(groups == label, weights, 0.0)
+            matrix = (total - np.einsum("r,rab->ab", share, jj))[np.ix_(free, free)]
+            row[free] = np.linalg.lstsq(matrix, (share @ je)[free], rcond=1e-7)[0]
+        spread = moved - moved.mean(axis=0)
+        covariance += (len(moved) - 1) / len(moved) * spread.T @ spread
     return Jackknife(
-        np.sqrt(variance + np.diag(systematic)),
-        np.sqrt(twist_variance + np.einsum("aij,ab,bij->ij", slopes, systematic, slopes)),
+        covariance,
+        _twist_slopes(problem, z, nominal),
         float(stats.t.ppf(0.975, min(count - 1, _DEGREES_OF_FREEDOM))),
     )
 
@@ -142,9 +186,10 @@ def _prior_pull(problem: Problem, inverse: Array) -> Array:
     """Covariance (m, m) that the prior's own uncertainty leaves in z.
 
     The estimate is drawn towards the prior mean by A^-1 L (z0 - z), with prior precision L and total
-    information A; z0 - z has covariance L^-1, which leaves A^-1 L A^-1.
+    information A; z0 - z has covariance t^2 L^-1 with the workshop's tolerance t: t^2 A^-1 L A^-1.
     """
-    return np.asarray(inverse @ np.diag(problem.prior_precision()) @ inverse, dtype=np.float64)
+    pulled = inverse @ np.diag(problem.prior_precision()) @ inverse
+    return np.asarray(problem.setting.tolerance**2 * pulled, dtype=np.float64)
 
 
 def play_shift(problem: Problem, inverse: Array, information: Array, own: Array) -> Array:

@@ -45,6 +45,8 @@ class Setting:
             the model explains badly as a whole is kept.
         steering_play_rad: play of a steering gear to each side. A wheel may stand on one side of it in all
             recordings of a motion; standard errors allow for that.
+        tolerance: what a workshop may leave, over the standard deviations of the prior. The prior is
+            narrower, so that it keeps in place what the data do not show; standard errors allow for it all.
         choose_model: take `exact` instead of `dry-friction` where it explains the typical recording better.
     """
 
@@ -62,6 +64,7 @@ class Setting:
     choose_model: bool = False
     by_motion: bool = False
     steering_play_rad: float = 0.0
+    tolerance: float = 2.0
 
 
 PAPER = Setting("paper", "paper", "velocity", False, None, 0.05, 0.05, 0.02, 0.05, 0.1, False)
@@ -134,10 +137,26 @@ class Problem:
     def errors(self, z: Array) -> Array:
         """Pose errors (R, N, 3): odometry minus truth, m, m, rad."""
         self._count[0] += 1
+        return self.errors_of(self._model.motion(z))
+
+    def errors_of(self, motion: Array) -> Array:
+        """Pose errors (R, N, 3) of a body motion (R N, 3) of all blocks."""
         r, n, _ = self.blocks.wheel_rad.shape
-        motion = self._model.motion(z).reshape(r, n, 3)
-        poses = _integrate_all(self.blocks.start, motion)
+        poses = _integrate_all(self.blocks.start, motion.reshape(r, n, 3))
         return np.asarray(poses - self.blocks.truth, dtype=np.float64)
+
+    def gram(self, z: Array, others: Array) -> Array:
+        """Weighted products (m + k + 1, m + k + 1) of derivatives by z, k further columns and the errors.
+
+        Args:
+            z: (m,) parameters.
+            others: (R, N, 3, k) columns that stand beside the derivatives.
+        """
+        errors, slopes = self.errors_and_jacobian(z)
+        rows = np.concatenate([slopes, others, errors[..., None]], axis=-1)
+        rows *= (self._scale * np.sqrt(self.weights)[:, None, None])[..., None]
+        flat = rows.reshape(-1, rows.shape[-1])
+        return np.asarray(flat.T @ flat, dtype=np.float64)
 
     def errors_and_jacobian(self, z: Array) -> tuple[Array, Array]:
         """Pose errors (R, N, 3) and their derivatives (R, N, 3, m)."""

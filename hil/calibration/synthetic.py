@@ -3,10 +3,10 @@
 The robot is commanded through the nominal inverse kinematics, but has wheel positions, radii,
 steering zeros and wheel loads of its own. Its motion follows from force balance at the four
 contacts, never from the odometry formula: under `viscous` contact each wheel pulls in proportion to
-its load and slip, under `coulomb` contact with a force that does not grow with slip. What is
-recorded passes through the devices' imperfections as measured on the real robot
-(arXiv 2509.04016): 12-bit counts, a velocity register that lags 52 ms and truncates half a unit,
-steering dither, capture noise, jittery stamps.
+its load and slip, under `coulomb` contact with a force that does not grow with slip; under `elastic` contact
+each tyre is a spring that slip winds up and rolling unwinds. What is recorded passes through the
+devices' imperfections as measured on the real robot (arXiv 2509.04016): 12-bit counts, a velocity
+register that lags 52 ms and truncates half a unit, steering dither, capture noise, jittery stamps.
 """
 
 from __future__ import annotations
@@ -32,6 +32,7 @@ _COUNT_RAD = 2.0 * np.pi / 4096.0
 _RATE_UNIT_RAD_S = 0.0239691
 _RATE_LAG_S = 0.052
 _WHEEL_LAG_S = 0.05
+_RELAXATION_M = 0.01
 _DITHER_RAD = np.radians(0.03)
 
 
@@ -42,13 +43,15 @@ class HiddenRobot:
     Attributes:
         geometry: true wheel positions, radii and steering zeros.
         load: (4,) relative normal loads, mean 1.
-        contact: `viscous` or `coulomb`.
+        contact: `viscous`, `coulomb` or `elastic`.
+        ratio: sideways over lengthwise stiffness of the springs of `elastic`.
         nominal: what the robot is on paper; it is commanded as if that were true.
     """
 
     geometry: WheelGeometry
     load: Array
     contact: str = "viscous"
+    ratio: float = 1.0
     nominal: Nominal = field(default_factory=Nominal)
 
     def twist_correction(self, nominal: WheelGeometry) -> Array:
@@ -70,10 +73,12 @@ def hidden_robot(
 ) -> HiddenRobot:
     """A robot with lengths 3 % and radii 2.5 % off at most, steering zeros of 1 to 2 deg, uneven loads.
 
+    Its tyres are as stiff sideways as lengthwise, or down to 0.4 times that.
+
     Args:
         seed: of what is drawn.
         offsets_deg: middle of the range of the steering zeros; 0 for none.
-        contact: `viscous` or `coulomb`.
+        contact: `viscous`, `coulomb` or `elastic`.
         nominal: the robot on paper, the CAD model by default; loads vary about its own.
     """
     rng = np.random.default_rng([seed, 1])
@@ -90,6 +95,7 @@ def hidden_robot(
         ),
         cad.load * rng.uniform(0.85, 1.15, 4),
         contact,
+        rng.uniform(0.4, 1.0),
         paper,
     )
 
@@ -207,8 +213,31 @@ def _contact(robot: HiddenRobot, u: Array) -> Array:
         body = np.zeros((len(u), 3))
         body[moving] = least_dissipation(p, u[moving], robot.load)
         return body
+    if robot.contact == "elastic":
+        return _springs(robot, p, u)
     weight = np.repeat(robot.load, 2)
     return np.asarray(u @ np.linalg.solve(p.T @ (weight[:, None] * p), p.T * weight).T, dtype=np.float64)
+
+
+def _springs(robot: HiddenRobot, p: Array, u: Array) -> Array:
+    """Body motion (n, 3) on tyres that are wound up by slip and unwound over `_RELAXATION_M` of rolling.
+
+    In every step the springs' forces balance; what they are wound up by is carried on to the next one.
+    """
+    ways = u.reshape(len(u), 4, 2)
+    rolled_m = np.linalg.norm(ways, axis=2)
+    along = ways / np.maximum(rolled_m, 1e-12)[..., None]
+    unwound = 1.0 / (1.0 + rolled_m / _RELAXATION_M)
+    bend = (1.0 - robot.ratio) * along[..., :, None] * along[..., None, :]
+    stiffness = (bend + robot.ratio * np.eye(2)) * (robot.load * unwound)[..., None, None]
+    legs, wound, body = p.reshape(4, 2, 3), np.zeros((4, 2)), np.zeros((len(u), 3))
+    moving = rolled_m.max(axis=1) > 1e-9
+    for k in np.flatnonzero(moving):
+        pull = np.einsum("wai,wab->iwb", legs, stiffness[k])
+        slope = np.einsum("iwb,wbj->ij", pull, legs)
+        body[k] = np.linalg.solve(slope, np.einsum("iwb,wb->i", pull, wound + ways[k]))
+        wound = unwound[k][:, None] * (wound + ways[k] - legs @ body[k])
+    return body
 
 
 def _record(

@@ -50,18 +50,40 @@ def cross_validate(
         groups: one label per recording; each label in turn is left out.
         progress: called with (done, total) folds.
     """
+    return table_of(left_out(recordings, blocks, setting, nominal, start, groups, progress))
+
+
+def left_out(
+    recordings: Sequence[Recording],
+    blocks: Blocks,
+    setting: Setting,
+    nominal: WheelGeometry,
+    start: Array,
+    groups: Sequence[object],
+    progress: Progress | None = None,
+) -> list[Track]:
+    """Odometry of every recording by a fit without its group; none of a group that is all there is.
+
+    Args:
+        recordings: the runs, in the order of `blocks`.
+        blocks: the same runs, reduced.
+        setting: how to fit.
+        nominal: prior mean.
+        start: see `fitting.fit`.
+        groups: one label per recording; each label in turn is left out.
+        progress: called with (done, total) folds.
+    """
     labels = list(dict.fromkeys(groups))
-    tracks: dict[str, list[Track]] = {}
+    found: dict[int, Track] = {}
     for number, label in enumerate(labels, start=1):
         inside = [k for k, g in enumerate(groups) if g != label]
         if inside:
             geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
             for k in (k for k, g in enumerate(groups) if g == label):
-                run = track(recordings[k], geometry, setting.model, setting.signal)
-                tracks.setdefault(run.recording.motion, []).append(run)
+                found[k] = track(recordings[k], geometry, setting.model, setting.signal)
         if progress is not None:
             progress(number, len(labels))
-    return _table(tracks)
+    return [found[k] for k in sorted(found)]
 
 
 def score(
@@ -78,12 +100,8 @@ def score(
         setting: forward model and signal.
         correction: (3, 3) of the body twist, applied after the geometry.
     """
-    tracks: dict[str, list[Track]] = {}
-    for recording in recordings:
-        tracks.setdefault(recording.motion, []).append(
-            track(recording, geometry, setting.model, setting.signal, correction)
-        )
-    return _table(tracks)
+    runs = [track(r, geometry, setting.model, setting.signal, correction) for r in recordings]
+    return table_of(runs)
 
 
 @dataclass(frozen=True)
@@ -128,8 +146,12 @@ def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
     }
 
 
-def _table(tracks: dict[str, list[Track]]) -> Table:
-    table = {m: {k: metrics(runs)[k] for k in _KEYS} for m, runs in tracks.items()}
+def table_of(runs: Sequence[Track]) -> Table:
+    """Errors by motion, and their mean over motions."""
+    tracks: dict[str, list[Track]] = {}
+    for run in runs:
+        tracks.setdefault(run.recording.motion, []).append(run)
+    table = {m: {k: metrics(own)[k] for k in _KEYS} for m, own in tracks.items()}
     if table:
         table["mean"] = {k: float(np.mean([row[k] for row in table.values()])) for k in _KEYS}
     return table

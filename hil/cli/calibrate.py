@@ -120,6 +120,7 @@ def _text(result: Calibration) -> str:
         f"{len(result.recordings)} recordings: J {result.cost_before:.2f} -> {result.cost_after:.2f} "
         f"in {result.wall_s:.2f} s",
         f"from {result.robot.in_words()}",
+        *([] if result.choice is None else [result.choice.in_words()]),
         *_kept(result),
         f"{'wheel':8}{'x_w mm':>10}{'y_w mm':>10}{'r mm':>10}{'delta0 deg':>12}   (effective values)",
     ]
@@ -129,10 +130,11 @@ def _text(result: Calibration) -> str:
             f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
         )
     spread = ", ".join(f"{1e3 * s:.2f}" for s in std[:12])
-    lines.append(f"jackknife standard errors of x, y, r (mm): {spread}")
+    lines.append(f"standard errors of x, y, r (mm): {spread}")
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
     lines.append(
-        f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters:"
+        f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters, "
+        f"{spectrum.whatever_the_model} of them without a law of contact:"
     )
     lines += [f"  {words}" for words in spectrum.directions]
     if result.validation:

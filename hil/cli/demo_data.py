@@ -16,7 +16,7 @@ from hil.cli.options import SEED
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 
-_CONTACTS = {"formulas": ("viscous", "coulomb"), "own": (), "mujoco": ("creep", "holding")}
+_CONTACTS = {"formulas": ("viscous", "coulomb", "elastic"), "own": (), "mujoco": ("creep", "holding")}
 _FLOOR = "emulated_floor"
 
 
@@ -32,7 +32,7 @@ _FLOOR = "emulated_floor"
 @click.option("--motions", help="Which motions, separated by commas [default: the six of the calibration].")
 @click.option(
     "--contact",
-    help="How wheels touch: viscous or coulomb in formulas; creep or holding in mujoco "
+    help="How wheels touch: viscous, coulomb or elastic in formulas; creep or holding in mujoco "
     "[default: the first of them].",
 )
 @click.option("--corrupt", help="Name of one recording to spoil, e.g. circle_cw_2 (formulas only).")

@@ -63,6 +63,7 @@ def load_bench(
     emulate: str | tuple[str, ...] | None = None,
     overrides: Mapping[str, object] | None = None,
     today: date | None = None,
+    seed: int | None = None,
 ) -> BenchConfig:
     """Read and check a bench configuration, with what the record that it names knows of the robot.
 
@@ -72,6 +73,7 @@ def load_bench(
         overrides: dotted key -> value, applied before validation. With another model of a device
             (`imu.model`) the keys of its table that only the model of the source has are left out.
         today: what the validity of the record's parts is judged on, today by default.
+        seed: of the emulated world, which tells whether the record is that of its robot.
 
     Raises:
         ConfigError: listing every problem with its dotted path, or a record that cannot be used.
@@ -94,7 +96,7 @@ def load_bench(
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"
     config = validate(tree, origin)
-    check_record(record, config)
+    check_record(record, config, seed)
     return config
 
 

@@ -44,7 +44,7 @@ class BenchSource:
     @cached_property
     def config(self) -> BenchConfig:
         """The checked configuration, as the bench will run; raises `ConfigError`."""
-        found = load_bench(self.bench, emulate=self.emulate, overrides=self.overrides)
+        found = load_bench(self.bench, emulate=self.emulate, overrides=self.overrides, seed=self.seed)
         return found.settled(realtime=self.realtime)
 
     @property

@@ -95,7 +95,7 @@ def keep_parts(ctx: Context, verdict: Verdict) -> tuple[dict[str, Any] | None, H
     }
     record = RobotRecord(Path(config.record.folder))
     try:
-        gone = record.add(parts, identity(config), created=ctx.started, why=ctx.procedure)
+        gone = record.add(parts, identity(config, ctx.source.seed), created=ctx.started, why=ctx.procedure)
         version = record.read().version
     except HilError as error:
         return None, error

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from hil.calibration.calibrate import Calibration
-from hil.calibration.choice import Candidate
+from hil.calibration.choice import Candidate, Choice
 from hil.calibration.evaluation import Track, evaluate
 from hil.procedure import Context
 from hil.procedures.parts.odometry_rounds import Driven, Odometry, improve
@@ -22,7 +22,7 @@ def show(
     """Everything that a person needs to judge the result."""
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
-    used = Candidate(model, result.setting, result.nominal)
+    used = Choice(Candidate(model, result.setting, result.nominal), {}, 1.0)
     for other in compared_methods:
         columns[other] = Odometry(improve(ctx, result.recordings, used, other).geometry, model)
     parameter_table(ctx, columns, result)

@@ -15,7 +15,7 @@ import numpy as np
 from hil.bench.settings import geometry_of, nominal_of
 from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
-from hil.calibration.choice import Candidate, candidates, choose
+from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track
 from hil.calibration.problem import Setting
@@ -73,7 +73,7 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
     return Odometry(found.geometry, found.model)
 
 
-def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str) -> Candidate:
+def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str) -> Choice:
     """Forward model to fit with, its loads and tyre ratio: the one asked for, else by held-out data.
 
     The model is to hold for what its own result will drive, not for repetitions of what it was fitted to. So
@@ -81,7 +81,7 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
     """
     nominal = nominal_of(ctx.source.config).geometry
     if model != BY_EVIDENCE:
-        return Candidate(model, replace(setting, model=model, choose_model=False), nominal)
+        return Choice(Candidate(model, replace(setting, model=model, choose_model=False), nominal), {}, 1.0)
     recordings = [r for d in rounds for r in d.recordings]
     left_out, groups = held_out_together(rounds)
     choice = choose(
@@ -93,7 +93,7 @@ def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str)
         f"Forward models, {ctx.where}", ["forward model", "position RMSE (mm)"], rows,
         f"Each on {left_out} left out of its fit; the first is used.",
     )  # fmt: skip
-    return choice.best
+    return choice
 
 
 def held_out_together(rounds: Sequence[Driven]) -> tuple[str, list[object]]:
@@ -111,16 +111,16 @@ def _error(row: tuple[str, float]) -> float:
     return row[1]
 
 
-def improve(ctx: Context, recordings: Sequence[Recording], used: Candidate, method: str) -> Calibration:
+def improve(ctx: Context, recordings: Sequence[Recording], choice: Choice, method: str) -> Calibration:
     """Fit the recordings of all rounds so far, with the prior at the robot as it is on paper.
 
     Rounds were driven with different parameters and each stands elsewhere in the backlash of its gears;
     together they show more than the latest (`docs/decisions/0007`).
     """
-    paper = replace(nominal_of(ctx.source.config), geometry=used.nominal)
+    paper = replace(nominal_of(ctx.source.config), geometry=choice.best.nominal)
     return calibrate(
-        recordings, used.setting, ctx.clock, method=method, seed=ctx.seed, nominal=paper, validate=False,
-        report=ctx.progress,
+        recordings, choice.best.setting, ctx.clock, method=method, seed=ctx.seed, nominal=paper,
+        choice=choice, validate=False, report=ctx.progress,
     )  # fmt: skip
 
 

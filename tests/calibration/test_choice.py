@@ -4,9 +4,13 @@ import numpy as np
 import pytest
 
 from hil.calibration import choice as choice_module
-from hil.calibration.choice import Choice, candidates, choose
+from hil.calibration.calibrate import calibrate
+from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.problem import make_setting
-from hil.calibration.synthetic import hidden_robot, make_set
+from hil.calibration.synthetic import _springs, hidden_robot, make_set
+from hil.robot.contact_laws import creep_motion
+from hil.robot.kinematics import WheelGeometry, projection, wheel_vectors
+from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError
 
 SETTING = make_setting("recommended")
@@ -51,6 +55,50 @@ def test_the_choice_says_how_clear_it_was():
     close = Choice(among[0], {"exact": 2.0e-3, "dry friction": 2.01e-3}, 0.6)
     assert "exact, 2.00 mm; dry friction 2.01 mm" in close.in_words()
     assert "60 %: no clear choice" in close.in_words()
+
+
+def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so():
+    robot = hidden_robot(3, contact="coulomb")
+    recordings = make_set(robot, 3, ("circle_ccw",), repetitions=2, run_to_run=0.2, slip_share=0.0)
+    result = calibrate(recordings, make_setting("recommended"), MonotonicClock())
+    told = result.to_json()["forward_models"]
+    assert told["best"] == min(told["held_out_rmse_m"], key=told["held_out_rmse_m"].get)
+    assert result.choice.best.setting.model == result.setting.model == "dry-friction"
+    asked = make_setting("recommended", model="exact")
+    assert calibrate(recordings, asked, MonotonicClock()).choice is None
+
+
+def test_models_that_may_be_as_right_are_in_the_intervals():
+    robot = hidden_robot(3)
+    recordings = make_set(robot, 3, ("line_x", "circle_ccw"), repetitions=2, run_to_run=0.2, slip_share=0.0)
+    plain, creep = (make_setting("recommended", model=m) for m in ("exact", "creep"))
+    best, rival = (Candidate(s.model, s, WheelGeometry.nominal()) for s in (plain, creep))
+    alone, beside = (
+        calibrate(recordings, plain, MonotonicClock(), choice=Choice(best, {}, 0.6, rivals), validate=False)
+        for rivals in ((), (rival,))
+    )
+    other = calibrate(recordings, creep, MonotonicClock(), validate=False)
+    apart = alone.fit.solution.z - other.fit.solution.z
+    wanted = 0.5 * (alone.intervals.covariance + other.intervals.covariance + np.outer(apart, apart))
+    np.testing.assert_allclose(beside.intervals.covariance, wanted, rtol=1e-9, atol=1e-18)
+
+
+def test_no_candidate_is_tried_twice():
+    among = candidates(SETTING, WheelGeometry.nominal())
+    assert [c.name for c in among] == [
+        "exact", "dry friction", "creep, equal loads, tyre ratio 1", "creep, equal loads, tyre ratio 0.4"
+    ]  # fmt: skip
+
+
+def test_springs_that_roll_on_come_to_creep():
+    robot = hidden_robot(1, contact="elastic")
+    u = np.tile(wheel_vectors(np.full((1, 4), 4e-4), np.array([[0.02, -0.01, 0.03, 0.0]])), (400, 1))
+    p = projection(robot.geometry.x_m, robot.geometry.y_m)
+    body, creeping = _springs(robot, p, u), creep_motion(p, u, robot.load, robot.ratio)
+    assert np.allclose(body[-1], creeping[-1], atol=1e-12)
+    turned = wheel_vectors(np.full((1, 4), 4e-4), np.array([[1.2, 1.25, 1.22, 1.2]]))
+    after = _springs(robot, p, np.vstack([u, turned]))[-1]
+    assert not np.allclose(after, creep_motion(p, turned, robot.load, robot.ratio)[0], atol=1e-6)
 
 
 def test_without_a_repetition_to_leave_out_nothing_is_chosen():

@@ -54,7 +54,7 @@ def test_a_device_that_stays_silent_ends_it_as_that_devices_error_and_leaves_not
         (["--plant", "own", "--corrupt", "rotation_cw_1"], "not with --plant"),
         (["--plant", "own", "--contact", "creep"], "the own plant has one law"),
         (["--plant", "mujoco", "--contact", "viscous"], "expected creep or holding"),
-        (["--contact", "holding"], "expected viscous or coulomb"),
+        (["--contact", "holding"], "expected viscous or coulomb or elastic"),
         (["--motions", "rotation_wc"], "'rotation_wc' is unknown; .*did you mean rotation_cw"),
         (["--plant", "own", "--motions", "scan"], "'scan' is unknown"),
     ],

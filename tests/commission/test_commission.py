@@ -12,7 +12,7 @@ from hil.config.record import PARTS, RobotRecord
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
 from hil.procedure.commission import Commission, commission
-from hil.procedure.commission.running import found_signs
+from hil.procedure.commission.running import found_signs, missed
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import ConfigError
@@ -109,6 +109,13 @@ def test_a_procedure_that_does_not_pass_leaves_the_record_as_it_was(tmp_path):
     assert (told["verdict"], code) == ("FAIL", 1)
     assert "scale" in told["stopped"]["why"]
     assert not Path(told["robot"]).exists()
+
+
+def test_what_was_not_measured_is_told_apart_from_what_is_beyond_its_limits():
+    told = (("imu.delivered", "FAIL", 0.93), ("tracker.rate", "PASS", 200.0), ("odometry.x", "FAIL", None))
+    rows = [{"name": name, "outcome": outcome, "value": value} for name, outcome, value in told]
+    assert missed(rows) == "beyond their limits: imu.delivered; not measured: odometry.x"
+    assert missed(rows[2:]) == "not measured: odometry.x"
 
 
 def test_what_the_bench_lacks_is_left_out_and_said():

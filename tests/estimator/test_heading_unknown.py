@@ -1,5 +1,7 @@
 """A start whose heading is known to 0.2 or 0.5 rad only: the default filter finds it and says how well."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from estimator_drives import true_path, wheel_log
@@ -10,6 +12,7 @@ from hil.estimator.consistency import nees
 from hil.estimator.simulated_sensors import InertialErrors, Path, cycles, inertial, wheel_samples
 from hil.estimator.smoother import smooth
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import compose
 from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
@@ -80,6 +83,16 @@ def test_a_heading_that_is_not_known_is_found(sigma_rad, first_m):
 @pytest.mark.parametrize("first_m", [0.0, 1.0])
 def test_a_heading_that_is_not_known_is_found_in_60_trials(sigma_rad, first_m):
     assert_found(sigma_rad, 60, first_m)
+
+
+def test_the_ukf_says_that_it_is_not_made_for_it():
+    estimator = make_estimator(
+        CONFIG.model_copy(update={"kind": "ukf"}), WheelGeometry.nominal(), surface="floor"
+    )
+    state = RobotState(0, np.zeros(3), np.zeros(3), np.diag([1e-6, 1e-6, 0.2**2, 1e-6, 1e-6, 1e-6]))
+    with pytest.raises(UsageError, match=r"heading is known to 0.2 rad.*ekf"):
+        estimator.reset(state)
+    estimator.reset(replace(state, covariance=np.diag([1e-6, 1e-6, 0.1**2, 1e-6, 1e-6, 1e-6])))
 
 
 def test_both_engines_and_the_smoother_agree_on_it():

@@ -22,14 +22,14 @@ from hil.vocabulary.clock import MonotonicClock
 
 @procedure(name="learns", measurements=[Measurement("off", "mm", high=1.0)])
 def learns(ctx):
-    """Finds a scale, and passes where the seed is 0."""
+    """Finds a scale, and passes unless the supply has 11.5 V."""
     scale = Figure(value=1.01, sigma=0.001)
     leave_part(ctx, "camera", values={"tracker.scale": 1.01}, figures={"scale": scale})
-    ctx.measure("off", 10.0 * ctx.seed)
+    ctx.measure("off", 10.0 * (ctx.source.config.robot.supply_v == 11.5))
 
 
-def ran(folder, record, seed=0, proc=learns, **overrides):
-    source = BenchSource("emulated", seed=seed, overrides={"record.folder": str(record), **overrides})
+def ran(folder, record, proc=learns, **overrides):
+    source = BenchSource("emulated", overrides={"record.folder": str(record), **overrides})
     options = RunOptions(folder, MonotonicClock(), "2026-11-22T10:00:00", {}, operator=Nobody())
     return run_procedure(proc, source, options), source
 
@@ -48,7 +48,7 @@ def test_a_run_that_passes_adds_its_part_and_the_bench_then_has_it(tmp_path):
 def test_a_run_that_fails_leaves_the_record_as_it_was(tmp_path):
     ran(tmp_path / "run", tmp_path / "robot")
     before = (tmp_path / "robot" / "record.toml").read_bytes()
-    result, _ = ran(tmp_path / "again", tmp_path / "robot", seed=1)
+    result, _ = ran(tmp_path / "again", tmp_path / "robot", **{"robot.supply_v": 11.5})
     assert (result.verdict.value, result.facts["record"]) == ("FAIL", None)
     assert (tmp_path / "robot" / "record.toml").read_bytes() == before
     assert any("was left as it is" in note for note in result.facts["notes"])

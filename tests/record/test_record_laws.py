@@ -14,6 +14,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.record import Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
+from hil.procedure import BenchSource
 from hil.vocabulary.errors import ConfigError
 
 WALL = load_bench("emulated")
@@ -195,6 +196,25 @@ def test_the_record_of_another_robot_is_refused_with_all_that_differs(record):
     with pytest.raises(ConfigError, match="another robot"):
         add(record, robot=identity(load_bench("emulated", overrides={"robot.name": "b"})), camera=part(SCALE))
     assert record.read().version == 1
+
+
+def test_an_emulated_robot_of_another_seed_is_another_robot(record):
+    """Wheels, zeros and camera of an emulated robot are drawn by the seed of its world."""
+    source = BenchSource("emulated", seed=1, overrides={"record.folder": str(record.folder)})
+    assert source.config.tracker.scale == 1.004  # of a record that does not say whose it is
+    add(record, robot=identity(WALL, 1), camera=part(SCALE))
+    assert source.config.tracker.scale == 1.004
+    for other in ({"seed": 2}, {"overrides": {"emulation.plant": "mujoco"}}):
+        with pytest.raises(ConfigError, match=r"(?s)another robot.*'emulated, of seed 1 in plant own'"):
+            _ = source.changed(**other).config
+    with pytest.raises(ConfigError, match="'real' here"):
+        _ = source.changed(overrides={"servos.backend": "real", "servos.port": "/dev/ttyUSB0"}).config
+    with pytest.raises(ConfigError, match="another robot"):
+        open_bench("emulated", seed=2, overrides=source.overrides)
+    with pytest.raises(ConfigError, match="another robot"):
+        add(record, robot=identity(WALL, 2), camera=part(SCALE))
+    add(record, camera=part(SCALE))
+    assert record.read().robot.body == "emulated, of seed 1 in plant own"
 
 
 def test_a_part_past_its_validity_is_named_with_how_to_measure_it_again(record):

@@ -171,6 +171,7 @@ class RobotRecord:
         before = self.read() if self.exists() else None
         if before is not None:
             check_robot(before, robot, self.path)
+            robot = robot.model_copy(update={"body": robot.body or before.robot.body})
         merged = {} if before is None else dict(before.parts)
         new = {name: self._take_files(one) for name, one in parts.items()}
         for name in PARTS:
@@ -242,7 +243,7 @@ def check_robot(file: RecordFile, robot: Identity, path: Path) -> None:
     if problems:
         raise ConfigError(
             f"{path}: the record of another robot; nothing of it is applied", problems=problems,
-            remedy="name this robot's record in [record], or commission it",
+            remedy="name this robot's record in [record], or another folder (--set bench.record.folder=DIR)",
         )  # fmt: skip
 
 

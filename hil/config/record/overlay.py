@@ -107,13 +107,19 @@ def _default(kind: str, table: Mapping[str, Any], key: str) -> object:
     return model.config.model_fields[key].default
 
 
-def identity(config: Any) -> Identity:
-    """Whose record belongs to a bench: name, servos and wheels of its configuration."""
+def identity(config: Any, seed: int | None = None) -> Identity:
+    """Whose record belongs to a bench: name, servos and wheels of its configuration, and the body behind it.
+
+    Args:
+        config: of the bench.
+        seed: of the emulated world, which draws what an emulated robot is; None where it is not known.
+    """
     from hil.config.servos import ServosConfig
 
     servos, robot = config.of(ServosConfig), config.robot
     return Identity(
         name=robot.name or config.name,
+        body=None if servos is None else _body(servos.backend, config.emulation, seed),
         servo_model=None if servos is None else servos.model_number,
         drive_ids=None if servos is None else servos.drive_ids,
         steer_ids=None if servos is None else servos.steer_ids,
@@ -123,8 +129,22 @@ def identity(config: Any) -> Identity:
     )
 
 
-def check_record(file: RecordFile | None, config: Any) -> None:
-    """Refuse the record of another robot, and names in `without` that are no parts; raises `ConfigError`."""
+def _body(backend: str, emulation: Any, seed: int | None) -> str | None:
+    if backend == "real":
+        return "real"
+    if seed is None or emulation.replay is not None:
+        return None
+    return f"emulated, of seed {seed} in plant {emulation.plant}"
+
+
+def check_record(file: RecordFile | None, config: Any, seed: int | None) -> None:
+    """Refuse the record of another robot, and names in `without` that are no parts; raises `ConfigError`.
+
+    Args:
+        file: the version in place; None without a record.
+        config: of the bench.
+        seed: of the emulated world, if known.
+    """
     settings = config.record
     unknown = [name for name in settings.without if name not in PARTS]
     if unknown:
@@ -133,4 +153,4 @@ def check_record(file: RecordFile | None, config: Any) -> None:
             remedy=did_you_mean(unknown[0], PARTS),
         )  # fmt: skip
     if file is not None:
-        check_robot(file, identity(config), RobotRecord(Path(settings.folder)).path)
+        check_robot(file, identity(config, seed), RobotRecord(Path(settings.folder)).path)

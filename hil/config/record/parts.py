@@ -158,9 +158,13 @@ class Part(_Model):
 
 
 class Identity(_Model):
-    """Whose record it is: name, servos and wheels on paper, as the bench file has them."""
+    """Whose record it is: name, servos and wheels on paper, as the bench file has them.
+
+    `body` is the body behind it: `real`, or which emulated one; None where nobody said.
+    """
 
     name: str
+    body: str | None = None
     servo_model: int | None = None
     drive_ids: FourNumbers | None = None
     steer_ids: FourNumbers | None = None
@@ -182,9 +186,9 @@ class Identity(_Model):
 
 
 _KEYS = {
-    "name": "robot.name", "servo_model": "servos.model_number", "drive_ids": "servos.drive_ids",
-    "steer_ids": "servos.steer_ids", "wheel_x_m": "robot.wheel_x_m", "wheel_y_m": "robot.wheel_y_m",
-    "wheel_radius_m": "robot.wheel_radius_m",
+    "name": "robot.name", "body": "robot", "servo_model": "servos.model_number",
+    "drive_ids": "servos.drive_ids", "steer_ids": "servos.steer_ids", "wheel_x_m": "robot.wheel_x_m",
+    "wheel_y_m": "robot.wheel_y_m", "wheel_radius_m": "robot.wheel_radius_m",
 }  # fmt: skip
 
 

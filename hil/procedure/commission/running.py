@@ -6,7 +6,7 @@ what to do. The same code runs in virtual time, at the wire and on the real robo
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -206,10 +206,7 @@ class _Running:
 
     def _stopped(self, stage: Stage, result: Result) -> dict[str, Any]:
         """Where it stopped, why, and what to do."""
-        failed = [str(row["name"]) for row in result.measurements if row["outcome"] == "FAIL"]
-        why = (
-            result.error.message if result.error is not None else "beyond their limits: " + ", ".join(failed)
-        )
+        why = result.error.message if result.error is not None else missed(result.measurements)
         again = f"hil commission --resume --out {self._asked.folder}"
         return {
             "procedure": stage.name,
@@ -219,6 +216,16 @@ class _Running:
             "do": f"look at {result.folder / 'report.html'} and mend what it names; then {again}, with the "
             "other options as before. What was found up to here is in the record and stays.",
         }
+
+
+def missed(measurements: Sequence[Mapping[str, Any]]) -> str:
+    """What failed, in words: what lies beyond its limits, then what was not measured because of it."""
+    failed = [row for row in measurements if row["outcome"] == "FAIL"]
+    beyond, absent = (
+        [str(r["name"]) for r in failed if (r["value"] is None) == gone] for gone in (False, True)
+    )
+    parts = (("beyond their limits", beyond), ("not measured", absent))
+    return "; ".join(f"{what}: {', '.join(names)}" for what, names in parts if names)
 
 
 def _unfinished(folder: Path) -> bool:
