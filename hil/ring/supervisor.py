@@ -17,6 +17,7 @@ import numpy as np
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
 from hil.ring.fall_watch import FallWatch
+from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
@@ -58,6 +59,7 @@ class Checks:
             in doubt or silent.
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
+        estimated: devices whose measurements the estimators use.
         hold: what presses the robot on its surface; None where nobody measures it.
     """
 
@@ -65,6 +67,7 @@ class Checks:
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False
+    estimated: frozenset[str] = frozenset(("tracker", "imu"))
     hold: AdhesionWatch | None = None
 
 
@@ -79,6 +82,9 @@ class Supervisor:
     Args:
         limits: of the bench.
         checks: of sensors against each other.
+
+    Attributes:
+        left_out: devices that are not believed any more.
     """
 
     def __init__(
@@ -91,6 +97,7 @@ class Supervisor:
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
         self._samples = SampleWatch(stale_s)
+        self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
 
@@ -106,6 +113,7 @@ class Supervisor:
             self.checks.hold.reset()
         self._fall.reset()
         self._causes: dict[str, str] = {}
+        self.left_out.reset()
 
     def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
         """Judge one cycle.
@@ -130,6 +138,7 @@ class Supervisor:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes = {}
+        self.left_out.begin()
         self._fall.judge(inputs, self._blame)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
@@ -143,7 +152,8 @@ class Supervisor:
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
-        silence = self._samples.silence("tracker", t_ns) if self.checks.needs_camera else ""
+        needed = self.checks.needs_camera and "tracker" not in self.left_out
+        silence = self._samples.silence("tracker", t_ns) if needed else ""
         if silence:
             self._blame(
                 "stale_tracker",
@@ -165,6 +175,9 @@ class Supervisor:
             for doubt in checks.motion.update(measurements):
                 if not doubt.grave:
                     events.append(Event(inputs.t_ns, "warning", doubt.source, doubt.message))
+                elif checks.stops_by_steering and self.left_out.can_do_without(doubt):
+                    checks.motion.leave_out(doubt.source)
+                    events.append(self.left_out.take(doubt, inputs.t_ns))
                 elif checks.needs_camera:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
