@@ -3,11 +3,11 @@
     python benchmarks/lying_sensors.py --seeds 0:20
     python benchmarks/lying_sensors.py --only "scale 0.9,clean" --plant mujoco
 
-Every lie begins in motion (`--at`) in every world, on lines up and across. A line of the table says in how many
-runs somebody was told of the device, after how long, and how far the robot truly was from its reference by
-then; how many runs were stopped; how many ended well while the estimate was wrong by more than three of its
-sigmas plus 5 mm; and how many broke the promise: that, or found neither within 0.5 s nor within 15 mm of true
-path error. `clean` counts false alarms. Exit code 1 where the promise is broken.
+Every lie begins in motion (`--at`) in every world, on lines up and across. A line of the table says in how
+many runs somebody was told of the device, after how long, and how far the robot truly was from its reference
+by then; how many runs were stopped; how many ended well while the estimate was wrong by more than three of
+its sigmas plus 5 mm; and how many broke the promise: that, or found neither within 0.5 s nor within 15 mm of
+true path error. `clean` counts false alarms. Exit code 1 where the promise is broken.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
 _SIGMAS, _SESSION_SCALE = 4.0, 0.01
-"""Standard deviations that honest sensors keep within; a camera's scale differs that much between sessions."""
+"""Standard deviations that honest sensors keep within; by how much a scale differs between sessions."""
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
