@@ -24,6 +24,7 @@ from hil.ring.crosscheck import SteeringWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
+from hil.ring.stream_watch import Healthy
 from hil.ring.supervisor import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
@@ -37,6 +38,7 @@ LOG = logging.getLogger(__name__)
 _WHEEL_MODELS = {"exact": "equations"}
 _SIGMAS, _SESSION_SCALE = 4.0, 0.01
 """Standard deviations that honest sensors keep within; by how much a scale differs between sessions."""
+_CYCLES_LATE = 2.0
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
@@ -95,8 +97,21 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
+        healthy=healthy(config),
+        gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
         hold=adhesion_watch(config),
     )
+
+
+def healthy(config: BenchConfig) -> dict[str, Healthy]:
+    """How often and how soon the samples of a bench's sensors should come."""
+    loop_hz, found = config.loop.rate_hz, {}
+    for name, own in config.devices().items():
+        kind = kinds()[name]
+        if not kind.actuates:
+            rate_hz = asked(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
+            found[name] = Healthy(rate_hz, kind.delivered, kind.age_s + _CYCLES_LATE / loop_hz)
+    return found
 
 
 def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:

@@ -21,6 +21,7 @@ from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
+from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
@@ -60,6 +61,8 @@ class Checks:
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
         estimated: devices whose measurements the estimators use.
+        healthy: how often and how soon the samples of sensors should come.
+        gap_s: by sensor, longest time without a good sample that is still healthy.
         hold: what presses the robot on its surface; None where nobody measures it.
     """
 
@@ -69,6 +72,8 @@ class Checks:
     stops_by_steering: bool = False
     estimated: frozenset[str] = frozenset(("tracker", "imu"))
     hold: AdhesionWatch | None = None
+    healthy: Mapping[str, Healthy] = field(default_factory=dict)
+    gap_s: Mapping[str, float] = field(default_factory=dict)
 
 
 def _finite(values: Array) -> bool:
@@ -96,7 +101,8 @@ class Supervisor:
         self.limits, self.checks = limits, checks if checks is not None else Checks()
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
-        self._samples = SampleWatch(stale_s)
+        self._samples = SampleWatch(stale_s, self.checks.gap_s)
+        self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
@@ -105,6 +111,7 @@ class Supervisor:
         """Forget ages, alarms and what the sensors said."""
         self._servos.reset()
         self._samples.reset()
+        self._streams.reset()
         if self.checks.motion is not None:
             self.checks.motion.reset()
         if self.checks.steering is not None:
@@ -145,6 +152,7 @@ class Supervisor:
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
+        self._streams.judge(inputs, events)
         self._check_camera(inputs.t_ns)
         if measurements is not None:
             self._compare(inputs, measurements, events)
