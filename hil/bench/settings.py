@@ -97,6 +97,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
+        holders=tuple(kinds()[name].noun for name in config.devices() if kinds()[name].holds),
         healthy=healthy(config),
         gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
         hold=adhesion_watch(config),

@@ -65,6 +65,7 @@ def command(
     asked = Asked(quick, seeds, only, moments, plants, count, bench)
     cells = _cells(asked)
     check_file(out / PAGE)
+    out.mkdir(parents=True, exist_ok=True)
     verdicts: list[Verdict] = []
     with reporting() as report:
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.doubts import WHEELS
 from hil.ring.fall_watch import FallWatch
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
@@ -61,6 +62,7 @@ class Checks:
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
         estimated: devices whose measurements the estimators use.
+        holders: what keeps the robot on its surface, as sentences call it.
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         hold: what presses the robot on its surface; None where nobody measures it.
@@ -72,6 +74,7 @@ class Checks:
     stops_by_steering: bool = False
     estimated: frozenset[str] = frozenset(("tracker", "imu"))
     hold: AdhesionWatch | None = None
+    holders: tuple[str, ...] = ()
     healthy: Mapping[str, Healthy] = field(default_factory=dict)
     gap_s: Mapping[str, float] = field(default_factory=dict)
 
@@ -190,7 +193,9 @@ class Supervisor:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)
-                    self._blame("sensors_disagree", doubt.message)
+                    slides = self.limits.on_wall and doubt.source == WHEELS.name and checks.holders
+                    told = f"; if it slides, look at the {' and the '.join(checks.holders)}" if slides else ""
+                    self._blame("sensors_disagree", doubt.message + told)
 
     def guard(self, state: RobotState, reference: Reference | None) -> None:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""

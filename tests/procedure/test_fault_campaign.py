@@ -82,8 +82,9 @@ def seen(**given):
         ({"said": "NOT HELD", "why": "torque"}, "not held: torque"),
         ({"crept_m": 0.002}, "said to be held, and moved by 2.0 mm"),
         ({"moved_m": 0.006}, "moved by 6.0 mm after the stop"),
-        ({"fallen": True}, "fell with enough adhesion"),
+        ({"fallen": True}, "fell although fan"),
         ({"fallen": True, "said": "NOT HELD", "adhesion_n": 3.0, "moved_m": 1.0}, ""),
+        ({"fallen": True, "said": "NOT HELD", "thrust_share": 0.0, "moved_m": 1.0}, ""),
         ({"stop": "SafetyStop: robot stopped (blocked): wheel FL", "events": []}, "is not named"),
         ({"stop": "SafetyStop: robot stopped (x): the IMU is mad", "events": []}, ""),
         ({"unreadable": "torn"}, "the recording: torn"),
@@ -128,11 +129,13 @@ def run(*arguments):
 
 
 def test_the_short_form_passes(tmp_path):
-    result = run("--quick", "--json", "--out", str(tmp_path))
+    result = run("--quick", "--json", "--out", str(tmp_path / "new" / "folder"))
     told = json.loads(result.stdout)
     assert result.return_value == 0, told["failed"]
     assert (told["cells"], told["failed"]) == (4, [])
-    assert "| `servos` | `brownout` |" in (tmp_path / "reliability.md").read_text(encoding="utf-8")
+    assert "| `servos` | `brownout` |" in (tmp_path / "new" / "folder" / "reliability.md").read_text(
+        encoding="utf-8"
+    )
 
 
 def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):

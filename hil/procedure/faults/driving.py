@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,6 +21,7 @@ from hil.vocabulary.errors import HilError
 if TYPE_CHECKING:
     from hil.vocabulary.signals import CycleRecord
 
+_LOOK_NS = nanoseconds(0.02)
 START, WAY_M = np.zeros(3), 0.12
 HOLD_S, AFTERWARDS_S, CREPT_S = 0.3, 0.5, 0.3
 """Control at the end; a look at the robot after that; a look at what it does when it is said to be held."""
@@ -39,6 +41,7 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
     bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
     try:
         with bench:
+            bench.on_close(_follow_forces(bench, seen))
             bench.add_sink(McapRecorder(str(path), bench.header(), lossless=True))
             _climb(bench, seen)
             _watch(bench, seen)
@@ -48,6 +51,21 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
         seen.foreign = f"{type(error).__name__}: {error}"
     seen.held = bench.held
     return seen
+
+
+def _follow_forces(bench: Bench, seen: Seen) -> Callable[[], None]:
+    """Keep the least force that truly holds the robot from now on; gives what ends that."""
+    at_first = bench.truth()
+    assert at_first is not None
+
+    def look(t_ns: int) -> int:
+        truth = bench.truth()
+        if truth is not None:
+            seen.adhesion_n = min(seen.adhesion_n, truth.adhesion_n)
+            seen.thrust_share = min(seen.thrust_share, truth.thrust_n / max(at_first.thrust_n, 1e-9))
+        return t_ns + _LOOK_NS
+
+    return bench.clock.schedule(look, bench.clock.now_ns())
 
 
 def _climb(bench: Bench, seen: Seen) -> None:
@@ -84,7 +102,7 @@ def _watch(bench: Bench, seen: Seen) -> None:
     seen.said, seen.why = held.state, held.why
     seen.moved_m = float(np.hypot(*(before - stopped)[:2]))
     seen.crept_m = float(np.hypot(*(truth.pose_body_in_wall - before)[:2]))
-    seen.fallen, seen.adhesion_n = truth.fallen, truth.adhesion_n
+    seen.fallen = truth.fallen
 
 
 def _unreadable(path: Path) -> str:

@@ -19,8 +19,10 @@ SIGMAS, SLACK_M = 3.0, 0.005
 LEAST_ADHESION_N = 21.0
 """Below it the shipped robot slides down its wall whatever anybody does."""
 _LETS_GO = ("off", "brownout", "reset", "unplug", "baud_mismatch", "drop", "corrupt", "truncate", "garbage",
-            "intermittent")  # fmt: skip
-"""Faults of servos that take supply or bus, wholly or for a while."""
+            "intermittent", "slow")  # fmt: skip
+"""Faults of servos that take supply or bus, wholly or for a while, or answer when nobody listens any more."""
+LEAST_THRUST = 0.5
+"""Share of the propellers' thrust without which the robot hangs by its fan alone, and slides."""
 
 
 @dataclass
@@ -37,7 +39,8 @@ class Seen:
         off_m, sigma_m: (2,) true error of the last estimate, and its standard deviation.
         said, why: what the bench said of the robot after looking after it.
         moved_m, crept_m: true way from the stop until then, and in the next moments.
-        fallen, adhesion_n: of the true robot.
+        fallen: the true robot.
+        adhesion_n, thrust_share: least that truly held it at any time.
         held: the bench's last word.
     """
 
@@ -55,6 +58,7 @@ class Seen:
     crept_m: float = 0.0
     fallen: bool = False
     adhesion_n: float = 1e3
+    thrust_share: float = 1.0
     held: Held | None = None
 
 
@@ -104,9 +108,9 @@ def _wrong(cell: Cell, seen: Seen, told: bool) -> Iterator[str]:
         yield f"the recording: {seen.unreadable}"
     if (seen.stop or seen.error) and not told:
         yield f"the device is not named: {seen.stop or seen.error}"
-    dropped = seen.adhesion_n < LEAST_ADHESION_N
+    dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_share < LEAST_THRUST
     if seen.fallen and not dropped:
-        yield "the robot fell with enough adhesion"
+        yield "the robot fell although fan and propellers held it"
     if seen.said == "HELD" and seen.crept_m > STILL_M:
         yield f"said to be held, and moved by {1e3 * seen.crept_m:.1f} mm"
     if seen.said == "NOT HELD" and not (dropped or seen.fallen or _is_without(cell)):
