@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +65,7 @@ def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
 
 
 def cells_of(
-    supported: Mapping[str, Sequence[str]],
+    supported: Mapping[str, Iterable[str]],
     *,
     seeds: Sequence[int],
     plants: Sequence[str],
@@ -124,7 +124,7 @@ def quick_cells(seeds: Sequence[int], plants: Sequence[str]) -> tuple[Cell, ...]
 
 
 def random_cells(
-    supported: Mapping[str, Sequence[str]], *, count: int, seeds: Sequence[int], plants: Sequence[str]
+    supported: Mapping[str, Iterable[str]], *, count: int, seeds: Sequence[int], plants: Sequence[str]
 ) -> tuple[Cell, ...]:
     """Runs with one to four faults at random moments, the same for the same arguments.
 
