@@ -6,7 +6,8 @@ line and the procedures have.
 """
 
 from hil.bench.bench import Bench
-from hil.bench.emulation import check_faults, hidden_truth, open_emulation
+from hil.bench.emulation import check_faults, hidden_truth, open_emulation, supported_faults
+from hil.bench.holding import Held
 from hil.bench.opening import open_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
@@ -17,6 +18,7 @@ from hil.fakes.world import World
 __all__ = [
     "Bench",
     "Fault",
+    "Held",
     "World",
     "alignment_parameters",
     "check_faults",
@@ -27,4 +29,5 @@ __all__ = [
     "open_emulation",
     "safety_limits",
     "set_up",
+    "supported_faults",
 ]

@@ -19,10 +19,12 @@ from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.ring.adhesion import AdhesionLimits, AdhesionWatch
 from hil.ring.alignment import AlignmentParameters
+from hil.ring.capture_check import Seen
 from hil.ring.crosscheck import SteeringWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
+from hil.ring.stream_watch import Healthy
 from hil.ring.supervisor import Checks, SafetyLimits
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
@@ -34,6 +36,9 @@ from hil.vocabulary.kinds import kinds
 LOG = logging.getLogger(__name__)
 
 _WHEEL_MODELS = {"exact": "equations"}
+_SIGMAS, _SESSION_SCALE = 4.0, 0.01
+"""Standard deviations that honest sensors keep within; by how much a scale differs between sessions."""
+_CYCLES_LATE = 2.0
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
 
@@ -85,11 +90,45 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
     ids = () if servos is None else servos.steer_ids
     return Checks(
-        motion=None if servos is None else MotionCheck(geometry, on_wall=config.environment.on_wall),
+        motion=None if servos is None else motion_check(config, geometry),
+        estimated=frozenset(
+            ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")
+        ),
         needs_camera=follows and feedback != "odometry",
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
+        holders=tuple(kinds()[name].noun for name in config.devices() if kinds()[name].holds),
+        healthy=healthy(config),
+        gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
         hold=adhesion_watch(config),
+    )
+
+
+def healthy(config: BenchConfig) -> dict[str, Healthy]:
+    """How often and how soon the samples of a bench's sensors should come."""
+    loop_hz, found = config.loop.rate_hz, {}
+    for name, own in config.devices().items():
+        kind = kinds()[name]
+        if not kind.actuates:
+            rate_hz = asked(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
+            found[name] = Healthy(rate_hz, kind.delivered, kind.age_s + _CYCLES_LATE / loop_hz)
+    return found
+
+
+def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
+    """What holds the way of camera, wheels, gyro and motion capture against each other.
+
+    Args:
+        config: of the bench.
+        geometry: wheels in use.
+    """
+    camera, believed = config.of(TrackerConfig), _SIGMAS * config.estimator.tracker.scale_sigma
+    known = camera is not None and camera.scale_sigma is not None
+    scale = believed + _SESSION_SCALE if known else max(believed, Seen.scale)
+    return MotionCheck(
+        geometry,
+        on_wall=config.environment.on_wall,
+        seen=Seen(scale=scale),
     )
 
 

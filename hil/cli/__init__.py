@@ -38,6 +38,7 @@ COMMANDS = {
     "emulate": "serve the emulated devices to any client",
     "evaluate": "odometry error table of recordings",
     "export": "a recording as CSV or Parquet",
+    "faults": "every fault of every emulated device: is the robot held, and is the cause named",
     "info": "versions for a bug report",
     "list": "procedures, profiles, devices, faults and estimators that there are",
     "live": "the control-estimate loop in real time, with monitoring",

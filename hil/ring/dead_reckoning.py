@@ -28,6 +28,15 @@ class Track:
     def __init__(self) -> None:
         self.clear()
 
+    def reset(self) -> None:
+        """Forget everything."""
+        self.clear()
+
+    @property
+    def newest_ns(self) -> int | None:
+        """Time of the newest values; None without any."""
+        return self._at[-1] if self._at else None
+
     def clear(self) -> None:
         """Forget the past."""
         self._at: deque[int] = deque(maxlen=_KEPT)
@@ -81,13 +90,13 @@ class WheelTrack(Track):
                 )
             )
         ]
-        self._last: tuple[int, list[float], list[float]] | None = None
-        self._now: Kept = (0j, 0.0, 0.0, 0.0)
+        self.reset()
 
     def reset(self) -> None:
         """Forget the way and where the wheels were."""
         self.clear()
-        self._last = None
+        self._last: tuple[int, list[float], list[float]] | None = None
+        self._now: Kept = (0j, 0.0, 0.0, 0.0)
 
     def take(self, sample: WheelMeasurement) -> None:
         """Go on by one sample of all four wheels; incomplete ones are bridged.

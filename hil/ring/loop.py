@@ -38,6 +38,10 @@ __all__ = ["OUTSIDE", "Brain", "ControlLoop", "Decision", "LoopStatistics"]
 OUTSIDE = "loop"
 """Source of the event in the last record of a run that was ended by something other than its brain."""
 
+_OWN = ""
+_SHAKEN_M_S, _SHAKEN_RAD_S = 0.05, 0.1
+"""By how much speeds may be off that a lying device had told."""
+
 ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
 
@@ -86,11 +90,13 @@ class Brain:
         self.reference: Reference | None = None
         self._t0_ns: int | None = None
         self._steering = np.zeros(4)
+        self._states: dict[str, RobotState] = {}
 
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
         self._t0_ns = None
         self._steering = np.zeros(4)
+        self._states = dict.fromkeys((_OWN, *self.observers), state)
         self.supervisor.reset()
         self.alignment.reset()
         self.estimator.reset(state)
@@ -111,10 +117,15 @@ class Brain:
             self._t0_ns = inputs.t_ns
         measurements = self.alignment.measure(inputs)  # 3
         events = self.supervisor.check(inputs, measurements)  # 2: by what they mean, too
-        state = self.estimator.update(measurements)  # 4
+        left_out = self.supervisor.left_out
+        if any(left_out.shaken):
+            self._doubt(*left_out.shaken)
+        believed = left_out.believed(measurements)
+        state = self._states[_OWN] = self.estimator.update(believed)  # 4
         if figures := self.supervisor.figures():
             state = replace(state, diagnostics={**state.diagnostics, **figures})
-        others = {name: observer.update(measurements) for name, observer in self.observers.items()}
+        others = {name: observer.update(believed) for name, observer in self.observers.items()}
+        self._states.update(others)
         lap("estimate")
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
@@ -125,6 +136,18 @@ class Brain:
         command = self.alignment.to_servos(setpoint)
         lap("control")
         return Decision(measurements, state, reference, setpoint, command, events, others)
+
+    def _doubt(self, off_m: float, off_rad: float) -> None:
+        """Go on from the last states, which may be off by what a lying device had told.
+
+        Args:
+            off_m: along each axis.
+            off_rad: of the heading.
+        """
+        more = np.array([off_m, off_m, off_rad, _SHAKEN_M_S, _SHAKEN_M_S, _SHAKEN_RAD_S])
+        for name, estimator in {_OWN: self.estimator, **self.observers}.items():
+            last = self._states[name]
+            estimator.reset(replace(last, covariance=last.covariance + np.diag(more**2), diagnostics={}))
 
     def _control(
         self, state: RobotState, reference: Reference | None, measurements: Measurements

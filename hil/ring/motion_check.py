@@ -11,16 +11,16 @@ from __future__ import annotations
 import cmath
 from dataclasses import dataclass
 
+from hil.ring.capture_check import CaptureCheck, Seen
 from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack
+from hil.ring.doubts import CAMERA, WHEELS, Doubt, Party, Relocalisation, Sum
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.signals import Measurements, PoseMeasurement
 
+GYRO = Party("imu", "the gyro")
 _STEP_NS = 40_000_000
 _GAP_NS = 1_000_000_000
-_JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000
-_LITTLE = 0.3
-_CALLED = {"tracker": "the camera", "servos": "the wheels", "imu": "the gyro"}
 
 
 @dataclass(frozen=True)
@@ -62,96 +62,6 @@ class Honest:
 
 
 @dataclass(frozen=True)
-class Doubt:
-    """Somebody is wrong.
-
-    Attributes:
-        source: the device that is alone with what it says, or the first of two.
-        message: what each says.
-        grave: whether the robot must not go on by them.
-    """
-
-    source: str
-    message: str
-    grave: bool
-
-
-class _Sum:
-    """What two devices differ by so far, in the plane of the body (m), or in heading (rad).
-
-    Args:
-        first, second: names of the devices.
-        told, stop: limits of the sum.
-    """
-
-    def __init__(self, first: str, second: str, told: float, stop: float) -> None:
-        self.names, self._told_at, self._stop_at = (first, second), told, stop
-        self.reset()
-
-    def reset(self) -> None:
-        """Begin again."""
-        self.size = 0.0
-        self._sum = self._first = self._second = 0j
-        self._since_ns = 0
-        self._told = False
-
-    def add(
-        self,
-        t_ns: int,
-        first: complex,
-        second: complex,
-        allowed: float,
-        turned: complex = 1.0,
-        backwards: float = 0.0,
-    ) -> None:
-        """Take a step of both from `t_ns` on, less what they may differ by in it.
-
-        Args:
-            t_ns: its beginning.
-            first: what one device says.
-            second: what the other says.
-            allowed: what honest ones may differ by.
-            turned: unit number that takes axes at its beginning to those at its end.
-            backwards: by how much more the first may have gone less far along the first axis.
-        """
-        if self.size == 0.0:
-            self.reset()
-            self._since_ns = t_ns
-        self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
-        total = self._sum + first - second
-        if total.real < 0.0:
-            total += min(backwards, -total.real)
-        size = abs(total)
-        self.size = max(0.0, size - allowed)
-        self._sum = total * turned * (self.size / size) if size else 0j
-
-    def news(self) -> bool:
-        """Whether something is to be said now: once when it becomes known, and always when it is grave."""
-        return self.size > self._told_at and (not self._told or self.size > self._stop_at)
-
-    def doubt(self, t_ns: int, source: str, verb_and_unit: tuple[str, str]) -> Doubt:
-        """What is to be said; grave only when it has been told before."""
-        grave, self._told = self._told, True
-        moved, unit = verb_and_unit
-        (one, other), duration_s = (_CALLED[name] for name in self.names), (t_ns - self._since_ns) / NS_PER_S
-        return Doubt(
-            source,
-            f"in {duration_s:.1f} s the robot {moved} {1e3 * abs(self._first):.0f} {unit} by {one} and "
-            f"{1e3 * abs(self._second):.0f} {unit} by {other}: {self._why()}",
-            grave,
-        )
-
-    def _why(self) -> str:
-        if self.names != ("tracker", "servos"):
-            return "one of them is wrong" + (", or the wheels slip" if "servos" in self.names else "")
-        if abs(self._second) < _LITTLE * abs(self._first):
-            return "the robot slides, or the camera invents motion"
-        if abs(self._first) < abs(self._second):
-            return "the camera is frozen or sees another scale, or the wheels slip"
-        return "the camera sees another scale, or the robot slides"
-
-
-@dataclass(frozen=True)
 class _Seen:
     """One instant: the camera's place and heading, the wheels' and the gyro's values."""
 
@@ -169,31 +79,41 @@ class MotionCheck:
         geometry: of the wheels.
         honest: what honest sensors differ by.
         on_wall: whether body x points up, within the heading that a wall allows.
+        seen: what honest poses of camera and motion capture differ by.
     """
 
     def __init__(
-        self, geometry: WheelGeometry, honest: Honest | None = None, *, on_wall: bool = True
+        self,
+        geometry: WheelGeometry,
+        honest: Honest | None = None,
+        *,
+        on_wall: bool = True,
+        seen: Seen | None = None,
     ) -> None:
         self._on_wall = on_wall
         self.honest = h = honest if honest is not None else Honest()
         self._wheels, self._gyro = WheelTrack(geometry), GyroTrack()
         self._arm_m = float((geometry.x_m**2 + geometry.y_m**2).mean() ** 0.5)
-        self._way = _Sum("tracker", "servos", h.told_m, h.stop_m)
-        self._camera_wheels = _Sum("tracker", "servos", h.told_rad, h.stop_rad)
-        self._camera_gyro = _Sum("tracker", "imu", h.told_rad, h.stop_rad)
-        self._wheels_gyro = _Sum("servos", "imu", h.told_rad, h.stop_rad)
+        self._way = Sum(CAMERA, WHEELS, h.told_m, h.stop_m)
+        self._camera_wheels = Sum(CAMERA, WHEELS, h.told_rad, h.stop_rad, turns=True)
+        self._camera_gyro = Sum(CAMERA, GYRO, h.told_rad, h.stop_rad, turns=True)
+        self._wheels_gyro = Sum(WHEELS, GYRO, h.told_rad, h.stop_rad, turns=True)
         self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
+        seen = seen if seen is not None else Seen()
+        self._capture = CaptureCheck(self._wheels, seen, creep=h.creep if on_wall else 0.0)
+        self._ways = (self._way, self._capture.camera, self._capture.rolled)
+        self._leap = Relocalisation()
         self.reset()
 
     def reset(self) -> None:
         """Forget what was seen."""
         self._wheels.reset()
         self._gyro.reset()
-        for one in (self._way, *self._turns):
+        for one in (self._way, *self._turns, self._leap, self._capture):
             one.reset()
         self._seen: _Seen | None = None
         self._felt: tuple[int, Kept, Kept] | None = None
-        self._calm_ns = 0
+        self._left_out: set[str] = set()
 
     def update(self, measurements: Measurements) -> tuple[Doubt, ...]:
         """Take one cycle's measurements; what is in doubt because of them."""
@@ -202,9 +122,16 @@ class MotionCheck:
         for gyro in measurements.gyro:
             self._gyro.take(gyro)
         looked = self._look(measurements.tracker)
+        if measurements.mocap:
+            self._capture.take(measurements.tracker, measurements.mocap)
+            looked |= self._capture.compare()
         if measurements.gyro:
             looked |= self._feel(measurements.gyro[-1].stamp.t_ns)
         return self._doubts(measurements.t_ns) if looked else ()
+
+    def leave_out(self, name: str) -> None:
+        """Compare nobody with this device any more."""
+        self._left_out.add(name)
 
     def _look(self, poses: tuple[PoseMeasurement, ...]) -> bool:
         """Compare the newest camera pose with the last one compared; whether there was something to compare.
@@ -239,7 +166,7 @@ class MotionCheck:
         (place, heading, rolled, slack), (place0, heading0, rolled0, slack0) = now.wheels, before.wheels
         rolling = (place - place0) * cmath.rect(1.0, -heading0.real)
         turning, path, loose = (heading - heading0).real, (rolled - rolled0).real, (slack - slack0).real
-        if self._jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
+        if self._leap.jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
             return False
         allowed = h.path * path + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
         lower = h.creep * path if self._on_wall else 0.0
@@ -251,13 +178,6 @@ class MotionCheck:
             drift = h.gyro * abs(turned) + (h.gyro_rad_s + h.camera_rad_s) * dt_s
             self._camera_gyro.add(t_ns, turn, turned, drift)
         return True
-
-    def _jumped(self, t_ns: int, way_m: float, turn_rad: float) -> bool:
-        """Whether a step is a relocalisation; one that follows another too soon is motion that is told."""
-        if way_m < _JUMP_M and turn_rad < _JUMP_RAD:
-            return False
-        calm, self._calm_ns = t_ns >= self._calm_ns, t_ns + _CALM_NS
-        return calm
 
     def _feel(self, t_ns: int) -> bool:
         """Compare wheels and gyro by themselves; whether there was something to compare."""
@@ -281,14 +201,7 @@ class MotionCheck:
 
     def _doubts(self, t_ns: int) -> tuple[Doubt, ...]:
         found = []
-        if self._way.news():
-            found.append(self._way.doubt(t_ns, "tracker", ("moved", "mm")))
-        for one in self._turns:
-            if one.news():
-                found.append(one.doubt(t_ns, self._alone(one), ("turned", "mrad")))
+        for pairs in (self._ways, self._turns):
+            believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]
+            found += [one.doubt(t_ns, believed) for one in believed if one.news()]
         return tuple(found)
-
-    def _alone(self, pair: _Sum) -> str:
-        """The device of a pair that the third one contradicts more; the first when nobody knows."""
-        others = [o for o in self._turns if o is not pair]
-        return max(pair.names, key=lambda name: sum(o.size for o in others if name in o.names))

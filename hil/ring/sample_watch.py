@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
@@ -26,10 +27,14 @@ class SampleWatch:
 
     Args:
         stale_s: by sensor, time without a good sample after which it counts as silent.
+        gap_s: by sensor, longest time without one that is still healthy; a longer one is told of a sensor
+            that has been heard.
     """
 
-    def __init__(self, stale_s: Mapping[str, float]) -> None:
+    def __init__(self, stale_s: Mapping[str, float], gap_s: Mapping[str, float] | None = None) -> None:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
+        told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
+        self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
         self._channels = {kind.name: kind.labels for kind in kinds().values() if not kind.actuates}
         self.reset()
 
@@ -38,6 +43,8 @@ class SampleWatch:
         self._last_ok_ns: dict[str, int] = {}
         self._last_bad: dict[str, Status] = {}
         self._silent: set[str] = set()
+        self._heard: set[str] = set()
+        self._last_gap_ns: dict[str, int] = {}
         self._last_told_ns: dict[tuple[str, Status], int] = {}
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
@@ -56,14 +63,15 @@ class SampleWatch:
                 else:
                     for label, status in zip(labels, sample.status, strict=True):
                         self._look(name, f"{label} ", status, t_ns, events)
-            if name in self._stale_ns:
+            if name in self._told_ns:
                 self._age(name, good, t_ns, events)
 
     def silence(self, name: str, t_ns: int) -> str:
         """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
-        if name not in self._silent:
+        duration_ns = t_ns - self._last_ok_ns.get(name, t_ns)
+        if name not in self._stale_ns or duration_ns <= self._stale_ns[name]:
             return ""
-        duration_s = (t_ns - self._last_ok_ns[name]) / NS_PER_S
+        duration_s = duration_ns / NS_PER_S
         bad = self._last_bad.get(name)
         return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
 
@@ -78,14 +86,27 @@ class SampleWatch:
         if last_ns is None or t_ns - last_ns > _FORGOTTEN_NS:
             events.append(Event(t_ns, "warning", name, part + _TOLD[status]))
 
+    def _limit_ns(self, name: str) -> float:
+        """Silence that is told: a gap of a sensor that has been heard, a longer time of one that has not."""
+        limits = self._told_ns if name in self._heard else self._stale_ns
+        return limits.get(name, math.inf)
+
     def _age(self, name: str, good: bool, t_ns: int, events: list[Event]) -> None:
         last_ns = self._last_ok_ns.setdefault(name, t_ns)
         if good:
+            self._heard.add(name)
             self._last_ok_ns[name] = t_ns
             self._last_bad.pop(name, None)
             if name in self._silent:
                 self._silent.discard(name)
                 events.append(Event(t_ns, "info", name, "answers again"))
-        elif t_ns - last_ns > self._stale_ns[name] and name not in self._silent:
+        elif (
+            t_ns - last_ns > self._limit_ns(name) and name not in self._silent and self._may_tell(name, t_ns)
+        ):
             self._silent.add(name)
+            self._last_gap_ns[name] = t_ns
             events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))
+
+    def _may_tell(self, name: str, t_ns: int) -> bool:
+        """Gaps that come again and again are told once a second."""
+        return t_ns - self._last_gap_ns.get(name, -_FORGOTTEN_NS) >= _FORGOTTEN_NS

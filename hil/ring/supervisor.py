@@ -16,10 +16,13 @@ import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.doubts import WHEELS
 from hil.ring.fall_watch import FallWatch
+from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
+from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
@@ -58,6 +61,10 @@ class Checks:
             in doubt or silent.
         steering: external encoders against the servos; None without.
         stops_by_steering: whether a pose is followed.
+        estimated: devices whose measurements the estimators use.
+        holders: what keeps the robot on its surface, as sentences call it.
+        healthy: how often and how soon the samples of sensors should come.
+        gap_s: by sensor, longest time without a good sample that is still healthy.
         hold: what presses the robot on its surface; None where nobody measures it.
     """
 
@@ -65,7 +72,11 @@ class Checks:
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False
+    estimated: frozenset[str] = frozenset(("tracker", "imu"))
     hold: AdhesionWatch | None = None
+    holders: tuple[str, ...] = ()
+    healthy: Mapping[str, Healthy] = field(default_factory=dict)
+    gap_s: Mapping[str, float] = field(default_factory=dict)
 
 
 def _finite(values: Array) -> bool:
@@ -79,6 +90,9 @@ class Supervisor:
     Args:
         limits: of the bench.
         checks: of sensors against each other.
+
+    Attributes:
+        left_out: devices that are not believed any more.
     """
 
     def __init__(
@@ -90,7 +104,9 @@ class Supervisor:
         self.limits, self.checks = limits, checks if checks is not None else Checks()
         stale_s = dict(limits.stale_s)
         self._servos = ServoWatch(stale_s.pop("servos", None), limits.servo_ids)
-        self._samples = SampleWatch(stale_s)
+        self._samples = SampleWatch(stale_s, self.checks.gap_s)
+        self._streams = StreamWatch(self.checks.healthy)
+        self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
 
@@ -98,6 +114,7 @@ class Supervisor:
         """Forget ages, alarms and what the sensors said."""
         self._servos.reset()
         self._samples.reset()
+        self._streams.reset()
         if self.checks.motion is not None:
             self.checks.motion.reset()
         if self.checks.steering is not None:
@@ -106,6 +123,7 @@ class Supervisor:
             self.checks.hold.reset()
         self._fall.reset()
         self._causes: dict[str, str] = {}
+        self.left_out.reset()
 
     def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
         """Judge one cycle.
@@ -130,12 +148,14 @@ class Supervisor:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes = {}
+        self.left_out.begin()
         self._fall.judge(inputs, self._blame)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
+        self._streams.judge(inputs, events)
         self._check_camera(inputs.t_ns)
         if measurements is not None:
             self._compare(inputs, measurements, events)
@@ -143,7 +163,8 @@ class Supervisor:
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
-        silence = self._samples.silence("tracker", t_ns) if self.checks.needs_camera else ""
+        needed = self.checks.needs_camera and "tracker" not in self.left_out
+        silence = self._samples.silence("tracker", t_ns) if needed else ""
         if silence:
             self._blame(
                 "stale_tracker",
@@ -165,11 +186,16 @@ class Supervisor:
             for doubt in checks.motion.update(measurements):
                 if not doubt.grave:
                     events.append(Event(inputs.t_ns, "warning", doubt.source, doubt.message))
+                elif checks.stops_by_steering and self.left_out.can_do_without(doubt):
+                    checks.motion.leave_out(doubt.source)
+                    events.append(self.left_out.take(doubt, inputs.t_ns))
                 elif checks.needs_camera:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)
-                    self._blame("sensors_disagree", doubt.message)
+                    slides = self.limits.on_wall and doubt.source == WHEELS.name and checks.holders
+                    told = f"; if it slides, look at the {' and the '.join(checks.holders)}" if slides else ""
+                    self._blame("sensors_disagree", doubt.message + told)
 
     def guard(self, state: RobotState, reference: Reference | None) -> None:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""

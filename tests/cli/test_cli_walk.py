@@ -16,6 +16,7 @@ from hil.cli import cli, main
 from hil.config.loading import load_bench
 from hil.config.record import NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
+from hil.procedure.faults import lost
 from hil.recording.mcap_writer import McapRecorder
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
@@ -120,6 +121,11 @@ def base(world, tmp_path, monkeypatch):
 
     monkeypatch.setattr("hil.procedure.commission.running._Running.all", nobody)
 
+    def no_run(cell, bench):
+        return lost(cell, "is not run in this test")
+
+    monkeypatch.setattr("hil.procedure.faults.run_cell", no_run)
+
     def nothing(config, *, seed, faults):
         open_emulation(config, seed=seed, faults=faults).close()
         raise DeviceError("the world", "is not opened in this test")
@@ -156,6 +162,7 @@ def base(world, tmp_path, monkeypatch):
         "tune": {"recordings": world / "run.mcap", "evaluations": "2"},
         "demo-data": {"folder": tmp_path / "made", "repetitions": "1"},
         "export": {"recording": world / "run.mcap"},
+        "faults": {"--quick": "", "workers": "0"},
     }
 
 

@@ -15,7 +15,8 @@ WRONG = {
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
     "commission": ["--bench", GONE], "robot": ["show", GONE],
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
-    "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE], "info": ["--magic"],
+    "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE],
+    "faults": ["--bench", GONE], "info": ["--magic"],
     "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "run": ["latency", "--bench", GONE],
     "setup": ["--port", "/dev/no-such-port", "--id", "999"], "tune": ["nowhere"],
 }  # fmt: skip

@@ -44,6 +44,7 @@ class Axis:
         torque: whether the motor is driven.
         mode: operating mode in force.
         tripped: the bus watchdog has stopped it.
+        share: how far the joint turns for each radian of the motor: less than 1 where its hub slips.
     """
 
     def __init__(self, joint: int, plant: Plant, table: ControlTable, zero: int) -> None:
@@ -53,6 +54,7 @@ class Axis:
         self.trajectory = Trajectory(table.model)
         self.torque = self.tripped = False
         self.mode = VELOCITY
+        self.share = 1.0
         self._timed = False
 
     def load(self, table: ControlTable) -> None:
@@ -134,7 +136,7 @@ class Axis:
         get, mode, sign, model = self._table.get, self.mode, self.position.sign, self._model
         duty = get("goal_pwm") / model.full_pwm
         if mode == VELOCITY:
-            goal = sign * self.trajectory.velocity * model.rad_s_per_count
+            goal = sign * self.share * self.trajectory.velocity * model.rad_s_per_count
             command = JointCommand("velocity", goal, pwm_limit=abs(duty))
         elif mode == CURRENT:
             goal = 0.0 if stopped else sign * get("goal_current") * model.a_per_count

@@ -279,6 +279,17 @@ class ServoBus(SerialChip, Scheduled):
             slip = self._faults.jump_counts(j, t_ns)
             if slip:
                 servo.slip(slip)
+            self._slide(servo, t_ns)
+
+    def _slide(self, servo: Servo, t_ns: int) -> None:
+        """Let a motor turn further than its joint, whose hub slips."""
+        j = servo.joint
+        share = self._faults.share(j, t_ns)
+        if share < 1.0:
+            servo.slip(self._faults.slid_counts(j, share, self._sensing.counts()[j]))
+        if share != servo.axis.share:
+            servo.axis.share = share
+            servo.axis.drive()
 
     def _watch(self, t_ns: int, silence_ns: int) -> None:
         for servo in self.servos:

@@ -16,7 +16,7 @@ BUS_FAULTS: Supported = {
     "off": (),
     "stuck": (),
     "garbage": (),
-    "wrong": ("angle_rad",),
+    "wrong": ("angle_rad", "share"),
     "slow": ("answer_s",),
     "delayed": ("delay_s",),
     "intermittent": PERIODIC,
@@ -29,6 +29,7 @@ SERVO_FAULTS: Supported = {**BUS_FAULTS, **_LINE_ONLY}
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
 _SLOW_S = 0.002
+_LEAST_SHARE = 0.05
 
 Measured = tuple[int, int, int]
 
@@ -36,7 +37,8 @@ Measured = tuple[int, int, int]
 class ServoFaults:
     """Asks the plan what is wrong with each joint's servo now.
 
-    Options: `wrong,angle_rad=` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
+    Options: `wrong,share=` of what its servo tells is what a wheel turns by (its hub slips), else
+    `wrong,angle_rad=`; `wrong` and `jump,angle_rad=` (once), `slow,answer_s=` answers late,
     `delayed,delay_s=` shows old measurements, `intermittent,period_s=,duty=` is silent for that part of
     each period, `drop` and `corrupt` per reply with `probability=`.
     """
@@ -53,6 +55,7 @@ class ServoFaults:
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
         self._done: set[tuple[int, str, int]] = set()
         self._frozen: dict[int, Measured] = {}
+        self._slid: dict[int, tuple[int, float]] = {}
         for names in self._names:
             for name in names[1:]:
                 plan.declare(name, SERVO_FAULTS)
@@ -91,6 +94,24 @@ class ServoFaults:
         fault = self.due_once(joint, "jump", t_ns)
         return 0 if fault is None else self._counts(joint, fault.option("angle_rad", _JUMP_RAD))
 
+    def share(self, joint: int, t_ns: int) -> float:
+        """How far the joint turns for each radian that its motor does: less than 1 where its hub slips."""
+        fault = self.find(joint, "wrong", t_ns)
+        return 1.0 if fault is None else min(max(fault.option("share", 1.0), _LEAST_SHARE), 1.0)
+
+    def slid_counts(self, joint: int, share: float, counts: int) -> int:
+        """By how much the motor has turned further than its joint since the last call.
+
+        Args:
+            joint: index.
+            share: as `share` says.
+            counts: of the joint, now.
+        """
+        before, rest = self._slid.get(joint, (counts, 0.0))
+        rest += (1.0 / share - 1.0) * (counts - before)
+        self._slid[joint] = (counts, rest - round(rest))
+        return round(rest)
+
     def _counts(self, joint: int, angle_rad: float) -> int:
         return round(angle_rad / self._models[joint].rad_per_count)
 
@@ -107,6 +128,8 @@ class ServoFaults:
         fault = self.find(joint, "wrong", t_ns)
         if fault is None:
             return truth
+        if "share" in fault.options:
+            return (truth[0], round(truth[1] / self.share(joint, t_ns)), truth[2])
         extra = self._counts(joint, fault.option("angle_rad", _WRONG_RAD))
         return (truth[0] + extra, truth[1], truth[2])
 

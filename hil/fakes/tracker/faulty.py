@@ -15,7 +15,7 @@ SUPPORTED_FAULTS: Supported = {
     "off": (),
     "stuck": (),
     "garbage": ("nan", "clock"),
-    "wrong": ("scale", "confidence"),
+    "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "confidence"),
     "slow": ("factor",),
     "delayed": ("delay_s",),
     "intermittent": PERIODIC,
@@ -27,6 +27,7 @@ SUPPORTED_FAULTS: Supported = {
 }
 
 _WRONG_SCALE, _JUMP_M = 1.2, 0.1
+_DRIFTS = ("drift_x_m_s", "drift_y_m_s")
 _NAN = math.nan
 _NO_VECTOR = Vector(_NAN, _NAN, _NAN)
 _NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _NAN), _NO_VECTOR)
@@ -35,7 +36,8 @@ _NOT_A_POSE = CameraPose(_NO_VECTOR, _NO_VECTOR, Quaternion(_NAN, _NAN, _NAN, _N
 class TrackerFaults(DeviceFaults):
     """What is wrong with the camera.
 
-    Options: `wrong,scale=` on every step, or `wrong,confidence=`; `jump,distance_m=` once;
+    Options: `wrong,scale=` on every step, `wrong,drift_x_m_s=,drift_y_m_s=` along the wall's axes, or
+    `wrong,confidence=`; `jump,distance_m=` once;
     `slow,factor=`; `delayed,delay_s=`; `intermittent,period_s=,duty=`; `drop` and `duplicate` with
     `probability=`; `garbage,nan=1` for poses of NaN instead of random numbers, `garbage,clock=1` for
     random time stamps. `off` is silence, after which tracking starts anew; `unplug` ends the stream.
@@ -76,10 +78,11 @@ class TrackerFaults(DeviceFaults):
 
     def scale(self, t_ns: int) -> float:
         """Factor on the steps seen."""
-        fault = self.find("wrong", t_ns)
-        if fault is None or "confidence" in fault.options:
-            return 1.0
-        return fault.option("scale", _WRONG_SCALE)
+        return seen_scale(self.find("wrong", t_ns))
+
+    def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
+        """Way in the wall's axes that is seen in a step and was not gone."""
+        return seen_drift_m(self.find("wrong", t_ns), dt_s)
 
     def spoil(self, frame: PoseFrame, t_ns: int) -> tuple[PoseFrame, ...]:
         """The frame as it arrives: not at all, once or twice."""
@@ -109,3 +112,18 @@ class TrackerFaults(DeviceFaults):
             Vector(*values[:3]), Vector(*values[3:6]), Quaternion(*values[6:10]), Vector(*values[10:])
         )
         return dataclasses.replace(frame, pose=pose, confidence=int(self._rng.integers(0, 4)))
+
+
+def seen_scale(fault: Fault | None) -> float:
+    """Factor of a `wrong` fault on the steps seen; 1 where it is wrong in something else."""
+    if fault is None or ("scale" not in fault.options and fault.options):
+        return 1.0
+    return fault.option("scale", _WRONG_SCALE)
+
+
+def seen_drift_m(fault: Fault | None, dt_s: float) -> tuple[float, float]:
+    """Way of a `wrong` fault that is seen in a step and was not gone."""
+    if fault is None:
+        return 0.0, 0.0
+    x_m_s, y_m_s = (fault.option(name, 0.0) for name in _DRIFTS)
+    return x_m_s * dt_s, y_m_s * dt_s

@@ -92,6 +92,11 @@ class VisualOdometry:
         step = distance_m * direction / float(np.linalg.norm(direction))
         self._position = [p + s for p, s in zip(self._position, step.tolist(), strict=True)]
 
+    def drift(self, x_m: float, y_m: float) -> None:
+        """See a way in the wall's axes that the camera has not gone, together with the next step."""
+        if self._started:
+            self._last = self._last[0] - x_m, self._last[1] - y_m
+
     def observe(self, body: BodyMotion, dt_s: float, scale: float = 1.0) -> CameraPose:
         """The camera's pose for the body's true motion, `dt_s` after the last one."""
         x, y, theta, vx, vy, omega, _, _, tilt = body

@@ -142,6 +142,8 @@ class T265(Scheduled):
         number, self._number = self._number, self._number + 1
         body = self._world.plant.body()
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
+        if faults is not None:
+            self.odometry.drift(*faults.drift_m(t_ns, dt_s))
         pose = self.odometry.observe(body, dt_s, 1.0 if faults is None else faults.scale(t_ns))
         self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()

@@ -156,6 +156,7 @@ class VisualInertialComputer(Scheduled):
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
         body = self._world.plant.body()
         self._relocalise(t_ns, dt_s)
+        self.odometry.drift(*faults.drift_m(t_ns, dt_s))
         pose = self.odometry.observe(body, dt_s, faults.scale(t_ns))
         self._travelled_m += dt_s * math.hypot(body.v_x_m_s, body.v_y_m_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()

@@ -9,12 +9,13 @@ import numpy as np
 
 from hil.devices.tracker.mavlink.odometry import Estimate
 from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported
+from hil.fakes.tracker.faulty import seen_drift_m, seen_scale
 
 SUPPORTED_FAULTS: Supported = {
     "off": (),
     "stuck": (),
     "garbage": ("nan", "clock", "packets"),
-    "wrong": ("scale", "quality", "frame"),
+    "wrong": ("scale", "drift_x_m_s", "drift_y_m_s", "quality", "frame"),
     "slow": ("factor",),
     "delayed": ("delay_s",),
     "intermittent": PERIODIC,
@@ -27,7 +28,7 @@ SUPPORTED_FAULTS: Supported = {
     "reset": (),
 }
 
-_WRONG_SCALE, _JUMP_M = 1.2, 0.1
+_JUMP_M = 0.1
 _LATEST_US = 1 << 62
 
 
@@ -77,10 +78,11 @@ class ComputerFaults(DeviceFaults):
 
     def scale(self, t_ns: int) -> float:
         """Factor on the steps seen."""
-        fault = self.find("wrong", t_ns)
-        if fault is None or ("scale" not in fault.options and fault.options):
-            return 1.0
-        return fault.option("scale", _WRONG_SCALE)
+        return seen_scale(self.find("wrong", t_ns))
+
+    def drift_m(self, t_ns: int, dt_s: float) -> tuple[float, float]:
+        """Way in the wall's axes that is seen in a step and was not gone."""
+        return seen_drift_m(self.find("wrong", t_ns), dt_s)
 
     def distort(self, estimate: Estimate, t_ns: int) -> Estimate:
         """The estimate as the computer takes it to be."""

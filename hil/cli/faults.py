@@ -1,0 +1,150 @@
+"""`hil faults`: every fault of every emulated device, judged: is the robot held, is the cause named."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from hil.cli.progress import reporting
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
+from hil.vocabulary.files import check_file
+
+if TYPE_CHECKING:
+    from hil.procedure.faults import Cell, Verdict
+
+PAGE = "reliability.md"
+DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Options that choose the cells, as given."""
+
+    quick: bool
+    seeds: str
+    only: tuple[str, ...]
+    moments: str
+    plants: str
+    count: int | None
+    bench: str
+
+
+@click.command()
+@click.option("--quick", is_flag=True, help="A handful of cells: one of each way to lose a robot.")
+@click.option("--seeds", default="0:1", show_default=True, help="Seeds of the worlds: 0:5, or 1,4,7.")
+@click.option("--only", multiple=True, metavar="DEVICE[:FAULT[@MOMENT]]", help="Only these (repeatable).")
+@click.option("--moments", default=DEFAULTS["moments"], show_default=True, help="When, by commas.")
+@click.option(
+    "--plants", default=DEFAULTS["plants"], show_default=True, help="Physics, by commas: own, mujoco."
+)
+@click.option("--random", "count", type=click.IntRange(1, 100_000),
+              help="So many runs with one to four faults at random moments instead.")  # fmt: skip
+@click.option(
+    "--bench", default=DEFAULTS["bench"], show_default=True, help="Bench file, or a shipped profile."
+)
+@click.option("--workers", type=click.IntRange(0, 1000), default=0, show_default=True,
+              help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
+@click.option("--out", type=click.Path(path_type=Path), default=Path("out/faults"), show_default=True,
+              help="Folder of the matrix.")  # fmt: skip
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
+    workers: int, out: Path, as_json: bool,
+) -> int:  # fmt: skip
+    """Every fault of every emulated device, at four moments of a climb, judged, into one matrix."""
+    from hil.procedure.campaign import spread
+    from hil.procedure.faults import lost, run_cell, write_page
+
+    asked = Asked(quick, seeds, only, moments, plants, count, bench)
+    cells = _cells(asked)
+    check_file(out / PAGE)
+    out.mkdir(parents=True, exist_ok=True)
+    verdicts: list[Verdict] = []
+    with reporting() as report:
+
+        def done(verdict: Verdict) -> None:
+            verdicts.append(verdict)
+            if verdict.why:
+                click.echo(f"FAILED {verdict.cell.name}: {'; '.join(verdict.why)}", err=True)
+            report("cells", len(verdicts), len(cells))
+
+        work = partial(run_cell, bench=os.path.abspath(bench) if os.path.isfile(bench) else bench)
+        spread(work, cells, lost=lost, done=done, workers=workers)
+    order = {cell: k for k, cell in enumerate(cells)}
+    verdicts.sort(key=lambda v: order[v.cell])
+    write_page(out / PAGE, verdicts, _shown(asked))
+    failed = [v for v in verdicts if v.why]
+    if as_json:
+        click.echo(json.dumps(_json(verdicts, out / PAGE), allow_nan=False))
+    else:
+        click.echo(f"{len(verdicts)} cells, {len(failed)} failed; matrix: {out / PAGE}")
+    return EXIT_LIMIT_FAILED if failed else EXIT_PASS
+
+
+def _cells(asked: Asked) -> tuple[Cell, ...]:
+    """The cells that were asked for; raises `UsageError` for what there is not."""
+    from hil.bench import supported_faults
+    from hil.config.loading import load_bench
+    from hil.procedure.campaign import parse_seeds
+    from hil.procedure.faults import MOMENTS, PLANTS, cells_of, quick_cells, random_cells
+
+    worlds = parse_seeds(asked.seeds)
+    moments = _known("--moments", asked.moments, tuple(MOMENTS))
+    physics = _known("--plants", asked.plants, PLANTS)
+    if sum((asked.quick, bool(asked.only), asked.count is not None)) > 1:
+        raise UsageError("--quick, --only and --random exclude each other", expected="one of them")
+    config = load_bench(asked.bench)
+    if real := [name for name in config.devices() if name not in config.emulated()]:
+        raise UsageError(
+            f"bench {config.name}: {', '.join(real)} cannot be real in a fault campaign",
+            expected="every device emulated", remedy="use --bench emulated",
+        )  # fmt: skip
+    if asked.quick:
+        return quick_cells(worlds, physics)
+    supported = supported_faults(config)
+    if asked.count is not None:
+        return random_cells(supported, count=asked.count, seeds=worlds, plants=physics)
+    return cells_of(supported, seeds=worlds, plants=physics, moments=moments, only=asked.only)
+
+
+def _known(option: str, text: str, names: Sequence[str]) -> tuple[str, ...]:
+    """Names separated by commas, all of them known."""
+    given = tuple(text.split(","))
+    for name in given:
+        if name not in names:
+            raise UsageError(
+                f"{option} {name!r} is unknown", expected="of " + ", ".join(names),
+                remedy=did_you_mean(name, names),
+            )  # fmt: skip
+    return given
+
+
+def _shown(asked: Asked) -> str:
+    """The command that repeats it."""
+    parts = ["hil faults", f"--seeds {asked.seeds}"]
+    parts += ["--quick"] if asked.quick else [f"--only {text}" for text in asked.only]
+    for option, given in (("moments", asked.moments), ("plants", asked.plants), ("bench", asked.bench)):
+        parts += [f"--{option} {given}"] if given != DEFAULTS[option] else []
+    return " ".join([*parts, *([f"--random {asked.count}"] if asked.count is not None else [])])
+
+
+def _json(verdicts: Sequence[Verdict], page: Path) -> dict[str, object]:
+    return {
+        "cells": len(verdicts),
+        "failed": [
+            {
+                "device": v.cell.device, "fault": v.cell.fault, "moment": v.cell.moment, "seed": v.cell.seed,
+                "plant": v.cell.plant, "specs": list(v.cell.specs), "why": "; ".join(v.why),
+            }
+            for v in verdicts if v.why
+        ],
+        "quiet": [v.cell.name for v in verdicts if not v.told and not v.why],
+        "table": str(page),
+    }  # fmt: skip

@@ -1,0 +1,25 @@
+"""The fault campaign: every fault of every emulated device at several moments of a short climb, judged.
+
+A cell is one device, one fault, one moment, one seed and one physics; its verdict says whether the robot was
+held within the limits, whether the cause was named, whether the robot recovered where it should, and whether
+the recording can be read.
+"""
+
+from hil.procedure.faults.cells import MOMENTS, PLANTS, Cell, cells_of, quick_cells, random_cells
+from hil.procedure.faults.driving import run_cell
+from hil.procedure.faults.judging import Verdict, lost
+from hil.procedure.faults.matrix import matrix_page, write_page
+
+__all__ = [
+    "MOMENTS",
+    "PLANTS",
+    "Cell",
+    "Verdict",
+    "cells_of",
+    "lost",
+    "matrix_page",
+    "quick_cells",
+    "random_cells",
+    "run_cell",
+    "write_page",
+]

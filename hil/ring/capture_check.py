@@ -1,0 +1,146 @@
+"""Motion capture against camera and wheels: who of the three is alone with the way that it tells.
+
+Motion capture sees neither scale nor slip, so a camera beside it may differ by its scale only, and wheels by
+what they creep. It stays a witness: what it says goes into no estimate here. Deterministic: depends on what
+was taken since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from hil.ring.dead_reckoning import Kept, Track, WheelTrack
+from hil.ring.doubts import CAMERA, WHEELS, Party, Relocalisation, Sum
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.signals import PoseMeasurement
+
+CAPTURE = Party("mocap", "motion capture")
+_STEP_NS, _GAP_NS = 40_000_000, 300_000_000
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What camera and wheels may differ by from motion capture.
+
+    Attributes:
+        scale: m per metre along the way: the camera's scale, 1 to 2 % where it has not been measured.
+        across: m per metre across it: how far the axes of the rigid body may be turned against the robot's.
+        lever_m: m per radian turned: where the origin of the rigid body lies.
+        rest_m_s: drift of a camera while nothing moves.
+        told_m, stop_m: sums that are told, and at which the robot must not go on: a camera that is late by
+            50 ms unnoticed differs by 6 mm after every start and stop at 0.12 m/s.
+        path: m per rolled metre by which wheels differ: radii (1 %), wheels that are not parallel (3 %).
+        slipped_told_m, slipped_stop_m: as above, of the wheels.
+    """
+
+    scale: float = 0.03
+    across: float = 0.05
+    lever_m: float = 0.05
+    rest_m_s: float = 0.001
+    told_m: float = 0.007
+    stop_m: float = 0.01
+    path: float = 0.04
+    slipped_told_m: float = 0.006
+    slipped_stop_m: float = 0.009
+
+
+class PoseTrack(Track):
+    """Keeps place (m, complex) and heading (rad) of a body; a pose that is not valid, and a gap, end it."""
+
+    def take(self, poses: Iterable[PoseMeasurement]) -> None:
+        """Go on by what has been measured."""
+        for pose in poses:
+            t_ns, last_ns = pose.stamp.t_ns, self.newest_ns
+            x_m, y_m, heading_rad = pose.pose.tolist()
+            if not (pose.valid and math.isfinite(x_m + y_m + heading_rad)):
+                self.clear()
+            elif last_ns is None or t_ns > last_ns:
+                if last_ns is not None and t_ns - last_ns > _GAP_NS:
+                    self.clear()
+                self.put(t_ns, (complex(x_m, y_m), heading_rad))
+
+
+class CaptureCheck:
+    """Sums of motion capture's way against those of camera and wheels.
+
+    Args:
+        wheels: their way, kept by somebody else.
+        seen: what honest ones differ by.
+        creep: m per rolled metre by which a robot gets lower than its wheels roll.
+    """
+
+    def __init__(self, wheels: WheelTrack, seen: Seen, *, creep: float) -> None:
+        self._wheels, self._allowed, self._creep = wheels, seen, creep
+        self.camera = Sum(CAMERA, CAPTURE, seen.told_m, seen.stop_m)
+        self.rolled = Sum(CAPTURE, WHEELS, seen.slipped_told_m, seen.slipped_stop_m)
+        self._camera_track, self._capture = PoseTrack(), PoseTrack()
+        self._leaps = (Relocalisation(), Relocalisation())
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was seen."""
+        for part in (self.camera, self.rolled, self._camera_track, self._capture, *self._leaps):
+            part.reset()
+        self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
+
+    def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
+        """Take the poses of one cycle."""
+        self._camera_track.take(camera)
+        self._capture.take(capture)
+
+    def compare(self) -> bool:
+        """Add a step of each pair, where enough time has passed; whether there was something to compare."""
+        camera, wheels = self._step(0, self._camera_track), self._step(1, self._wheels)
+        if camera is not None:
+            self._add_camera(*camera)
+        if wheels is not None:
+            self._add_wheels(*wheels)
+        return not (camera is None and wheels is None)
+
+    def _step(self, pair: int, other: Track) -> tuple[int, float, Kept, Kept, Kept, Kept] | None:
+        """Beginning, length (s), and values of another track and of motion capture, before and after."""
+        newest, others = self._capture.newest_ns, other.newest_ns
+        if newest is None or others is None:
+            self._last[pair] = None
+            return None
+        t_ns, before = min(newest, others), self._last[pair]
+        if before is not None and 0 <= t_ns - before[0] < _STEP_NS:
+            return None
+        now, seen = other.at(t_ns), self._capture.at(t_ns)
+        if now is None or seen is None:
+            return None
+        self._last[pair] = (t_ns, now, seen)
+        if before is None or not 0 < t_ns - before[0] < _GAP_NS:
+            return None
+        began_ns = before[0]
+        if not (self._capture.covers(began_ns) and other.covers(began_ns)):
+            return None
+        return began_ns, (t_ns - began_ns) / NS_PER_S, before[1], now, before[2], seen
+
+    def _add_camera(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
+        h = self._allowed
+        way, turn = _moved(before, now)
+        true, turned = _moved(was, seen)
+        if self._leaps[0].jumped(t_ns, abs(way - true), abs(turn - turned)):
+            return
+        allowed = h.lever_m * abs(turned) + h.rest_m_s * dt_s
+        self.camera.add(t_ns, way, true, allowed, cmath.rect(1.0, -turned), way=(h.scale, h.across))
+
+    def _add_wheels(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
+        h = self._allowed
+        true, turned = _moved(was, seen)
+        (place, heading, rolled, slack), (place0, heading0, rolled0, slack0) = now, before
+        rolling = (place - place0) * cmath.rect(1.0, -heading0.real)
+        turning, far, loose = (heading - heading0).real, (rolled - rolled0).real, (slack - slack0).real
+        if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
+            return
+        allowed = h.path * far + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
+        self.rolled.add(t_ns, true, rolling, allowed, cmath.rect(1.0, -turning), self._creep * far)
+
+
+def _moved(before: Kept, now: Kept) -> tuple[complex, float]:
+    """Way (m, complex) in the body's axes at its beginning, and turn (rad), of two poses."""
+    return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real

@@ -1,0 +1,109 @@
+"""Whether a sensor's samples come as often and as soon as those of a healthy one: what is late, lost or slow.
+
+A lost packet is not worth a word; a share of them is, told once until it is over. Deterministic: depends on
+the inputs seen since `reset` and on nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.signals import Event, Inputs, Status, worst
+
+_WINDOW_NS = 1_000_000_000
+_SETTLED_NS = 700_000_000
+"""After its first good sample: a camera is less sure of itself until then."""
+
+
+@dataclass(frozen=True)
+class Healthy:
+    """What a healthy sensor of a kind does.
+
+    Attributes:
+        rate_hz: samples per second; NaN where its owner chooses.
+        delivered: least share of them that are good.
+        age_s: how old a sample may be when it is read.
+    """
+
+    rate_hz: float
+    delivered: float
+    age_s: float
+
+
+class _Stream:
+    """Counts of one sensor in the present window."""
+
+    def __init__(self, healthy: Healthy) -> None:
+        self.healthy = healthy
+        self.settled_ns: int | None = None
+        self.learns = math.isnan(healthy.rate_hz)
+        self.most = 0.0 if self.learns else healthy.rate_hz * _WINDOW_NS / NS_PER_S
+        self.sparse = self.late = False
+        self.begin(0)
+
+    def begin(self, t_ns: int) -> None:
+        """A new window."""
+        self.good, self.ends_ns = 0, t_ns + _WINDOW_NS
+        self.youngest_ns: int | None = None
+
+
+class StreamWatch:
+    """Follows the streams of one run.
+
+    Args:
+        healthy: by sensor.
+    """
+
+    def __init__(self, healthy: Mapping[str, Healthy]) -> None:
+        self._healthy = healthy
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was counted."""
+        self._streams = {name: _Stream(healthy) for name, healthy in self._healthy.items()}
+
+    def judge(self, inputs: Inputs, events: list[Event]) -> None:
+        """Look at one cycle's samples; what is noticed is added to `events`."""
+        t_ns = inputs.t_ns
+        for name, stream in self._streams.items():
+            for sample in inputs.of(name):
+                if _is_good(sample):
+                    self._count(stream, t_ns, sample.stamp.t_ns)
+            if stream.settled_ns is not None and t_ns >= stream.ends_ns:
+                self._conclude(name, stream, t_ns, events)
+
+    def _count(self, stream: _Stream, t_ns: int, measured_ns: int) -> None:
+        if stream.settled_ns is None:
+            stream.settled_ns = t_ns + _SETTLED_NS
+            stream.begin(stream.settled_ns)
+        if t_ns < stream.settled_ns:
+            return
+        stream.good += 1
+        age_ns = t_ns - measured_ns
+        if stream.youngest_ns is None or age_ns < stream.youngest_ns:
+            stream.youngest_ns = age_ns
+
+    def _conclude(self, name: str, stream: _Stream, t_ns: int, events: list[Event]) -> None:
+        """The end of a window."""
+        healthy = stream.healthy
+        sparse = stream.good < healthy.delivered * stream.most
+        late = stream.youngest_ns is not None and stream.youngest_ns > nanoseconds(healthy.age_s)
+        if sparse and not stream.sparse and stream.good:
+            said = f"sends {stream.good} good samples a second instead of {stream.most:.0f}"
+            events.append(Event(t_ns, "warning", name, said))
+        if late and not stream.late and stream.youngest_ns is not None:
+            said = f"its samples are {stream.youngest_ns / NS_PER_S:.3f} s old or more when they arrive"
+            events.append(Event(t_ns, "warning", name, said))
+        stream.sparse, stream.late = sparse, late
+        if stream.learns:
+            stream.most = max(stream.most, stream.good)
+        stream.begin(t_ns)
+
+
+def _is_good(sample: Any) -> bool:
+    status = sample.status if isinstance(sample.status, Status) else worst(sample)
+    return status is Status.OK

@@ -1,0 +1,132 @@
+"""Motion capture beside camera and wheels: who is alone with the way that it tells is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.ring.doubts import Doubt
+from hil.ring.left_out import LeftOut
+from hil.ring.motion_check import MotionCheck
+from hil.robot.kinematics import WheelGeometry, inverse
+from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+
+GEOMETRY = WheelGeometry.nominal()
+PERIOD_NS = 10_000_000
+UP, ACROSS = np.array([0.1, 0.0]), np.array([0.0, 0.1])
+CREEP = np.array([-0.036, 0.0])
+
+
+def pose(name, t_ns, now_ns, place, heading_rad=0.0, valid=True):
+    return PoseMeasurement(Stamp(t_ns, now_ns, 0), name, np.array([*place, heading_rad]), 3, valid)
+
+
+def cycle(k, rolled, seen, captured, *, axes_rad=0.0, mocap=True):
+    """Straight ahead: ways (2,) as functions of time, m; the rigid body's axes may be turned."""
+    t_ns = k * PERIOD_NS
+    way = np.hypot(*rolled(t_ns * 1e-9))
+    _, steering = inverse(GEOMETRY, np.array([*rolled(1.0), 0.0]))
+    angle = way / GEOMETRY.radius_m
+    late_ns, soon_ns = t_ns - 25_000_000, t_ns - 5_000_000
+    return Measurements(
+        k, t_ns,
+        wheels=(WheelMeasurement(Stamp(t_ns, t_ns, k), angle, angle, steering, (True,) * 4),),
+        tracker=(pose("tracker", late_ns, t_ns, seen(late_ns * 1e-9)),),
+        mocap=(pose("mocap", soon_ns, t_ns, captured(soon_ns * 1e-9), axes_rad),) if mocap else (),
+    )  # fmt: skip
+
+
+def at(speed_m_s):
+    """Way (2,) at a constant speed (2,), as a function of time."""
+    return lambda t_s: np.asarray(speed_m_s) * t_s
+
+
+def doubts(rolled, seen, captured, cycles=400, **options):
+    check = MotionCheck(GEOMETRY)
+    given = [cycle(k, at(rolled), at(seen), at(captured), **options) for k in range(3, cycles)]
+    return [(k * PERIOD_NS * 1e-9, d) for k, m in enumerate(given, 3) for d in check.update(m)]
+
+
+def true_of(rolled):
+    """What a robot does whose wheels roll like this on a wall: it creeps down."""
+    return rolled + CREEP * np.hypot(*rolled)
+
+
+@pytest.mark.parametrize("rolled", [UP, ACROSS, -UP])
+@pytest.mark.parametrize("scale", [0.987, 1.0, 1.013])
+def test_honest_sensors_on_a_creeping_robot_leave_nothing_to_doubt(rolled, scale):
+    true = true_of(rolled)
+    assert doubts(rolled, true * scale, true, 800, axes_rad=0.03) == []
+
+
+@pytest.mark.parametrize("rolled", [UP, ACROSS])
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_a_tenth_of_scale_is_found_where_motion_capture_looks_on(rolled, scale):
+    """Beside wheels that creep nobody could tell it from creep."""
+    true = true_of(rolled)
+    (told_s, first), *_ = doubts(rolled, true * scale, true)
+    assert first.source == "tracker"
+    assert 0.1 * np.hypot(*true) * told_s < 0.015
+    assert doubts(rolled, true * scale, true, 160, mocap=False) == []
+
+
+def test_wheels_that_slip_are_named():
+    found = doubts(UP, 0.6 * UP, 0.6 * UP)
+    assert {d.source for _, d in found} == {"servos"}
+    assert any(d.grave and d.confirmed for _, d in found)
+    assert "agree against the wheels" in found[-1][1].message
+
+
+def test_motion_capture_that_is_wrong_is_named_itself():
+    found = doubts(UP, UP, 0.7 * UP)
+    assert {d.source for _, d in found} == {"mocap"}
+
+
+def test_a_frame_that_is_not_valid_and_a_gap_begin_anew():
+    """The body may be another behind it."""
+    check, found = MotionCheck(GEOMETRY), []
+    for k in range(3, 300):
+        given = cycle(k, at(UP), at(UP), at(UP))
+        off = 0.015 * (k > 100)
+        (seen,) = given.mocap
+        seen = replace(seen, pose=np.add(seen.pose, [off, 0.0, 0.0]), valid=k not in range(98, 101))
+        found += check.update(replace(given, mocap=(seen,)))
+    assert found == []
+
+
+def doubt(source, *, confirmed=True, off=0.012, turns=False):
+    return Doubt(source, "it differs", True, confirmed, off, turns)
+
+
+USED = frozenset(("tracker", "imu"))
+
+
+@pytest.mark.parametrize(
+    ("source", "on_wall", "spared"),
+    [("tracker", False, True), ("imu", False, True), ("mocap", False, True), ("servos", False, False),
+     ("tracker", True, False), ("imu", True, False), ("mocap", True, True)],
+)  # fmt: skip
+def test_who_can_be_left_out_depends_on_the_surface(source, on_wall, spared):
+    left_out = LeftOut(USED, on_wall=on_wall)
+    assert left_out.can_do_without(doubt(source)) is spared
+    assert not left_out.can_do_without(doubt(source, confirmed=False))
+
+
+def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
+    left_out = LeftOut(USED, on_wall=False)
+    gyro = GyroMeasurement(Stamp(0, 0, 0), 0.0, 0.0, np.zeros(2))
+    given = replace(cycle(5, at(UP), at(UP), at(UP)), gyro=(gyro,))
+    event = left_out.take(doubt("tracker"), 5)
+    assert (event.source, left_out.shaken) == ("tracker", (0.012, 0.0))
+    assert "left out" in event.message
+    assert left_out.believed(given) == replace(given, tracker=())
+    left_out.begin()
+    left_out.take(doubt("imu", off=0.1, turns=True), 6)
+    assert left_out.shaken == (0.0, 0.1)
+    assert left_out.believed(given) == replace(given, tracker=(), gyro=())
+    left_out.begin()
+    left_out.take(doubt("mocap"), 7)
+    assert left_out.shaken == (0.0, 0.0)
+    left_out.reset()
+    assert left_out.believed(given) is given
+    assert "tracker" not in left_out

@@ -1,0 +1,186 @@
+"""The fault campaign: which cells there are, what makes one fail, and the short form of it."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hil.bench import supported_faults
+from hil.cli.faults import command
+from hil.config.loading import load_bench
+from hil.procedure.faults import MOMENTS, Cell, Verdict, cells_of, matrix_page, random_cells
+from hil.procedure.faults.judging import Seen, judge
+from hil.vocabulary.errors import HilError, UsageError
+
+SUPPORTED = {
+    "plant": ("adhesion_loss",), "servos": ("off", "jump"), "servo.drive_FL": ("off",),
+    "servo.drive_BL": ("off",), "servo.1": ("off",), "encoder.FL": ("stuck",), "encoder.BR": ("stuck",),
+    "imu": ("wrong",),
+}  # fmt: skip
+
+
+def cells(**given):
+    return cells_of(SUPPORTED, **{"seeds": (0,), "plants": ("own",), **given})
+
+
+def test_one_of_eight_servos_and_four_encoders_stands_for_the_others():
+    found = {(c.device, c.fault) for c in cells()}
+    assert found == {
+        ("plant", "adhesion_loss"), ("servos", "off"), ("servos", "jump"), ("servo.drive_FL", "off"),
+        ("encoder.FL", "stuck"), ("imu", "wrong"),
+    }  # fmt: skip
+    assert len(cells()) == 6 * len(MOMENTS)
+    assert len(cells(seeds=(0, 1), plants=("own", "mujoco"), moments=("open",))) == 6 * 4
+
+
+def test_every_fault_of_the_shipped_bench_has_its_cells():
+    supported = supported_faults(load_bench("emulated"))
+    devices = {c.device for c in cells_of(supported, seeds=(0,), plants=("own",))}
+    assert devices >= {
+        "servos",
+        "servo.steer_FL",
+        "encoders",
+        "imu",
+        "tracker",
+        "mocap",
+        "adhesion",
+        "thrust",
+    }
+    assert devices >= {"load_cells", "plant"}
+
+
+def test_only_names_devices_faults_and_moments():
+    assert {c.moment for c in cells(only=("imu",))} == set(MOMENTS)
+    (one,) = cells(only=("servo.drive_BL:off@second",))
+    assert one.specs == ("servo.drive_BL:off@1.3+1",)
+    for wrong in ("imus", "imu:off", "imu:wrong@later"):
+        with pytest.raises(UsageError, match="no such cell"):
+            cells(only=(wrong,))
+
+
+def test_random_runs_are_the_same_for_the_same_arguments():
+    first = random_cells(SUPPORTED, count=30, seeds=(1, 2), plants=("own",))
+    assert first == random_cells(SUPPORTED, count=30, seeds=(1, 2), plants=("own",))
+    assert first != random_cells(SUPPORTED, count=30, seeds=(2, 1), plants=("own",))
+    assert {len(c.specs) for c in first} == {1, 2, 3, 4}
+    assert not any(c.device.startswith("servo.1") for c in first)
+
+
+def cell(device="imu", fault="wrong", moment="motion"):
+    return Cell(device, fault, moment, 0, "own", (f"{device}:{fault}{MOMENTS[moment]}",))
+
+
+def seen(**given):
+    return Seen(**{"cycles": 300, "said": "HELD", "events": [("imu", "it is wrong")], **given})
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({}, ""),
+        ({"said": "NOT HELD", "why": "torque"}, "not held: torque"),
+        ({"crept_m": 0.002}, "said to be held, and moved by 2.0 mm"),
+        ({"moved_m": 0.006}, "moved by 6.0 mm after the stop"),
+        ({"fallen": True}, "fell although fan"),
+        ({"fallen": True, "said": "NOT HELD", "adhesion_n": 3.0, "moved_m": 1.0}, ""),
+        ({"fallen": True, "said": "NOT HELD", "thrust_share": 0.0, "moved_m": 1.0}, ""),
+        ({"stop": "SafetyStop: robot stopped (blocked): wheel FL", "events": []}, "is not named"),
+        ({"stop": "SafetyStop: robot stopped (x): the IMU is mad", "events": []}, ""),
+        ({"unreadable": "torn"}, "the recording: torn"),
+        ({"foreign": "KeyError: 3"}, "an exception of another kind: KeyError: 3"),
+        ({"off_m": np.array([0.03, 0.0]), "sigma_m": np.array([0.005, 0.005])}, "30 mm beside its estimate"),
+        ({"off_m": np.array([0.015, 0.0]), "sigma_m": np.array([0.005, 0.005])}, ""),
+    ],
+)
+def test_what_makes_a_cell_fail(given, said):
+    why = judge(cell(), seen(**given)).why
+    assert "; ".join(why).count(said) == (1 if said else 0) or not said
+    assert bool(why) is bool(said)
+    assert all(said in text for text in why)
+
+
+def test_servos_without_supply_to_the_end_cannot_be_held_but_those_that_come_back_must():
+    away = {"said": "NOT HELD", "why": "drive_FL (timeout)", "events": [("servos", "gone")], "moved_m": 0.02}
+    assert judge(cell("servos", "off", "motion"), seen(**away)).why == ()
+    (why,) = judge(cell("servos", "off", "second"), seen(**away)).why
+    assert why.startswith("not held")
+    assert judge(cell("servos", "jump", "motion"), seen(**away)).why != ()
+
+
+def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
+    quiet = judge(cell(), seen(events=[]))
+    assert (quiet.why, quiet.told, quiet.ended) == ((), False, "went on")
+    stopped = judge(
+        cell("servos", "jump"), seen(events=[("servos", "a leap")], stop="robot stopped (servo_jump)")
+    )
+    assert (stopped.told, stopped.ended) == (True, "servo_jump")
+    fell = Verdict(cell("mocap", "off"), ("it | fell",), "went on", True, "HELD")
+    page = matrix_page([quiet, stopped, fell], "hil faults")
+    assert "| `imu` | `wrong` | on * |" in page
+    assert "| `servos` | `jump` | stop |" in page
+    assert "| `mocap` | `off` | **FAILED** 1/1 |" in page
+    assert "| `mocap:off motion seed 0 own` | it / fell |" in page
+    assert "3 cells, 1 failed, 1 passed without a word" in page
+
+
+def run(*arguments):
+    return CliRunner().invoke(command, arguments, standalone_mode=False)
+
+
+def test_the_short_form_passes(tmp_path):
+    result = run("--quick", "--json", "--out", str(tmp_path / "new" / "folder"))
+    told = json.loads(result.stdout)
+    assert result.return_value == 0, told["failed"]
+    assert (told["cells"], told["failed"]) == (4, [])
+    assert "| `servos` | `brownout` |" in (tmp_path / "new" / "folder" / "reliability.md").read_text(
+        encoding="utf-8"
+    )
+
+
+def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):
+    def fallen(cell, bench):
+        return Verdict(cell, ("it fell",), "went on", True, "HELD")
+
+    monkeypatch.setattr("hil.procedure.faults.run_cell", fallen)
+    result = run("--only", "imu:wrong@open", "--json", "--out", str(tmp_path))
+    (failed,) = json.loads(result.stdout)["failed"]
+    assert result.return_value == 1
+    assert (failed["device"], failed["fault"], failed["moment"], failed["why"]) == (
+        "imu",
+        "wrong",
+        "open",
+        "it fell",
+    )
+    assert "FAILED imu:wrong open" in result.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [
+        (("--plants", "moon"), "moon"), (("--moments", "later"), "later"), (("--only", "imu:of"), "imu:off"),
+        (("--quick", "--random", "3"), "exclude"), (("--seeds", "x"), "--seeds"),
+        (("--bench", "sensors"), "cannot be real"),
+    ],
+)  # fmt: skip
+def test_what_there_is_not_is_refused_before_anything_runs(arguments, named):
+    with pytest.raises(HilError, match=named) as refused:
+        command.main([*arguments], standalone_mode=False)
+    assert refused.value.exit_code == 2
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+def test_every_cell_passes(tmp_path, plant):
+    if plant == "mujoco":
+        pytest.importorskip("mujoco")
+    result = run("--seeds", "0:5", "--plants", plant, "--json", "--out", str(tmp_path))
+    assert json.loads(result.stdout)["failed"] == []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(7200)
+def test_nobody_falls_in_random_runs(tmp_path):
+    result = run("--random", "200", "--seeds", "0:10", "--json", "--out", str(tmp_path))
+    assert json.loads(result.stdout)["failed"] == []
