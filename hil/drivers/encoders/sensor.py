@@ -14,6 +14,7 @@ from hil.drivers.arrivals import ArrivalClock
 from hil.drivers.can_link import BUS_ERRORS, open_bus, remedy_of_silence, shut
 from hil.drivers.encoders.as5045 import decode_word
 from hil.drivers.encoders.layout import FrameLayout, load_layout
+from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -45,6 +46,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         error_frames: error frames seen on the bus since `open`.
         passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
         floods: reads that met more frames, or more of no use, than they look at; the rest waits.
+        node_status: what the node says of itself, known within about a second of `open`.
     """
 
     def __init__(self, config: EncodersConfig, clock: Clock, name: str = "encoders") -> None:
@@ -68,10 +70,12 @@ class As5045Encoders(Sensor[EncoderSample]):
         """
         self.close()
         self._layout = load_layout(self._config)
+        self.node_status = NodeStatus(self._config)
         first = next(iter(self._layout.values()))
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
         self._arrivals = ArrivalClock()
         self._forget()
+        self._told_layout = False
         self._sequence: int | None = None
         self._finished = -1
         self._words = [-1] * 4
@@ -213,6 +217,9 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Use one frame; returns a sample set when that completes or cuts short one."""
+        if self.node_status.take(message):
+            self._warn_of_layout()
+            return None
         layout = self._layout_of(message)
         data = message.data
         sequence = -1 if layout is None else layout.sequence.take(data)
@@ -230,6 +237,11 @@ class As5045Encoders(Sensor[EncoderSample]):
         if not self._missing:
             sample = self._finish(host_ns)
         return sample
+
+    def _warn_of_layout(self) -> None:
+        if not self._told_layout and (other := self.node_status.other_layout):
+            self._told_layout = True
+            _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
     def _layout_of(self, message: can.Message) -> FrameLayout | None:
         """Layout of a frame of ours, None for any other."""
