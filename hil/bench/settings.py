@@ -33,6 +33,7 @@ from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 
+_LONGER_THAN_DRIVER_S = 0.1
 _WHEEL_MODELS = {"exact": "equations"}
 _SUPERVISED = {f.name for f in fields(SafetyLimits)}
 
@@ -90,7 +91,18 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         steering=None if encoders is None else SteeringWatch(encoders, ids),
         stops_by_steering=follows,
         hold=adhesion_watch(config),
+        lost_after_s=_lost_after_s(config) if follows else {},
     )
+
+
+def _lost_after_s(config: BenchConfig) -> dict[str, float]:
+    """By sensor whose silence matters: after what silence its driver would have raised, and a little more."""
+    limits = safety_limits(config).stale_s
+    return {
+        name: own.fail_after_s + _LONGER_THAN_DRIVER_S
+        for name, own in config.devices().items()
+        if name in limits and not kinds()[name].actuates and hasattr(own, "fail_after_s")
+    }
 
 
 def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:

@@ -37,6 +37,7 @@ class SampleWatch:
         """Forget ages and what was told."""
         self._last_ok_ns: dict[str, int] = {}
         self._last_bad: dict[str, Status] = {}
+        self._last_any_ns: dict[str, int] = {}
         self._silent: set[str] = set()
         self._last_told_ns: dict[tuple[str, Status], int] = {}
 
@@ -58,6 +59,10 @@ class SampleWatch:
                         self._look(name, f"{label} ", status, t_ns, events)
             if name in self._stale_ns:
                 self._age(name, good, t_ns, events)
+            if inputs.of(name):
+                last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
+                if name not in self._stale_ns and t_ns - last_ns > _FORGOTTEN_NS:
+                    events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
 
     def silence(self, name: str, t_ns: int) -> str:
         """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
@@ -66,6 +71,10 @@ class SampleWatch:
         duration_s = (t_ns - self._last_ok_ns[name]) / NS_PER_S
         bad = self._last_bad.get(name)
         return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
+
+    def away_s(self, name: str, t_ns: int) -> float:
+        """For how long a sensor has sent nothing at all, good or bad, since its first sample; else 0."""
+        return (t_ns - self._last_any_ns.get(name, t_ns)) / NS_PER_S
 
     def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         if status in _TOLD:
@@ -85,7 +94,11 @@ class SampleWatch:
             self._last_bad.pop(name, None)
             if name in self._silent:
                 self._silent.discard(name)
-                events.append(Event(t_ns, "info", name, "answers again"))
+                events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
         elif t_ns - last_ns > self._stale_ns[name] and name not in self._silent:
             self._silent.add(name)
             events.append(Event(t_ns, "warning", name, f"stale for {(t_ns - last_ns) / NS_PER_S:.3f} s"))
+
+
+def _again(gap_ns: int) -> str:
+    return f"answers again, after {gap_ns / NS_PER_S:.2f} s"

@@ -27,6 +27,7 @@ _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
 _WAIT_S = 0.02
+_GONE_NS = 100_000_000
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 _NO_WORD = (math.nan, Status.TIMEOUT)
@@ -53,6 +54,8 @@ class As5045Encoders(Sensor[EncoderSample]):
         self.name = name
         self._config, self._clock = config, clock
         self._bus: can.BusABC | None = None
+        self._bus_error = ""
+        self._resumed_at = 0
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._forget()
@@ -96,6 +99,17 @@ class As5045Encoders(Sensor[EncoderSample]):
             "dbc": str(self._config.dbc_path),
             "frames": ", ".join(f"0x{i:X} {f.name}" for i, f in self._layout.items()),
         }
+
+    def reopen(self) -> None:
+        """As `open`, after the bus or the node was away: sample sets go on counting."""
+        self._resumed_at = max(self._resumed_at, self._timeline.sequence)
+        self.open()
+        self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the CAN interface itself fails, and nothing has come for a while."""
+        return bool(self._bus_error) and self._clock.now_ns() - self._good_ns > _GONE_NS
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
