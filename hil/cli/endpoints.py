@@ -90,8 +90,14 @@ def await_endpoints(path: Path, patience_s: float) -> str:
         patience_s: how long to wait.
 
     Raises:
+        UsageError: no emulator can put it there, or something else is there.
         DeviceTimeoutError: it has not appeared, or only one that an emulator left behind.
     """
+    if not path.parent.is_dir() or (path.exists() and not _left_behind(path)):
+        raise UsageError(
+            f"--wait {path}: no endpoints will be there", expected="the name that was given to --out",
+            remedy="look for a typing error",
+        )  # fmt: skip
     end_s = time.monotonic() + patience_s
     while (text := _of_a_living_emulator(path)) is None:
         if time.monotonic() >= end_s:

@@ -82,6 +82,13 @@ def test_waiting_ends_with_what_is_missing(tmp_path, left, why):
     assert f"hil emulate --out {file}" in raised.value.expected
 
 
+@pytest.mark.parametrize("name", ["none/endpoints.json", ".", "notes.txt"])
+def test_what_no_emulator_will_write_is_not_waited_for(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="no endpoints will be there"):
+        await_endpoints(tmp_path / name, 60.0)
+
+
 def ping(servo_id):
     head = bytes((0xFF, 0xFF, 0xFD, 0x00, servo_id, 3, 0, 1))
     crc = 0
