@@ -128,7 +128,7 @@ def test_who_opens_a_port_does_not_hear_what_came_before(wired):
     port.write(b"old")
     world.advance_to(world.now_ns + 100_000_000)
     port.close()
-    with serial.serial_for_url("hil://echo", timeout=0.1) as again:
+    with serial.serial_for_url("hil://echo", baudrate=115_200, timeout=0.1) as again:
         assert again.read(3) == b""
         again.cancel_read()
         again.cancel_write()
