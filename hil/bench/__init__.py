@@ -8,7 +8,7 @@ line and the procedures have.
 from hil.bench.bench import Bench
 from hil.bench.emulation import check_faults, hidden_truth, open_emulation, supported_faults
 from hil.bench.holding import Held
-from hil.bench.opening import open_bench
+from hil.bench.opening import open_bench, plan_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
 from hil.fakes.faults import Fault, make_fault
@@ -27,6 +27,7 @@ __all__ = [
     "make_fault",
     "open_bench",
     "open_emulation",
+    "plan_bench",
     "safety_limits",
     "set_up",
     "supported_faults",

@@ -13,6 +13,7 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
+from hil.bench.replug import replugged
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
 from hil.fakes.plant_api import PlantState
@@ -89,6 +90,7 @@ class Bench(Blueprint):
     def __enter__(self) -> Bench:
         try:
             self.begin()
+            self.rig.sensors = replugged(self.rig.sensors, self.clock)
             self.rig.open()
         except BaseException as error:
             self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")

@@ -9,11 +9,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
+from hil.bench.host import Host, host_findings
 from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
 from hil.devices.looks import Watched, samples_look
@@ -28,24 +28,25 @@ from hil.vocabulary.kinds import kinds
 _WATCH_S = 2.0
 _SETTLE_S = 0.6
 _LATENCY_TIMER_S = 0.001
-_SYSFS = Path("/sys")
+_HERE = Host()
 _SHOWN_BY_SAMPLES = ("hardware errors",)
 _SLOWNESS, _HURT_BY_SLOWNESS = ("latency timer", "reply time"), ("open", "read", "samples")
 
 
-def examine(bench: Bench, *, watch_s: float = _WATCH_S, sysfs: Path = _SYSFS) -> Iterator[Finding]:
-    """Findings about the calibration and every device of a bench that has not been entered.
+def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> Iterator[Finding]:
+    """Findings about the machine, the calibration and every device of a bench that has not been entered.
 
     Args:
         bench: as `open_bench` returned it; its devices are opened and closed here.
         watch_s: how long each is read.
-        sysfs: where the kernel tells of its devices.
+        host: where the machine tells of itself.
     """
     try:
+        yield from host_findings(bench.config, host)
         bench.begin()
         yield from _calibration(bench)
         for kind in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
-            yield from _examine_one(bench, kind, watch_s, sysfs)
+            yield from _examine_one(bench, kind, watch_s, host)
     finally:
         bench.close()
 
@@ -61,9 +62,9 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
     yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
 
 
-def _examine_one(bench: Bench, kind: str, watch_s: float, sysfs: Path) -> Iterator[Finding]:
+def _examine_one(bench: Bench, kind: str, watch_s: float, host: Host) -> Iterator[Finding]:
     device = bench.rig.get(kind)
-    told = list(_latency_timer(bench, kind, sysfs))
+    told = list(_latency_timer(bench, kind, host))
     yield from told
     try:
         device.open()
@@ -127,11 +128,11 @@ def _watch(bench: Bench, device: Any, watch_s: float, waits_s: list[float]) -> l
     return samples
 
 
-def _latency_timer(bench: Bench, name: str, sysfs: Path) -> Iterator[Finding]:
+def _latency_timer(bench: Bench, name: str, host: Host) -> Iterator[Finding]:
     """USB serial adapters as delivered wait 16 ms for more before they pass on what they hold."""
     config = bench.config.devices()[name]
     port = getattr(config, "port", None)
-    timer = latency_timer(port, sysfs) if isinstance(port, str) else None
+    timer = latency_timer(port, host.sysfs) if isinstance(port, str) else None
     if timer is None or config.backend == "emulated":
         return
     try:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.bench import Bench
+from hil.bench.blueprint import Blueprint
 from hil.bench.drivers import make_rig, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.process import EmulatorProcess
@@ -78,6 +79,20 @@ def open_bench(
     bench = Bench(checked, virtual, rig, world=world, **common)
     bench.on_close(connected.close)
     return bench
+
+
+def plan_bench(config: str | Path | BenchConfig, *, calibration: str | Path | None = None) -> Blueprint:
+    """What a bench is made from, without its devices.
+
+    Args:
+        config: path of a bench file, name of a shipped profile, or a configuration.
+        calibration: `calibration.toml`; overrides the one of the configuration.
+
+    Raises:
+        ConfigError: the configuration or the calibration is wrong.
+    """
+    checked, fitted = _calibrated(load_bench(config), calibration)
+    return Blueprint(checked, **fitted)
 
 
 def _at_the_wire(config: BenchConfig, plan: tuple[Fault, ...], seed: int, common: Any) -> Bench:

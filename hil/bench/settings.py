@@ -35,6 +35,7 @@ from hil.vocabulary.kinds import kinds
 
 LOG = logging.getLogger(__name__)
 
+_LONGER_THAN_DRIVER_S = 0.1
 _WHEEL_MODELS = {"exact": "equations"}
 _SIGMAS, _SESSION_SCALE = 4.0, 0.01
 """Standard deviations that honest sensors keep within; by how much a scale differs between sessions."""
@@ -101,6 +102,7 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         healthy=healthy(config),
         gap_s={name: kinds()[name].gap_s for name in config.devices() if not kinds()[name].actuates},
         hold=adhesion_watch(config),
+        lost_after_s=_lost_after_s(config) if follows else {},
     )
 
 
@@ -130,6 +132,16 @@ def motion_check(config: BenchConfig, geometry: WheelGeometry) -> MotionCheck:
         on_wall=config.environment.on_wall,
         seen=Seen(scale=scale),
     )
+
+
+def _lost_after_s(config: BenchConfig) -> dict[str, float]:
+    """By sensor whose silence matters: after what silence its driver would have raised, and a little more."""
+    limits = safety_limits(config).stale_s
+    return {
+        name: own.fail_after_s + _LONGER_THAN_DRIVER_S
+        for name, own in config.devices().items()
+        if name in limits and not kinds()[name].actuates and hasattr(own, "fail_after_s")
+    }
 
 
 def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import click
 
@@ -26,20 +27,25 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAI
     show_default=True,
     help="Seconds that each device is read.",
 )
+@click.option("--fix", is_flag=True, help="Print udev rules for the bench's adapters instead.")
+@click.option("--out", type=click.Path(path_type=Path), help="With --fix: file to write them to.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     bench: str, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...], watch_s: float,
-    as_json: bool,
+    fix: bool, out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Examine every device of a bench without moving it.
 
-    Ends with 0 when nothing failed (warnings are allowed), else with 3.
+    Ends with 0 when nothing failed (warnings are allowed), else with 3. --fix looks at no device: it prints
+    udev rules for the adapters that are plugged in (latency timer, access, no suspend, no ModemManager).
     """
     from itertools import chain
 
     from hil.bench.doctor import examine
     from hil.bench.what_opens import open_what_can_be
 
+    if fix or out is not None:
+        return _fix(bench, emulate, fix, out)
     findings = []
     opened, left_out = open_what_can_be(bench, emulate=emulate, realtime=realtime, seed=seed, faults=faults)
     width = max((9, *map(len, opened.config.devices()), *(len(f.device) for f in left_out)))
@@ -57,3 +63,20 @@ def command(
         result = {"bench": opened.config.name, "ok": not failed, "findings": [f.to_json() for f in findings]}
         click.echo(json.dumps(result))
     return EXIT_DEVICE if failed else EXIT_PASS
+
+
+def _fix(bench: str, emulate: str | None, fix: bool, out: Path | None) -> int:
+    from hil.bench.host import Host, udev_rules
+    from hil.config.loading import load_bench
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.files import write_text
+
+    if not fix:
+        raise UsageError("--out is for the rules of --fix", remedy="give --fix, too, or redirect the output")
+    rules = udev_rules(load_bench(bench, emulate=emulate), Host().sysfs)
+    if out is None:
+        click.echo(rules, nl=False)
+    else:
+        write_text(out, rules)
+        click.echo(f"hil: wrote {out}; then: sudo udevadm control --reload, sudo udevadm trigger", err=True)
+    return EXIT_PASS

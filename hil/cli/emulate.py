@@ -20,6 +20,7 @@ from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS
 
 _NICE = -5
+_PATIENCE_S = 60.0
 _ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 """A terminal sends them to whoever started this as well, who may yet have a robot to look after."""
@@ -38,12 +39,16 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
     "--out", type=click.Path(path_type=Path),
     help="Write the line here as well, once everything answers; removed at the end.",
 )  # fmt: skip
+@click.option(
+    "--wait", "awaited", type=click.Path(path_type=Path), metavar="FILE",
+    help="Serve nothing: wait until another emulator has put FILE there by --out, print it, end.",
+)  # fmt: skip
 @click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")
 @click.option("--json", is_flag=True, expose_value=False, hidden=True, help="The line is JSON in any case.")
 @click.option("--await-start", is_flag=True, help="World time stands still until a byte on standard input.")
 def command(
     bench: str, only: str, seed: int, faults: tuple[str, ...], standard_ports: bool, out: Path | None,
-    lifeline: bool, await_start: bool,
+    awaited: Path | None, lifeline: bool, await_start: bool,
 ) -> int:  # fmt: skip
     """Serve emulated devices on PTYs, a CAN interface and loopback UDP.
 
@@ -51,16 +56,20 @@ def command(
     Devices that the bench file calls real are emulated as well when they are named with --only.
 
     With --out the line also appears, whole, as a file once every device answers; what an earlier run left
-    there is removed at the start, and the file is removed again when the emulator ends in order.
+    there is removed at the start, and the file is removed again when the emulator ends in order. In a script
+    `hil emulate --wait FILE` stands between an emulator in the background and its first client.
 
     Motion capture is served at [mocap] command_port and data_port where the bench file names them, else
     at free ports; it streams to [mocap] multicast, or to each client. Nothing leaves this host.
     """
     from hil.bench import open_emulation
-    from hil.cli.endpoints import EndpointsFile
+    from hil.cli.endpoints import EndpointsFile, await_endpoints
     from hil.config.loading import load_bench
     from hil.vocabulary.kinds import kind_of
 
+    if awaited is not None:
+        click.echo(await_endpoints(awaited, _PATIENCE_S), nl=False)
+        return EXIT_PASS
     file = EndpointsFile(out) if out is not None else None
     names = tuple(kind.name if (kind := kind_of(n)) else n for n in only.split(",") if n)
     config = load_bench(bench, emulate=names or ("all",))

@@ -3,18 +3,24 @@
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
+import time
 from pathlib import Path
+from typing import IO
 
-from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.errors import DataError, DeviceTimeoutError, UsageError
 from hil.vocabulary.reading import json_value, read_text
 
 _MOST_BYTES = 1 << 20
 _ADDRESSES = {"port", "interface", "server", "host"}
+_LOOK_S = 0.05
 
 
 class EndpointsFile:
     """A file that clients wait for: what an earlier run left is removed at once.
+
+    While its emulator lives it is locked (`flock`), so that one that was left behind can be told from it.
 
     Args:
         path: where it shall appear; only an endpoints file, or an empty one, may be there already.
@@ -26,6 +32,7 @@ class EndpointsFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         self._text = ""
+        self._held: IO[str] | None = None
         try:
             if path.exists() and not _left_behind(path):
                 raise UsageError(
@@ -52,7 +59,10 @@ class EndpointsFile:
         """
         partial = self._partial()
         try:
-            partial.write_text(text + "\n", encoding="utf-8")
+            self._held = partial.open("w", encoding="utf-8")
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            self._held.write(text + "\n")
+            self._held.flush()
             os.replace(partial, self._path)
         except OSError as error:
             partial.unlink(missing_ok=True)
@@ -67,6 +77,51 @@ class EndpointsFile:
         with contextlib.suppress(OSError, UnicodeDecodeError):
             if self._text and self._path.read_text(encoding="utf-8") == self._text:
                 self._path.unlink()
+        if self._held is not None:
+            with contextlib.suppress(OSError):
+                self._held.close()
+
+
+def await_endpoints(path: Path, patience_s: float) -> str:
+    """What is in an endpoints file as soon as an emulator that lives has put it there.
+
+    Args:
+        path: of the file, as given to `--out`.
+        patience_s: how long to wait.
+
+    Raises:
+        UsageError: no emulator can put it there, or something else is there.
+        DeviceTimeoutError: it has not appeared, or only one that an emulator left behind.
+    """
+    if not path.parent.is_dir() or (path.exists() and not _left_behind(path)):
+        raise UsageError(
+            f"--wait {path}: no endpoints will be there", expected="the name that was given to --out",
+            remedy="look for a typing error",
+        )  # fmt: skip
+    end_s = time.monotonic() + patience_s
+    while (text := _of_a_living_emulator(path)) is None:
+        if time.monotonic() >= end_s:
+            found = "was left behind by an emulator that is gone" if path.exists() else "has not appeared"
+            raise DeviceTimeoutError(
+                "emulate", f"{path} {found} after {patience_s:g} s",
+                expected=f"hil emulate --out {path} in another terminal, or before in the background",
+                remedy="look at what it says",
+            )  # fmt: skip
+        time.sleep(_LOOK_S)
+    return text
+
+
+def _of_a_living_emulator(path: Path) -> str | None:
+    """The text of a file that somebody has locked; None where there is no such file."""
+    try:
+        with path.open(encoding="utf-8") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return file.read(_MOST_BYTES)
+    except (OSError, UnicodeDecodeError):
+        pass
+    return None
 
 
 def _left_behind(path: Path) -> bool:

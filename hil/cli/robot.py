@@ -20,7 +20,7 @@ _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on
 
 @click.group(cls=SuggestingGroup)
 def command() -> None:
-    """Show, compare, apply and roll back versions of the record of a robot (a folder)."""
+    """The record of a robot (a folder): show, compare, apply, roll back. And its URDF."""
 
 
 @command.command()
@@ -140,6 +140,24 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
     from hil.config.record import RobotRecord
 
     return _done(RobotRecord(record).rollback(version), as_json)
+
+
+@command.command()
+@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
+@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
+def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
+    """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states."""
+    from hil.bench import plan_bench
+    from hil.recording.urdf import urdf as described
+    from hil.vocabulary.files import write_text
+
+    text = described(plan_bench(bench, calibration=calibration).header())
+    if out is None:
+        click.echo(text, nl=False)
+    else:
+        write_text(out, text)
+    return 0
 
 
 def _done(kept: KeptVersion, as_json: bool) -> int:

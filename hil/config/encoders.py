@@ -12,7 +12,7 @@ from hil.config.can_bus import CanConfig, Claim
 from hil.config.values import Patience, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
-_SHIPPED_FRAMES = (0x1A0, 0x1A1)
+_SHIPPED_FRAMES = (0x1A0, 0x1A1, 0x1A2)
 
 Names = tuple[str, str, str, str]
 

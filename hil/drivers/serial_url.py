@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import grp
 import os
 import queue
 import socket
@@ -19,6 +20,7 @@ from typing import Any
 import serial
 from serial import rfc2217
 
+from hil.drivers.port_users import named, programs_with
 from hil.vocabulary.errors import DeviceError
 
 RFC2217 = "rfc2217://"
@@ -96,13 +98,22 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     number = getattr(error, "errno", None)
     remedy = "check the cable and the port name; `hil discover` lists ports"
     if number == errno.EACCES:
-        remedy = "give the user access to the port (group dialout, or a udev rule)"
+        remedy = f"sudo usermod -aG {_group(url)} $USER, then log in again"
     elif number in (errno.EBUSY, errno.EAGAIN):
-        remedy = "close the other program that uses the port"
+        others = named(programs_with(url)) or f"sudo fuser -v {url} names it"
+        remedy = f"close the other program that uses the port: {others}"
     detail = os.strerror(number) if number else str(error)
     return DeviceError(
         device, f"port cannot be opened ({detail})", port=url, expected=expected, remedy=remedy
     )
+
+
+def _group(port: str) -> str:
+    """The group that may use a port."""
+    try:
+        return grp.getgrgid(os.stat(port).st_gid).gr_name
+    except (OSError, KeyError):
+        return "dialout"
 
 
 def open_serial(

@@ -11,6 +11,7 @@ import contextlib
 import socket
 from collections import deque
 from collections.abc import Mapping
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +90,7 @@ class CanChannel:
         self.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), t_ns)
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Frame] | None = None) -> None:
-        """Put any frame on the bus; everybody but the sender hears it."""
+        """Put any frame on the bus; everybody but the sender hears it, each in an object of his own."""
         bits = (_OVERHEAD_BITS + 20 * message.is_extended_id + 8 * message.dlc) * _STUFFING
         self._free_ns = max(t_ns, self._free_ns) + round(bits * 1e9 / self.bitrate)
         copies = 1
@@ -99,10 +100,12 @@ class CanChannel:
                 return
             message, copies = spoilt
         message.timestamp = self._free_ns / NS_PER_S
+        heard = False
         for queue in self._listeners:
             if queue is not sender:
                 for _ in range(copies):
-                    queue.append((self._free_ns, message))
+                    queue.append((self._free_ns, deepcopy(message) if heard else message))
+                    heard = True
 
     def check_plugged(self) -> None:
         """Raise as a CAN adapter does that has been pulled out."""
@@ -135,9 +138,18 @@ class CanChannel:
 
 
 class WorldBus(can.BusABC):
-    """python-can bus on a `CanChannel`; waiting moves the world."""
+    """python-can bus on a `CanChannel`; waiting moves the world, and stamps are on its clock.
 
-    def __init__(self, channel: Any, can_filters: Any = None, **kwargs: object) -> None:
+    Args:
+        channel: name of the channel.
+        can_filters: as of `can.BusABC`.
+        receive_own_messages: whether what is sent here is heard here, too.
+        kwargs: for other interfaces.
+    """
+
+    def __init__(
+        self, channel: Any, can_filters: Any = None, *, receive_own_messages: bool = False, **kwargs: object
+    ) -> None:
         found = _CHANNELS.get(str(channel))
         if found is None:
             self._is_shutdown = True
@@ -146,6 +158,7 @@ class WorldBus(can.BusABC):
             )
         self._channel = found
         self._queue = found.listen()
+        self._hears_itself = receive_own_messages
         self.channel_info = f"emulated CAN channel {found.name}"
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel, can_filters=can_filters, **kwargs)
@@ -172,9 +185,10 @@ class WorldBus(can.BusABC):
         return self.recv(timeout), True
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send a frame to everybody else on the channel."""
+        """Send a copy of a frame to everybody else on the channel, and here if it is wanted here, too."""
         self._channel.check_plugged()
-        self._channel.send(msg, self._channel.world.now_ns, sender=self._queue)
+        sender = None if self._hears_itself else self._queue
+        self._channel.send(deepcopy(msg), self._channel.world.now_ns, sender=sender)
 
     def shutdown(self) -> None:
         """Leave the channel."""

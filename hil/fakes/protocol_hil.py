@@ -35,6 +35,7 @@ class Serial(SerialBase):
         if line.in_use:
             raise SerialException(errno.EBUSY, f"hil://{name} is in use")
         line.in_use = True
+        line.discard()  # as a kernel does with what came while nobody had the port open
         self._line = line
         self.is_open = True
 
@@ -101,6 +102,12 @@ class Serial(SerialBase):
         """Wait until everything has left."""
         line = self._opened()
         line.world.advance_to(line.sent_ns())
+
+    def cancel_read(self) -> None:
+        """Nothing to do: no call blocks, the world moves instead."""
+
+    def cancel_write(self) -> None:
+        """Nothing to do: what was handed over is on the wire."""
 
     def reset_input_buffer(self) -> None:
         """Throw away what has arrived."""

@@ -15,6 +15,7 @@ from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import describe
 from hil.recording.frames import FrameTree, recorded_offset
 from hil.recording.ros_messages import messages, topics_with, transforms
+from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.kinds import DeviceKind, kinds
@@ -35,7 +36,7 @@ _LATCHED = "- " + "\n  ".join(
         "avoid_ros_namespace_conventions: false",
     )
 )  # fmt: skip
-_QOS = {"/tf_static": _LATCHED}
+_QOS = {"/tf_static": _LATCHED, "/robot_description": _LATCHED}
 """Quality of service with which a topic is to be played: who listens later gets the last message, too."""
 
 
@@ -129,6 +130,7 @@ class RecordingFile:
         self._offset = recorded_offset(header)
         self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
         self._frames = FrameTree(header)
+        self._description = urdf(header) if "geometry" in header else ""
         self._file = _WholeWrites(path)
         self._kinds = _recorded(header)
         own = tuple(kind for kind in self._kinds if kind.name not in KINDS)
@@ -176,6 +178,8 @@ class RecordingFile:
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
             self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, self._wall_ns))
+            if self._description:
+                self._add("/robot_description", now_ns, now_ns, string(self._description))
         moving, t_ns = self._frames.moving(record), record.state.t_ns
         if moving:
             self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))

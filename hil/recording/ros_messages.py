@@ -18,6 +18,8 @@ TOPICS = {
     "/hil/events": "rcl_interfaces/msg/Log",
     "/tf": "tf2_msgs/msg/TFMessage",
     "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/clock": "rosgraph_msgs/msg/Clock",
+    "/robot_description": "std_msgs/msg/String",
     "/odom": "nav_msgs/msg/Odometry",
     "/reference": "geometry_msgs/msg/PoseStamped",
 }
@@ -27,6 +29,7 @@ _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
 _PLANAR = tuple(6 * row + column for row in (0, 1, 5) for column in (0, 1, 5))
 _ODOMETRY = CdrForm(TIME, WALL, BODY, Doubles(7 + 36 + 6 + 36))
 _REFERENCE = CdrForm(TIME, WALL, Doubles(7))
+_CLOCK = CdrForm(TIME)
 
 
 def topics_with(kinds: Sequence[DeviceKind]) -> dict[str, str]:
@@ -102,6 +105,7 @@ def messages(
         wall_ns: wall-clock time at the bench clock's zero; the messages' own stamps are wall-clock time.
     """
     inputs = record.inputs
+    yield "/clock", record.start_ns, _CLOCK.pack(record.start_ns, wall_ns)
     for kind in kinds:
         for topic in kind.topics:
             for sample in inputs.of(kind.name):

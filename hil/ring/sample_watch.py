@@ -42,6 +42,7 @@ class SampleWatch:
         """Forget ages and what was told."""
         self._last_ok_ns: dict[str, int] = {}
         self._last_bad: dict[str, Status] = {}
+        self._last_any_ns: dict[str, int] = {}
         self._silent: set[str] = set()
         self._heard: set[str] = set()
         self._last_gap_ns: dict[str, int] = {}
@@ -65,6 +66,10 @@ class SampleWatch:
                         self._look(name, f"{label} ", status, t_ns, events)
             if name in self._told_ns:
                 self._age(name, good, t_ns, events)
+            if inputs.of(name):
+                last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
+                if name not in self._told_ns and t_ns - last_ns > _FORGOTTEN_NS:
+                    events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
 
     def silence(self, name: str, t_ns: int) -> str:
         """For how long a sensor that counts as silent has sent nothing good, and what instead; else empty."""
@@ -74,6 +79,10 @@ class SampleWatch:
         duration_s = duration_ns / NS_PER_S
         bad = self._last_bad.get(name)
         return f"for {duration_s:.1f} s" + (" (nothing arrives)" if bad is None else f" ({bad.value})")
+
+    def away_s(self, name: str, t_ns: int) -> float:
+        """For how long a sensor has sent nothing at all, good or bad, since its first sample; else 0."""
+        return (t_ns - self._last_any_ns.get(name, t_ns)) / NS_PER_S
 
     def _look(self, name: str, part: str, status: Status, t_ns: int, events: list[Event]) -> None:
         if status in _TOLD:
@@ -99,7 +108,7 @@ class SampleWatch:
             self._last_bad.pop(name, None)
             if name in self._silent:
                 self._silent.discard(name)
-                events.append(Event(t_ns, "info", name, "answers again"))
+                events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
         elif (
             t_ns - last_ns > self._limit_ns(name) and name not in self._silent and self._may_tell(name, t_ns)
         ):
@@ -110,3 +119,7 @@ class SampleWatch:
     def _may_tell(self, name: str, t_ns: int) -> bool:
         """Gaps that come again and again are told once a second."""
         return t_ns - self._last_gap_ns.get(name, -_FORGOTTEN_NS) >= _FORGOTTEN_NS
+
+
+def _again(gap_ns: int) -> str:
+    return f"answers again, after {gap_ns / NS_PER_S:.2f} s"

@@ -66,6 +66,8 @@ class Checks:
         healthy: how often and how soon the samples of sensors should come.
         gap_s: by sensor, longest time without a good sample that is still healthy.
         hold: what presses the robot on its surface; None where nobody measures it.
+        lost_after_s: by sensor, how long it may send nothing at all before a robot that follows a pose stops;
+            a sensor that can be plugged in again is waited for longer than that.
     """
 
     motion: MotionCheck | None = None
@@ -77,6 +79,7 @@ class Checks:
     holders: tuple[str, ...] = ()
     healthy: Mapping[str, Healthy] = field(default_factory=dict)
     gap_s: Mapping[str, float] = field(default_factory=dict)
+    lost_after_s: Mapping[str, float] = field(default_factory=dict)
 
 
 def _finite(values: Array) -> bool:
@@ -134,9 +137,9 @@ class Supervisor:
 
         Raises:
             SafetyStop: `adhesion`, those of `hil.ring.adhesion`, `sliding`, `hardware_error`, `stale_servos`,
-                `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree` or `stale_tracker`; the message names
-                everything that came together. A silent IMU is an event, and so is a silent camera where
-                nothing that is followed needs it; a silence that lasts is their driver's
+                `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`, `stale_tracker` or `lost_*`; the
+                message names everything that came together. A silent IMU is an event, and so is a silent
+                camera where nothing that is followed needs it; a silence that lasts is their driver's
                 `DeviceTimeoutError`, which stops as well.
         """
         events = self._judge(inputs, measurements)
@@ -157,6 +160,7 @@ class Supervisor:
         self._samples.judge(inputs, events)
         self._streams.judge(inputs, events)
         self._check_camera(inputs.t_ns)
+        self._check_lost(inputs.t_ns)
         if measurements is not None:
             self._compare(inputs, measurements, events)
         return tuple(events)
@@ -171,6 +175,14 @@ class Supervisor:
                 f"no usable pose of the camera {silence}, which the estimate that is followed needs: check "
                 "its lens, light and cable, or follow odometry",
             )
+
+    def _check_lost(self, t_ns: int) -> None:
+        """Who is driven does not wait for a sensor that is to come back."""
+        for name, limit_s in self.checks.lost_after_s.items():
+            away_s = self._samples.away_s(name, t_ns)
+            if away_s > limit_s:
+                remedy = "check its cable and power, then start the motion again"
+                self._blame(f"lost_{name}", f"nothing from {name} for {away_s:.1f} s: {remedy}")
 
     def _blame(self, reason: str, message: str) -> None:
         known = self._causes.get(reason)

@@ -11,6 +11,7 @@ import hil
 from hil.bench.doctor import examine
 from hil.bench.drivers import make_rig
 from hil.bench.emulation import build_world, connect_in_process
+from hil.bench.host import Host
 from hil.config.loading import load_bench
 from hil.drivers.serial_url import latency_timer
 from hil.drivers.servos import scan, set_up
@@ -55,7 +56,7 @@ def test_doctor_tells_of_the_timer_of_a_linked_port_and_of_nothing_else_first(sy
     port = system / "dev/serial/by-id/usb-FTDI_U2D2_FT4T-if00-port0"
     values = {"servos.backend": "real", "servos.port": str(port)}
     bench = hil.open_bench("emulated", overrides=dict.fromkeys(set(KINDS) - {"servos"}) | values)
-    first, opened = examine(bench, watch_s=0.1, sysfs=system / "sys")
+    first, opened = examine(bench, watch_s=0.1, host=Host(sysfs=system / "sys"))
     assert (first.check, first.level, first.found) == ("latency timer", "warning", "16 ms")
     assert (opened.check, opened.level) == ("open", "failure")
     for finding in (first, opened):
@@ -67,7 +68,7 @@ def test_a_timer_that_is_set_or_unreadable_is_no_warning(system, text):
     (system / "sys/bus/usb-serial/devices/ttyUSB0/latency_timer").write_text(text)
     values = {"servos.backend": "real", "servos.port": str(system / "dev/ttyUSB0")}
     bench = hil.open_bench("emulated", overrides=dict.fromkeys(set(KINDS) - {"servos"}) | values)
-    found = list(examine(bench, watch_s=0.1, sysfs=system / "sys"))
+    found = list(examine(bench, watch_s=0.1, host=Host(sysfs=system / "sys")))
     assert [f.check for f in found if f.level != "ok"] == ["open"]
     assert "latency_timer" not in found[-1].remedy
 

@@ -131,6 +131,7 @@ def base(world, tmp_path, monkeypatch):
         raise DeviceError("the world", "is not opened in this test")
 
     monkeypatch.setattr("hil.bench.opening.EmulatorProcess", nothing)
+    monkeypatch.setattr("hil.cli.emulate._PATIENCE_S", 0.0)
     monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda fifo_priority: None)
     monkeypatch.setattr("hil.fakes.server.EmulationServer.run", lambda self, **_: self.close())
     monkeypatch.setattr("hil.bench.discover.serial_ports", list)

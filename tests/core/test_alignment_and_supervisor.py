@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.bench.settings import checks, geometry_of
+from hil.config.loading import load_bench
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.poses import Mount
-from hil.ring.supervisor import SafetyLimits, Supervisor
+from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
     quat_conjugate,
@@ -148,7 +150,35 @@ def test_a_silent_imu_is_told_once_and_its_return_too():
     events = [supervisor.check(Inputs(k, k * 100_000_000)) for k in range(12)]
     assert [len(e) for e in events] == [0] * 6 + [1] + [0] * 5
     good = ImuSample(STAMP, np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3), (3, 3, 3, 3))
-    assert supervisor.check(Inputs(12, 1_200_000_000, imu=(good,)))[0].message == "answers again"
+    assert supervisor.check(Inputs(12, 1_200_000_000, imu=(good,)))[0].message.startswith(
+        "answers again, after"
+    )
+
+
+def test_who_is_driven_does_not_wait_for_a_sensor_that_is_to_come_back():
+    """Samples that cannot be used are judged by their driver; here it is nothing at all that counts."""
+    good = ImuSample(STAMP, np.zeros(4), np.zeros(3), np.zeros(3), np.zeros(3), (3, 3, 3, 3))
+    bad = replace(good, status=Status.TIMEOUT)
+    driven = Supervisor(SafetyLimits(stale_s=IMU), checks=Checks(lost_after_s={"imu": 3.1}))
+    watching = Supervisor(SafetyLimits(stale_s=IMU))
+    for supervisor in (driven, watching):
+        supervisor.check(Inputs(0, 0, imu=(good,)))
+        supervisor.check(Inputs(1, 4_000_000_000, imu=(bad,)))
+        supervisor.check(Inputs(2, 7_000_000_000))
+    watching.check(Inputs(3, 7_200_000_000))
+    with pytest.raises(SafetyStop, match=r"nothing from imu for 3\.2 s") as stopped:
+        driven.check(Inputs(3, 7_200_000_000))
+    assert stopped.value.reason == "lost_imu"
+
+
+def test_a_run_that_follows_a_pose_is_one_that_does_not_wait():
+    config = load_bench("emulated")
+    driven, watching = (
+        checks(config, geometry_of(config), follows=follows, feedback="ekf") for follows in (True, False)
+    )
+    assert set(driven.lost_after_s) >= {"imu", "tracker"}
+    assert driven.lost_after_s["imu"] > config.imu.fail_after_s
+    assert watching.lost_after_s == {}
 
 
 @pytest.mark.parametrize(

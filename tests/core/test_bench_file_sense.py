@@ -81,6 +81,7 @@ def test_a_limit_says_what_it_would_take(path, value, told):
             ],
         ),
         ({"encoders.node_id": 15}, ["load_cells.node_id: frame 432 is that of encoders.node_id"]),
+        ({"encoders.node_id": 14}, ["load_cells.node_id: frame 432 is that of encoders.node_id"]),
         ({"encoders.bitrate": 250_000}, ["adhesion.bitrate: 500000, but encoders.bitrate = 250000"]),
         ({"adhesion.model": "dronecan", "adhesion.own_id": 42}, ["adhesion.own_id: DroneCAN node 42"]),
     ],

@@ -69,8 +69,15 @@ def test_what_passes_is_not_worth_a_word(device, status):
 def test_a_silence_is_told_when_it_has_lasted_and_so_is_its_end():
     told = watched("imu", [Status.OK, *[None] * 60, Status.OK, Status.OK], {"imu": 0.5})
     assert [(e.t_ns // PERIOD_NS, e.level, e.message) for e in told] == [
-        (51, "warning", "stale for 0.510 s"), (61, "info", "answers again"),
+        (51, "warning", "stale for 0.510 s"), (61, "info", "answers again, after 0.61 s"),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("missing", "told"), [(90, []), (150, ["answers again, after 1.51 s"])])
+def test_a_sensor_that_was_away_says_for_how_long(missing, told):
+    """Also one whose silence stops nothing."""
+    events = watched("mocap", [Status.OK, *[None] * missing, Status.OK])
+    assert [e.message for e in events] == told
 
 
 def test_frozen_samples_are_a_silence_too():

@@ -13,7 +13,8 @@ from hil.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 ABOUT = [page for page in ROOT.glob("*.md") if page.name != "CHANGELOG.md"]
-PAGES = sorted([*ABOUT, *(ROOT / "docs").glob("*.md"), *(ROOT / "examples").glob("*.md")])
+GUIDES = [page for folder in ("docs", "examples") for page in (ROOT / folder).glob("*.md")]
+PAGES = sorted([*ABOUT, *GUIDES, *(ROOT / "firmware").rglob("*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 

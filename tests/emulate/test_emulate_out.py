@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import subprocess
+import sys
 import time
 
 import pytest
@@ -11,8 +12,8 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
-from hil.cli.endpoints import EndpointsFile
-from hil.vocabulary.errors import UsageError
+from hil.cli.endpoints import EndpointsFile, await_endpoints
+from hil.vocabulary.errors import DeviceTimeoutError, UsageError
 
 START_S = 60.0
 STALE = json.dumps({"imu": {"port": "/dev/pts/999", "baud": 115200}})
@@ -56,6 +57,36 @@ def test_the_file_waits_for_world_time_to_begin(tmp_path):
         running.process.stdin.write("\n")
         running.process.stdin.flush()
         assert set(appears(file, running.process)) == {"imu"}
+
+
+def test_a_script_waits_for_an_emulator_and_not_for_what_one_left(tmp_path):
+    """A file that a killed emulator left names ports that nobody serves."""
+    file = tmp_path / "endpoints.json"
+    file.write_text(STALE)
+    waiting = subprocess.Popen(
+        [sys.executable, "-m", "hil.cli", "emulate", "--wait", str(file)], stdout=subprocess.PIPE, text=True
+    )
+    with waiting, emulator("--only", "imu", "--out", str(file)) as running:
+        told, _ = waiting.communicate(timeout=START_S)
+        assert waiting.returncode == 0
+        assert json.loads(told) == running.endpoints() != json.loads(STALE)
+
+
+@pytest.mark.parametrize(("left", "why"), [(STALE, "was left behind"), (None, "has not appeared")])
+def test_waiting_ends_with_what_is_missing(tmp_path, left, why):
+    file = tmp_path / "endpoints.json"
+    if left is not None:
+        file.write_text(left)
+    with pytest.raises(DeviceTimeoutError, match=why) as raised:
+        await_endpoints(file, 0.0)
+    assert f"hil emulate --out {file}" in raised.value.expected
+
+
+@pytest.mark.parametrize("name", ["none/endpoints.json", ".", "notes.txt"])
+def test_what_no_emulator_will_write_is_not_waited_for(tmp_path, name):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(UsageError, match="no endpoints will be there"):
+        await_endpoints(tmp_path / name, 60.0)
 
 
 def ping(servo_id):

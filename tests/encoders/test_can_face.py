@@ -51,7 +51,7 @@ def test_third_party_client_hears_the_frames_on_udp_multicast(encoder_bench):
                 break
     server.close()
     ids = [m.arbitration_id for m in heard if m.arbitration_id != 1]
-    assert ids[:6] == [416, 417] * 3
+    assert ids[:7] == [416, 417, 418] + [416, 417] * 2
     assert face.sent >= 40
     assert face.filenos() == []
     face.on_readable(0, 0)
@@ -142,3 +142,22 @@ def test_a_channel_on_which_nothing_can_happen_does_not_hang(encoder_bench):
         bus.recv()
     channel.close()
     channel.close()
+
+
+def test_each_listener_has_a_frame_of_his_own_and_who_wants_it_hears_himself(encoder_bench):
+    bench = encoder_bench("encoders:off@0")
+    name = bench.channel.name
+    with (
+        can.Bus(interface="hil", channel=name, receive_own_messages=True) as talker,
+        can.Bus(interface="hil", channel=name) as one,
+        can.Bus(interface="hil", channel=name) as other,
+    ):
+        sent = can.Message(arbitration_id=7, data=b"abc", is_extended_id=False)
+        talker.send(sent)
+        heard = [bus.recv(0.1) for bus in (talker, one, other)]
+        assert [bytes(message.data) for message in heard] == [b"abc"] * 3
+        heard[0].data[0] = 0
+        assert [bytes(m.data) for m in (sent, *heard[1:])] == [b"abc"] * 3
+        assert sent.timestamp == 0.0
+        one.send(sent)
+        assert one.recv(0.1) is None

@@ -1,5 +1,7 @@
 """The driver on the emulated node: truth recovered, faults reported as what they are."""
 
+import itertools
+
 import can
 import numpy as np
 import pytest
@@ -154,6 +156,24 @@ def test_silence_is_data_first_and_an_error_when_it_lasts(encoder_bench, drain, 
         drain(bench, 100)
     assert caught.value.port == bench.driver.identity()["port"]
     assert bench.driver.error_frames == (fault in ("bus_off", "baud_mismatch"))
+
+
+@pytest.mark.parametrize(("fault", "gone"), [("unplug", True), ("off", False)])
+def test_sample_sets_count_on_after_the_bus_or_the_node_was_away(encoder_bench, drain, fault, gone):
+    bench = encoder_bench(f"encoders:{fault}@1+3")
+    bench.driver.open()
+    before = drain(bench, 95)[-1]
+    drain(bench, 50)
+    assert bench.driver.port_gone == gone
+    for _ in range(2):
+        with pytest.raises(DeviceError):
+            bench.driver.reopen()
+    bench.clock.sleep_until_ns(4_100_000_000)
+    bench.driver.reopen()
+    after = drain(bench, 100)
+    assert after[-1].status == OK4
+    seqs = [before.stamp.seq, *(sample.stamp.seq for sample in after)]
+    assert min(b - a for a, b in itertools.pairwise(seqs)) >= 1
 
 
 @pytest.mark.parametrize("fault", ["bus_off", "unplug"])

@@ -309,6 +309,24 @@ def test_faults_can_be_added_while_running_and_unknown_ones_are_refused(imu_benc
 
 
 @pytest.mark.parametrize("prefetch", [False, True])
+def test_a_port_that_has_gone_shows_at_once_and_the_chip_is_set_up_anew(imu_bench, prefetch):
+    bench = imu_bench(config={"prefetch": prefetch})
+    bench.driver.open()
+    before = run(bench, 0.2)[-1]
+    bench.unplug()
+    run(bench, 0.3)
+    assert bench.driver.port_gone
+    with pytest.raises(DeviceError):
+        bench.driver.reopen()
+    assert not bench.driver.port_gone
+    bench.plug()
+    bench.driver.reopen()
+    after = run(bench, 0.3)
+    assert (after[0].status, after[-1].status) == (Status.RESET, Status.OK)
+    assert after[0].stamp.seq > before.stamp.seq
+
+
+@pytest.mark.parametrize("prefetch", [False, True])
 def test_a_port_pulled_out_is_data_then_an_error_and_can_come_back(imu_bench, prefetch):
     bench = imu_bench(config={"prefetch": prefetch})
     bench.driver.open()

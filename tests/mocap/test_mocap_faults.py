@@ -5,7 +5,7 @@ import pytest
 
 from hil.fakes.faults import parse_fault
 from hil.fakes.mocap import SUPPORTED_FAULTS, MocapTruthOptions
-from hil.vocabulary.errors import DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
 
 
@@ -59,6 +59,23 @@ def test_a_pulled_network_cable_is_survived(mocap_bench, watch):
     assert set(kinds(samples)) == {Status.OK}
     assert max(np.diff([s.stamp.t_ns for s in samples])) == pytest.approx(1.5e9, rel=0.02)
     assert samples[-1].stamp.t_ns > 3.9e9
+
+
+@pytest.mark.parametrize("fault", ["unplug", "off"])
+def test_a_server_that_was_away_is_found_again_and_frames_count_on(mocap_bench, watch, fault):
+    """With `off` it starts its numbers anew."""
+    bench = mocap_bench(f"mocap:{fault}@1+20")
+    bench.driver.open()
+    before = watch(bench, 0.9)[-1]
+    with pytest.raises(DeviceTimeoutError):
+        watch(bench, 4.0)
+    with pytest.raises(DeviceError):
+        bench.driver.reopen()
+    bench.clock.sleep_until_ns(21_200_000_000)
+    bench.driver.reopen()
+    after = watch(bench, 1.0)
+    assert set(kinds(after)) == {Status.OK}
+    assert np.all(np.diff([before.stamp.seq, *(s.stamp.seq for s in after)]) >= 1)
 
 
 def test_occlusion_is_told_and_gives_no_numbers(mocap_bench, watch):

@@ -14,6 +14,7 @@ from hil.config.loading import load_bench
 from hil.recording.cdr import octet_array, octets_of, string, text_of
 from hil.recording.frames import FrameTree
 from hil.recording.ros_messages import messages, topics_with, transforms
+from hil.recording.urdf import urdf
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS
@@ -30,6 +31,7 @@ def test_rosbags_reads_and_reproduces_every_byte(k):
     mixed = [
         ("/tf_static", 0, transforms(0, frames.fixed)),
         ("/tf", 0, transforms(0, frames.moving(driving_record(k)))),
+        ("/robot_description", 0, string(urdf(HEADER))),
     ]
     for topic, _, data in [*messages(driving_record(k), KINDS), *mixed]:
         message = STORE.deserialize_cdr(data, TOPICS[topic])

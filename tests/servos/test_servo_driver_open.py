@@ -32,7 +32,7 @@ def test_a_port_that_cannot_be_opened_is_a_device_error(port):
 
 
 def test_a_port_without_permission_tells_how_to_get_it(denied_port):
-    with pytest.raises(DeviceError, match="group dialout"):
+    with pytest.raises(DeviceError, match="usermod -aG dialout"):
         DynamixelServos(ServosConfig(port=denied_port), MonotonicClock()).open()
 
 

@@ -189,6 +189,24 @@ def test_an_unplugged_camera_can_be_opened_again_once_it_is_back(tracker_bench, 
     assert set(kinds(follow(bench, 1.0))) == {Status.OK}
 
 
+def test_a_camera_that_was_away_counts_on_and_says_that_its_place_is_new(tracker_bench, follow):
+    bench = tracker_bench("tracker:unplug@1+3")
+    bench.driver.open()
+    before = follow(bench, 0.9)[-1]
+    with pytest.raises(DeviceTimeoutError):
+        follow(bench, 5.0)
+    with pytest.raises(DeviceError):
+        bench.driver.reopen()
+    bench.clock.sleep_until_ns(4_100_000_000)
+    bench.driver.reopen()
+    after = follow(bench, 1.0)
+    assert after[0].status is Status.RESET
+    assert after[-1].status is Status.OK
+    seqs = [before.stamp.seq, *(s.stamp.seq for s in after)]
+    assert np.all(np.diff(seqs) >= 1)
+    assert seqs[-1] - seqs[0] < 500
+
+
 def test_a_full_queue_loses_the_oldest_and_counts_them(tracker_bench):
     bench = tracker_bench(config={"queue_length": 50})
     bench.driver.open()

@@ -123,6 +123,19 @@ def test_reset_input_buffer_forgets_only_what_has_arrived(wired):
     assert port.read(3) == b"NEW"
 
 
+def test_who_opens_a_port_does_not_hear_what_came_before(wired):
+    world, _, port = wired()
+    port.write(b"old")
+    world.advance_to(world.now_ns + 100_000_000)
+    port.close()
+    with serial.serial_for_url("hil://echo", baudrate=115_200, timeout=0.1) as again:
+        assert again.read(3) == b""
+        again.cancel_read()
+        again.cancel_write()
+        again.write(b"new")
+        assert again.read(3) == b"NEW"
+
+
 def test_a_port_has_one_client_and_a_line_one_name(wired):
     world, _, port = wired()
     with pytest.raises(serial.SerialException, match="in use"):

@@ -25,7 +25,26 @@ def look(watched: Watched) -> Iterator[Finding]:
         f"check bit rate ({config.bitrate}), termination (60 ohm) and wiring; "
         f"sudo ip link set {config.channel} up type can bitrate {config.bitrate} restart-ms 100",
     )  # fmt: skip
+    yield _node(watched)
     for i, wheel in enumerate(WHEELS):
         statuses = (sample.status[i] for sample in watched.samples)
         found = losses("encoders", statuses, watched.due, "check magnet distance and CAN wiring")
         yield replace(found, check=f"{wheel} samples")
+
+
+def _node(watched: Watched) -> Finding:
+    """What the node says of itself; nodes that say nothing are accepted."""
+    status, config = watched.device.node_status, watched.config
+    expected = f"frames as in {config.dbc_path.name}, {config.rate_hz:g} Hz"
+    remedy = "flash the firmware of this version (firmware/as5045_node), or name its DBC in encoders.dbc"
+    if status.other_layout:
+        return Finding("encoders", "node", "failure", status.other_layout, expected, remedy)
+    if status.heard and abs(status.rate_hz - config.rate_hz) > 0.5:  # it says whole numbers
+        found = f"{status}, {status.rate_hz:g} Hz"
+        return Finding(
+            "encoders", "node", "warning", found, expected, f"set encoders.rate_hz to {status.rate_hz:g}"
+        )
+    if status.counted:
+        remedy = "check the chips' wiring for wrong parity, the CAN wiring and its termination for the rest"
+        return Finding("encoders", "node", "warning", f"{status}: {status.counted}", "no errors", remedy)
+    return Finding("encoders", "node", "ok", str(status))

@@ -57,7 +57,7 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
         DataError: the DBC cannot be read or does not describe the four configured signals.
     """
     path = config.dbc_path
-    database = _load(path)
+    database = load_database(path)
     found: dict[int, FrameLayout] = {}
     missing = set(config.signals)
     for message in database.messages:
@@ -91,7 +91,12 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
     return found
 
 
-def _load(path: Path) -> Any:
+def load_database(path: Path) -> Any:
+    """A DBC file, by cantools.
+
+    Raises:
+        DataError: it cannot be read.
+    """
     try:
         text = read_bytes(path, _MOST_BYTES).decode(_ENCODING, errors="replace")
         return cantools.database.load_string(text, "dbc")

@@ -14,6 +14,7 @@ from hil.drivers.arrivals import ArrivalClock
 from hil.drivers.can_link import BUS_ERRORS, open_bus, remedy_of_silence, shut
 from hil.drivers.encoders.as5045 import decode_word
 from hil.drivers.encoders.layout import FrameLayout, load_layout
+from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
@@ -26,6 +27,7 @@ _MOST_FRAMES = 1024
 _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
 _WAIT_S = 0.02
+_GONE_NS = 100_000_000
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 _NO_WORD = (math.nan, Status.TIMEOUT)
@@ -45,12 +47,15 @@ class As5045Encoders(Sensor[EncoderSample]):
         error_frames: error frames seen on the bus since `open`.
         passed_over: frames of no use since `open`: of others, malformed, repeated, and failures of the bus.
         floods: reads that met more frames, or more of no use, than they look at; the rest waits.
+        node_status: what the node says of itself, known within about a second of `open`.
     """
 
     def __init__(self, config: EncodersConfig, clock: Clock, name: str = "encoders") -> None:
         self.name = name
         self._config, self._clock = config, clock
         self._bus: can.BusABC | None = None
+        self._bus_error = ""
+        self._resumed_at = 0
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._forget()
@@ -68,10 +73,12 @@ class As5045Encoders(Sensor[EncoderSample]):
         """
         self.close()
         self._layout = load_layout(self._config)
+        self.node_status = NodeStatus(self._config)
         first = next(iter(self._layout.values()))
         self._timeline = NodeTimeline(first.sequence.mask, first.time.mask, first.time_lsb_s)
         self._arrivals = ArrivalClock()
         self._forget()
+        self._told_layout = False
         self._sequence: int | None = None
         self._finished = -1
         self._words = [-1] * 4
@@ -92,6 +99,17 @@ class As5045Encoders(Sensor[EncoderSample]):
             "dbc": str(self._config.dbc_path),
             "frames": ", ".join(f"0x{i:X} {f.name}" for i, f in self._layout.items()),
         }
+
+    def reopen(self) -> None:
+        """As `open`, after the bus or the node was away: sample sets go on counting."""
+        self._resumed_at = max(self._resumed_at, self._timeline.sequence)
+        self.open()
+        self._timeline.sequence = max(self._resumed_at, self._timeline.sequence)
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the CAN interface itself fails, and nothing has come for a while."""
+        return bool(self._bus_error) and self._clock.now_ns() - self._good_ns > _GONE_NS
 
     def close(self) -> None:
         """Let go of the bus. Idempotent; never raises."""
@@ -213,6 +231,9 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Use one frame; returns a sample set when that completes or cuts short one."""
+        if self.node_status.take(message):
+            self._warn_of_layout()
+            return None
         layout = self._layout_of(message)
         data = message.data
         sequence = -1 if layout is None else layout.sequence.take(data)
@@ -230,6 +251,11 @@ class As5045Encoders(Sensor[EncoderSample]):
         if not self._missing:
             sample = self._finish(host_ns)
         return sample
+
+    def _warn_of_layout(self) -> None:
+        if not self._told_layout and (other := self.node_status.other_layout):
+            self._told_layout = True
+            _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
     def _layout_of(self, message: can.Message) -> FrameLayout | None:
         """Layout of a frame of ours, None for any other."""

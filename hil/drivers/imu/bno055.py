@@ -87,6 +87,16 @@ class Bno055Imu(Sensor[ImuSample]):
         self._failures = self._system_error = 0
         self._was_reset = self._suspicious = False
 
+    def reopen(self) -> None:
+        """As `open`, after the chip was away: it has been reset, and samples go on counting."""
+        self.open()
+        self._was_reset = True
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the port itself fails, again and again."""
+        return self._link is not None and self._link.port_failures >= _OUTAGE_AFTER
+
     def close(self) -> None:
         """Let go of the port; the chip goes on by itself. Idempotent."""
         self._identity = {}

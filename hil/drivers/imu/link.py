@@ -45,6 +45,7 @@ class Link:
 
     Attributes:
         asked_ns: when the latest request was handed to the port.
+        port_failures: exchanges in a row in which the port itself failed.
     """
 
     def __init__(self, config: Bno055Config, clock: Clock, name: str) -> None:
@@ -52,7 +53,7 @@ class Link:
         self._gap_ns = nanoseconds(config.retry_gap_s)
         self._dirty = True
         self._ahead = b""
-        self.asked_ns = 0
+        self.asked_ns = self.port_failures = 0
         try:
             self._port: Any = open_serial(
                 config.port,
@@ -136,10 +137,12 @@ class Link:
                 data: bytes = self._port.read(length)
                 if len(data) < length:
                     raise ExchangeError(Status.TIMEOUT, f"{len(data)} of {length} data bytes")
-                self._dirty = False
+                self._dirty, self.port_failures = False, 0
                 return data
         except PORT_ERRORS as error:
+            self.port_failures += 1
             raise ExchangeError(Status.TIMEOUT, f"the port failed ({error})") from None
+        self.port_failures = 0
         if head[0] == 0xEE:
             self._dirty = False
             if head[1] == _WRITTEN and not length:

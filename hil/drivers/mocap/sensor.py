@@ -62,6 +62,7 @@ class NatNetMocap(Sensor[MocapSample]):
         self._fail_ns = nanoseconds(config.fail_after_s)
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
+        self._seq_base, self._number, self._resumed_at = 0, -1, 0
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -101,6 +102,14 @@ class NatNetMocap(Sensor[MocapSample]):
             "body": f"{self._config.body} (id {session.body_id})",
             "port": self._port,
         }
+
+    def reopen(self) -> None:
+        """As `open`, after server or network were away: frames go on counting."""
+        self._resumed_at = max(self._resumed_at, self._seq_base + self._number)
+        self.open()
+        self._seq_base = max(0, self._resumed_at - self._number)
+
+    port_gone = False  # a silent network looks like a silent server
 
     def close(self) -> None:
         """Let go of the ports. Idempotent; never raises."""

@@ -87,6 +87,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._stale_ns = nanoseconds(config.stale_after_s)
         self._stuck = StuckTest(config.stuck_after_s)
         self.overflowed = self.repeated = self.malformed = 0
+        self._number, self._seq_base, self._resumed_at = -1, 0, 0
 
     def open(self) -> None:
         """Start the pose stream, check identity and wait for the first pose.
@@ -106,6 +107,16 @@ class T265Tracker(Sensor[TrackerSample]):
             self.close()
             raise
         self._good_ns = self._clock.now_ns()
+
+    def reopen(self) -> None:
+        """As `open`, after the camera was away: it counts poses and place anew, and its samples say so."""
+        self._resumed_at = max(self._resumed_at, self._seq_base + self._number + 1)
+        self.open()
+        self._seq_base = self._resumed_at - int(self._queue[0][1])
+        self._jumps.distrust()
+        self._restarted = True
+
+    port_gone = False  # USB tells the library, which does not tell us
 
     def close(self) -> None:
         """Stop the stream. Idempotent; never raises."""

@@ -1,4 +1,4 @@
-"""The microcontroller that reads four AS5045 chips and sends their words in two CAN frames.
+"""The microcontroller that reads four AS5045 chips and sends their words in two CAN frames, and its status.
 
 Its firmware has the frame layout built in, as a real one has; a test holds it against the shipped
 DBC. It samples on its own clock, with jitter, and restarts its counters when it is reset.
@@ -38,8 +38,9 @@ NODE_FAULTS: Supported = {
     "brownout": (),
     "reset": (),
 }
-FRAME_IDS = (0x1A0, 0x1A1)
+FRAME_IDS = (0x1A0, 0x1A1, 0x1A2)
 
+_LAYOUT, _FIRMWARE = 1, 1
 _TIME_LSB_NS = 10_000
 _TIME_MASK = 0xFFFFF
 _BOOT_NS = 50_000_000
@@ -62,7 +63,7 @@ class EncoderNode(Scheduled):
         wire: the CAN channel.
         name: device name, also of its faults; each axis goes by `encoder.FL` and so on.
         rate_hz: sample sets per second.
-        node_id: added to both frame identifiers.
+        node_id: added to the frame identifiers.
         sign, zero_rad: how the magnets are mounted, wheel order.
         jitter_s: standard deviation of the sampling instant.
         clock_ppm: error of the node's clock.
@@ -89,6 +90,7 @@ class EncoderNode(Scheduled):
         options = options if options is not None else EncoderTruthOptions()
         self.chips = tuple(self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True))
         self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
+        self._rate_hz = max(1, round(rate_hz))
         self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))
         self._rate_error = 1.0 - 1e-6 * clock_ppm
         self._jitter_ns = 1e9 * jitter_s
@@ -162,9 +164,12 @@ class EncoderNode(Scheduled):
         node_ns = round((t_ns - self._boot_ns) * self._rate_error)
         tail = (self._sequence & 0xFF) << 36 | (node_ns // _TIME_LSB_NS & _TIME_MASK) << 44
         self._sequence += 1
-        left, right = self._ids
+        left, right, status = self._ids
         self._wire.transmit(left, (words[0] | words[1] << 18 | tail).to_bytes(8, "little"), send_ns)
         self._wire.transmit(right, (words[2] | words[3] << 18 | tail).to_bytes(8, "little"), send_ns)
+        if (self._sequence - 1) % self._rate_hz == 0:
+            told = _LAYOUT | _FIRMWARE << 8 | (self._rate_hz & 0xFFF) << 16
+            self._wire.transmit(status, told.to_bytes(8, "little"), send_ns)
 
     def _power(self, t_ns: int) -> bool:
         """Follow faults of the whole node; True while it sends nothing."""

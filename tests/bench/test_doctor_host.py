@@ -1,0 +1,210 @@
+"""What the machine does to a bench, on a fake `/sys` and `/proc`: each finding, and each remedy followed."""
+
+import os
+import re
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from hil.bench.host import Host, host_findings, udev_rules
+from hil.bench.host.findings import _GRABBERS
+from hil.cli import main
+from hil.config.loading import load_bench
+from hil.drivers.port_users import programs_with
+from hil.drivers.serial_url import cannot_open
+
+ROOT = Path(__file__).resolve().parents[2]
+SYSTEM_COMMANDS = {  # with the Debian package that has each
+    "apt": "apt", "fuser": "psmisc", "ip": "iproute2", "systemctl": "systemd", "tee": "coreutils",
+    "udevadm": "udev", "usermod": "passwd", "kill": "procps",
+}  # fmt: skip
+
+
+def write(path, text):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(f"{text}\n")
+
+
+@pytest.fixture
+def machine(tmp_path):
+    """A U2D2 as `ttyUSB0` on a hub without supply, beside a camera at USB 2; a quiet `/proc`."""
+    tree = tmp_path / "sys/devices/pci0000:00/0000:00:14.0/usb1"
+    write(tree / "idVendor", "1d6b")
+    hub = tree / "1-2"
+    for key, value in {"idVendor": "0424", "idProduct": "2514", "bDeviceClass": "09",
+                       "bmAttributes": "e0", "bMaxPower": "2mA"}.items():  # fmt: skip
+        write(hub / key, value)
+    adapter = hub / "1-2.1"
+    for key, value in {
+        "idVendor": "0403", "idProduct": "6014", "serial": "FT4THV1A", "product": "USB <-> Serial Converter",
+        "speed": "480", "bMaxPower": "90mA", "power/control": "on",
+    }.items():  # fmt: skip
+        write(adapter / key, value)
+    camera = hub / "1-2.4"
+    for key, value in {
+        "idVendor": "8087",
+        "idProduct": "0b37",
+        "speed": "5000",
+        "bMaxPower": "400mA",
+    }.items():
+        write(camera / key, value)
+    tty = adapter / "1-2.1:1.0/ttyUSB0"
+    write(tty / "latency_timer", "1")
+    links = {"class/tty/ttyUSB0/device": tty, "bus/usb/devices/1-2.1": adapter,
+             "bus/usb/devices/1-2.4": camera,
+             "bus/usb-serial/devices/ttyUSB0": tty}  # fmt: skip
+    for name, target in links.items():
+        link = tmp_path / "sys" / name
+        link.parent.mkdir(parents=True, exist_ok=True)
+        link.symlink_to(target)
+    by_id = tmp_path / "dev/serial/by-id"
+    by_id.mkdir(parents=True)
+    port = tmp_path / "dev/ttyUSB0"
+    port.touch()
+    (by_id / "usb-FTDI_U2D2_FT4THV1A-if00-port0").symlink_to("../../ttyUSB0")
+    (tmp_path / "proc").mkdir()
+    host = Host(tmp_path / "sys", tmp_path / "proc", by_id)
+    return SimpleNamespace(
+        host=host, hub=hub, adapter=adapter, camera=camera, tty=tty, port=port, stable=next(by_id.iterdir())
+    )
+
+
+def runs(machine, pid, name, *files):
+    """A program in the fake `/proc`."""
+    folder = machine.host.proc / str(pid)
+    write(folder / "comm", name)
+    (folder / "fd").mkdir()
+    for number, file in enumerate(files):
+        (folder / "fd" / str(number)).symlink_to(file)
+
+
+def bench(machine, port=None):
+    """A real bench with servos on a port and a T265."""
+    file = machine.port.parent / "bench.toml"
+    write(file, f'schema = 1\nname = "mine"\n[servos]\nport = "{port or machine.stable}"\n[tracker]')
+    return load_bench(file)
+
+
+def findings(machine, port=None):
+    return [f for f in host_findings(bench(machine, port), machine.host) if f.level != "ok"]
+
+
+def only(machine, port=None):
+    (found,) = findings(machine, port)
+    return found
+
+
+def test_a_machine_in_order_is_silent(machine):
+    runs(machine, 300, "bash", "/dev/null")
+    assert findings(machine) == []
+
+
+@pytest.mark.parametrize("name", sorted(_GRABBERS))
+def test_programs_that_grab_ports_are_named(machine, name):
+    runs(machine, 812, name)
+    found = only(machine)
+    assert (found.level, found.found.split()[0]) == ("warning", name)
+
+
+def test_a_program_that_takes_no_lock_is_named_whatever_the_port_is_called(machine):
+    runs(machine, 812, "minicom", "/dev/null", machine.port)
+    runs(machine, 813, "python3", "/dev/ttyUSB7")
+    found = only(machine)
+    assert (found.level, found.check) == ("failure", "other programs")
+    assert found.found == f"{machine.stable} is open in minicom (process 812)"
+
+
+def test_a_name_that_changes_is_told_with_the_one_that_stays(machine):
+    found = only(machine, machine.port)
+    assert (found.check, found.remedy) == ("port name", f'port = "{machine.stable}"')
+
+
+def test_a_hub_without_supply_that_is_asked_for_too_much_is_named(machine):
+    write(machine.hub / "bmAttributes", "80")
+    assert findings(machine) == []
+    write(machine.camera / "bMaxPower", "450mA")
+    found = only(machine)
+    assert "hub 1-2," in found.found
+    assert "540 mA" in found.found
+    write(machine.hub / "bmAttributes", "c0")
+    assert findings(machine) == []
+
+
+def test_a_camera_on_a_slow_port_is_named(machine):
+    write(machine.camera / "speed", "480")
+    found = only(machine)
+    assert (found.device, found.check, found.found) == ("tracker", "USB speed", "480 Mbit/s")
+
+
+def follow(remedy, tmp_path):
+    """Carry out what a remedy says, with a `sudo` that needs no rights."""
+    shim = tmp_path / "bin" / "sudo"
+    write(shim, '#!/bin/sh\nexec "$@"')
+    shim.chmod(0o755)
+    path = f"{shim.parent}{os.pathsep}{os.environ['PATH']}"
+    subprocess.run(remedy, shell=True, check=True, capture_output=True, env=os.environ | {"PATH": path})
+
+
+def test_a_port_that_may_be_suspended_is_mended_by_the_remedy(machine, tmp_path):
+    write(machine.adapter / "power/control", "auto")
+    found = only(machine)
+    assert found.check == "USB suspend"
+    follow(found.remedy, tmp_path)
+    assert findings(machine) == []
+
+
+def test_every_system_command_that_advice_names_exists(machine):
+    """Remedies of all sources: what stands after sudo, and what this fixture makes the doctor say."""
+    shown = {
+        (path.name, word)
+        for path in (ROOT / "hil").rglob("*.py")
+        for word in re.findall(r"sudo ([a-z]+)", path.read_text(encoding="utf-8"))
+    }
+    assert len(shown) > 5
+    assert {word for _, word in shown} <= set(SYSTEM_COMMANDS)
+
+
+def test_the_rules_are_those_of_the_adapters_that_are_plugged_in(machine):
+    rules = udev_rules(bench(machine), machine.host.sysfs)
+    lines = [line for line in rules.splitlines() if line and not line.startswith("#")]
+    assert len(lines) == 5
+    keys = r'[A-Z]+(?:\{[\w/]+\})?(?:==|\+=|=)"[^"]*"'
+    assert all(re.fullmatch(rf"{keys}(?:, {keys})*", line) for line in lines)
+    usb, tty = (line for line in lines if "FT4THV1A" in line)
+    for line in (usb, tty):
+        assert {'"0403"', '"6014"'} <= set(re.findall(r'"\w+"', line))
+    assert 'ATTR{power/control}="on"' in usb
+    assert {'GROUP="dialout"', 'ENV{ID_MM_PORT_IGNORE}="1"'} <= set(tty.split(", "))
+    assert any('ATTR{latency_timer}="1"' in line for line in lines)
+    assert sum("8087" in line or "03e7" in line for line in lines) == 2
+
+
+def test_a_port_without_an_adapter_is_told_in_the_rules(machine):
+    rules = udev_rules(bench(machine, "/dev/ttyS5"), machine.host.sysfs)
+    assert "no USB adapter is behind /dev/ttyS5" in rules
+
+
+def test_rules_are_printed_or_written(tmp_path, capsys):
+    assert main(["doctor", "--fix"]) == 0
+    printed = capsys.readouterr().out
+    assert main(["doctor", "--fix", "--out", str(tmp_path / "60-hil.rules")]) == 0
+    assert (tmp_path / "60-hil.rules").read_text() == printed
+    assert main(["doctor", "--out", str(tmp_path / "other")]) == 2
+    assert "--fix" in capsys.readouterr().err
+
+
+def test_a_port_that_is_refused_names_the_group_and_the_program(machine):
+    port = str(machine.port)
+    group = os.stat(port).st_gid
+    refused = cannot_open("servos", port, PermissionError(13, "denied"), expected="a servo")
+    assert re.match(r"sudo usermod -aG \S+ \$USER", refused.remedy)
+    assert group == 0 or "root" not in refused.remedy
+    with open(port) as held, subprocess.Popen(["sleep", "60"], stdin=held) as other:
+        try:
+            assert [p.pid for p in programs_with(str(machine.stable))] == [other.pid]
+            busy = cannot_open("servos", port, OSError(16, "busy"), expected="a servo")
+            assert f"sleep (process {other.pid})" in busy.remedy
+        finally:
+            other.kill()

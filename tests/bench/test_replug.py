@@ -1,0 +1,162 @@
+"""A sensor that is unplugged for a while: the run goes on, and nothing is left behind."""
+
+import itertools
+import json
+import threading
+import time
+
+import pytest
+
+import hil
+from hil.bench.replug import Replugged, replugged
+from hil.cli import main
+from hil.fakes.world import VirtualClock
+from hil.recording.mcap_reader import read_cycles
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
+from hil.vocabulary.interfaces import Sensor
+from hil.vocabulary.signals import Status, worst
+
+CLOCK = MonotonicClock()
+
+
+class Plug(Sensor):
+    """A sensor of plain numbers whose plug a test pulls."""
+
+    def __init__(self):
+        self.name, self.plugged, self.handles, self.opened = "plug", True, 0, 0
+        self.port_gone, self.raises, self.number = False, DeviceTimeoutError, 0
+
+    def open(self):
+        self.close()
+        if not self.plugged:
+            raise self.raises("plug", "nobody there", remedy="plug it in")
+        self.handles += 1
+        self.opened += 1
+        self.port_gone = False
+
+    def reopen(self):
+        self.open()
+
+    def close(self):
+        self.handles = 0
+
+    def identity(self):
+        return {"model": "plug"} if self.handles else {}
+
+    def read(self):
+        if not self.plugged:
+            raise DeviceTimeoutError("plug", "silent")
+        self.number += 1
+        return (self.number,)
+
+
+def wait_for(condition, seconds=5.0):
+    end = time.monotonic() + seconds
+    while not (found := condition()):
+        assert time.monotonic() < end
+        time.sleep(0.002)
+    return found
+
+
+@pytest.fixture
+def plug(monkeypatch):
+    monkeypatch.setattr("hil.bench.replug._PAUSE_S", 0.002)
+    return Plug()
+
+
+def test_a_hundred_times_unplugged_nothing_is_lost_and_nothing_left(plug):
+    before = threading.active_count()
+    sensor = Replugged(plug, CLOCK)
+    sensor.open()
+    for _ in range(100):
+        assert len(wait_for(sensor.read)) == 1
+        plug.plugged = False
+        assert sensor.read() == ()
+        assert sensor.identity() == {}
+        assert threading.active_count() == before + 1
+        plug.plugged = True
+    assert wait_for(sensor.read)[0] == plug.number
+    assert (plug.opened, plug.handles, threading.active_count()) == (101, 1, before)
+    sensor.close()
+    assert plug.handles == 0
+
+
+def test_one_that_does_not_come_back_ends_the_run_with_what_to_do(plug):
+    sensor = Replugged(plug, CLOCK, patience_s=0.1)
+    sensor.open()
+    plug.plugged = False
+    with pytest.raises(DeviceTimeoutError, match=r"silent; it did not come back within .*plug it in"):
+        wait_for(sensor.read)
+    assert sensor.read() == ()  # who goes on reading waits anew
+    sensor.close()
+    assert threading.active_count() == 1
+
+
+@pytest.mark.parametrize("error", [DeviceError, lambda *_, **__: KeyError("of a library")])
+def test_whatever_opening_raises_it_is_tried_again(plug, error):
+    sensor = Replugged(plug, CLOCK)
+    sensor.open()
+    plug.plugged, plug.raises = False, error
+    assert sensor.read() == ()
+    time.sleep(0.05)
+    plug.plugged = True
+    assert wait_for(sensor.read)
+    sensor.close()
+
+
+def test_a_port_that_has_gone_is_not_waited_for_in_vain(plug):
+    sensor = Replugged(plug, CLOCK)
+    sensor.open()
+    plug.port_gone = True
+    assert len(sensor.read()) == 1
+    assert wait_for(sensor.read)
+    assert plug.opened == 2
+    sensor.close()
+
+
+def test_closing_ends_the_waiting(plug):
+    sensor = Replugged(plug, CLOCK)
+    sensor.open()
+    plug.plugged = False
+    sensor.read()
+    sensor.close()
+    assert threading.active_count() == 1
+
+
+def test_in_virtual_time_a_lost_sensor_is_an_error(plug, encoder_world):
+    sensors = {"plug": plug}
+    assert replugged(sensors, VirtualClock(encoder_world)) == sensors
+    again = replugged(replugged(sensors, CLOCK), CLOCK)
+    assert isinstance(again["plug"], Replugged)
+    assert again["plug"]._driver is plug
+
+
+@pytest.fixture
+def encoder_world():
+    with hil.open_bench("emulated") as bench:
+        yield bench.world
+
+
+@pytest.mark.long
+def test_four_sensors_are_unplugged_while_hil_live_watches(tmp_path, capsys):
+    """Longer than their drivers wait; each gap is in the recording, and named."""
+    faults = {"imu": (4.5, 3.6), "encoders": (5.0, 1.6), "tracker": (5.5, 2.6), "mocap": (4.0, 2.6)}
+    spec = [word for name, (at, s) in faults.items() for word in ("--fault", f"{name}:unplug@{at}+{s}")]
+    recording, bench = tmp_path / "run.mcap", tmp_path / "bench.toml"
+    bench.write_text('schema = 1\nname = "four"\n[environment]\nsurface = "floor"\ntilt_rad = 0.0\n'
+                     + "".join(f'[{name}]\nbackend = "emulated"\n' for name in faults))  # fmt: skip
+    code = main(["live", "--bench", str(bench), "--duration", "11", "--feedback", "odometry",
+                 "--record", str(recording), "--json", *spec])  # fmt: skip
+    told = json.loads(capsys.readouterr().out)
+    assert code == 0, told
+    assert not [t for t in threading.enumerate() if t.name.endswith(" again")]
+    records = list(read_cycles(recording))
+    for name, (_, away_s) in faults.items():
+        good = [r.inputs.t_ns for r in records for s in r.inputs.of(name) if worst(s) is Status.OK]
+        gap_s = max(b - a for a, b in itertools.pairwise(good)) / 1e9
+        assert gap_s >= away_s - 0.1
+        said_s = [float(e.message.split()[-2]) for r in records for e in r.events
+                  if e.source == name and e.message.startswith("answers again")]  # fmt: skip
+        assert max(said_s) == pytest.approx(gap_s, abs=0.02)
+        assert good[-1] > records[-1].inputs.t_ns - 500_000_000

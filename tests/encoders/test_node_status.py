@@ -1,0 +1,82 @@
+"""What the encoder node says of itself, and what the doctor makes of it."""
+
+import can
+import cantools
+import pytest
+
+from hil.config.encoders import SHIPPED_DBC, EncodersConfig
+from hil.devices.encoders import KIND
+from hil.devices.encoders.look import look
+from hil.devices.looks import Watched
+from hil.drivers.encoders.node_status import NodeStatus
+
+DATABASE = cantools.database.load_file(SHIPPED_DBC)
+USUAL = {
+    "Layout": 1, "Firmware": 1, "Rate": 200, "ResetCause": 0, "ParityErrors": 0, "LateSets": 0,
+    "UnsentFrames": 0, "TimesOffBus": 0,
+}  # fmt: skip
+
+
+@pytest.fixture
+def watched(encoder_bench, drain):
+    """The doctor's finding about the node after some status frames were on the bus."""
+
+    def run(*told, config=None):
+        bench = encoder_bench(config=config)
+        bench.driver.open()
+        for values in told:
+            data = DATABASE.encode_message(418, {**USUAL, **values}, scaling=False)
+            bench.channel.transmit(418, data, bench.clock.now_ns())
+            samples = drain(bench, 20)
+        settings = EncodersConfig(interface="hil", channel="test0", **(config or {}))
+        seen = Watched(KIND, settings, bench.driver, samples, 0.2, bench.clock, 100.0)
+        return bench.driver, next(f for f in look(seen) if f.check == "node")
+
+    return run
+
+
+def test_a_node_says_what_it_is(watched):
+    driver, finding = watched({"ResetCause": 1})
+    assert (finding.level, finding.found) == ("ok", "firmware 1, started by watchdog")
+    assert driver.passed_over == 0
+
+
+@pytest.mark.parametrize(
+    ("told", "level", "found", "remedy"),
+    [
+        ([{"Layout": 7}], "failure", "frames of layout 7, the DBC describes 1", "firmware/as5045_node"),
+        ([{"Rate": 100}], "warning", "100 Hz", "set encoders.rate_hz to 100"),
+        ([{"UnsentFrames": 3, "ParityErrors": 2}], "warning",
+         "2 words with wrong parity, 3 frames that the bus did not take", "termination"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_with_a_node_is_named(watched, told, level, found, remedy):
+    _, finding = watched(*told)
+    assert finding.level == level
+    assert found in finding.found
+    assert remedy in finding.remedy
+
+
+@pytest.mark.parametrize(
+    ("told", "counted"), [((9, 9), ""), ((250, 3), "9 times off the bus"), ((7,), "")]
+)  # fmt: skip
+def test_what_was_counted_before_is_history(told, counted):
+    status = NodeStatus(EncodersConfig(node_id=4))
+    for times in told:
+        data = DATABASE.encode_message(418, {**USUAL, "TimesOffBus": times}, scaling=False)
+        assert status.take(can.Message(arbitration_id=422, data=data, is_extended_id=False))
+    assert status.counted == counted
+
+
+def test_a_dbc_of_a_lab_need_not_describe_a_status(watched, tmp_path):
+    own = tmp_path / "own.dbc"
+    own.write_text(SHIPPED_DBC.read_text().replace("NodeStatus", "Housekeeping"))
+    _, finding = watched({"Layout": 7}, config={"dbc": str(own)})
+    assert (finding.level, finding.found) == ("ok", "the node does not say")
+
+
+def test_another_layout_is_told_in_a_run_too(watched, caplog):
+    watched({"Layout": 7}, {"Layout": 7})
+    assert [r.getMessage() for r in caplog.records if "layout" in r.getMessage()] == [
+        "encoders at hil:test0 sends frames of layout 7, the DBC describes 1"
+    ]

@@ -1,0 +1,57 @@
+"""docs/foxglove/layout.json: every panel that it places is there, and shows what a recording holds."""
+
+import json
+import re
+from pathlib import Path
+
+from mcap_cases import driving_record
+from rosbags.typesys import Stores, get_typestore
+
+from hil.bench.blueprint import Blueprint
+from hil.config.loading import load_bench
+from hil.recording.frames import FrameTree
+from hil.recording.ros_messages import messages, topics_with
+from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.kinds import kinds
+
+LAYOUT = json.loads((Path(__file__).parents[2] / "docs" / "foxglove" / "layout.json").read_text())
+KINDS = tuple(kinds().values())
+TOPICS = topics_with(KINDS)
+STORE = get_typestore(Stores.ROS2_HUMBLE)
+
+
+def panels_of(tree):
+    return [tree] if isinstance(tree, str) else panels_of(tree["first"]) + panels_of(tree["second"])
+
+
+def test_every_panel_is_placed_once():
+    assert sorted(panels_of(LAYOUT["layout"])) == sorted(LAYOUT["configById"])
+
+
+def test_every_plotted_path_leads_to_a_number_of_a_recording():
+    recorded = {}
+    for k in range(10):
+        recorded |= {topic: STORE.deserialize_cdr(data, TOPICS[topic])
+                     for topic, _, data in messages(driving_record(k), KINDS)}  # fmt: skip
+    paths = [p["value"] for name, config in LAYOUT["configById"].items() if name.startswith("Plot!")
+             for p in config["paths"]]  # fmt: skip
+    assert len(paths) > 20
+    for path in paths:
+        topic, *fields = path.split(".")
+        value = recorded[topic]
+        for field in fields:
+            name, place = re.fullmatch(r"(\w+)(?:\[(\d+)\])?", field).groups()
+            value = getattr(value, name)
+            value = value if place is None else value[int(place)]
+        assert float(value) == value or value != value
+
+
+def test_scene_and_log_show_topics_and_frames_that_there_are():
+    scene = LAYOUT["configById"]["3D!robot"]
+    layers = scene["layers"]
+    shown = {*scene["topics"], layers["robot"]["topic"], layers["robot"]["jointStatesTopic"]}
+    assert shown | {LAYOUT["configById"]["RosOut!events"]["topicToRender"]} <= set(TOPICS)
+    header = Blueprint(load_bench("emulated"), geometry=WheelGeometry.nominal()).header()
+    tree = FrameTree(header)
+    known = {name for f in (*tree.fixed, *tree.moving(driving_record(0))) for name in (f.parent, f.child)}
+    assert {scene["followTf"], scene["fixedFrame"], layers["grid"]["frameId"]} <= known
