@@ -25,7 +25,9 @@ class EncodersConfig(CanConfig):
         signals: DBC signal with the raw word of each steering axis, wheel order FL BL BR FR.
         node_id: added to the frame identifiers of the DBC: the node's address switch.
         rate_hz: sample sets per second that the node sends.
-        sign, zero_rad: encoder = sign * steering + zero, only used by the cross-check.
+        sign, zero_rad: encoder = sign * steering + zero, only used by the cross-check. Zeros that are left
+            out are unknown; where they are given, an axis that is more than 0.15 rad off from the start on
+            is told, too.
         yellow_mode: MagINC and MagDEC both set is then no fault (MagCompEn, datasheet).
         horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
         backlash_limit_rad: largest direction-dependent part of that difference.
@@ -41,12 +43,17 @@ class EncodersConfig(CanConfig):
     node_id: int = Field(0, ge=0, le=0x3F)
     rate_hz: float = Field(200.0, gt=0, le=1000)
     sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    zero_rad: tuple[float, float, float, float] | None = None
     yellow_mode: bool = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
     backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more backlash is broken")] = 0.01
     startup_discard: int = Field(1, ge=0, le=1000)
     fail_after_s: Patience = 1.0
+
+    @property
+    def zeros_rad(self) -> tuple[float, float, float, float]:
+        """`zero_rad`, 0 where unknown."""
+        return (0.0, 0.0, 0.0, 0.0) if self.zero_rad is None else self.zero_rad
 
     @property
     def dbc_path(self) -> Path:

@@ -18,7 +18,7 @@ from hil.vocabulary.signals import WHEELS, Event, Inputs, Measurements
 
 _SETTLED_RAD = 0.016
 _MOVED_RAD = 0.01
-_LEARN = 5
+_LEARN, _ASTRAY_RAD = 5, 0.15
 _MEMORY, _PLAY_MEMORY = 0.2, 0.1
 _NAN = math.nan
 _EVERY_NS, _TOLD_NS, _FAR = 48_000_000, 50_000_000, 2.0
@@ -45,9 +45,14 @@ class CrossCheckResult:
 
 
 class _Axis:
-    """One steering axis; plain floats, because it is asked in every run."""
+    """One steering axis; plain floats, because it is asked in every run.
 
-    def __init__(self) -> None:
+    Args:
+        known: whether the encoder's zero is known, so that what is learnt can be wrong.
+    """
+
+    def __init__(self, known: bool) -> None:
+        self._known = known
         self.count, self.reference, self.lasting, self.latest = 0, 0.0, _NAN, _NAN
         self.by_direction = [_NAN, _NAN]
         self.direction, self.turned_at, self.last_servo = -1, _NAN, _NAN
@@ -89,6 +94,8 @@ class _Axis:
                 self.reference = raw_rad
             self.reference = wrap(self.reference + wrap(raw_rad - self.reference) / (count + 1))
             self.lasting = self.reference
+            if self.count == _LEARN and self._known and abs(self.reference) > _ASTRAY_RAD:
+                self.reference = 0.0
             return
         self.lasting = wrap(self.lasting + _MEMORY * wrap(raw_rad - self.lasting))
         if self.direction < 0:
@@ -102,7 +109,8 @@ class _Axis:
 class CrossCheck:
     """Follows the difference of two angles of the same axis; feed it every 50 ms.
 
-    What is learnt at the start is taken for right: a horn that had slipped before is not seen.
+    What is learnt at the start is taken for right, unless the zeros of the encoders are known and it is far
+    from them: a horn that had slipped by little before is not seen.
     """
 
     def __init__(self, config: EncodersConfig) -> None:
@@ -111,7 +119,8 @@ class CrossCheck:
 
     def reset(self) -> None:
         """Learn the reference anew (after the horn has been refitted)."""
-        self._axes = tuple(_Axis() for _ in range(4))
+        known = self._config.zero_rad is not None
+        self._axes = tuple(_Axis(known) for _ in range(4))
 
     def update(self, encoder_rad: Sequence[float], servo_rad: Sequence[float]) -> CrossCheckResult:
         """Compare one pair of readings.
@@ -122,7 +131,7 @@ class CrossCheck:
         """
         config = self._config
         for axis, encoder, servo, sign, zero in zip(
-            self._axes, encoder_rad, servo_rad, config.sign, config.zero_rad, strict=True
+            self._axes, encoder_rad, servo_rad, config.sign, config.zeros_rad, strict=True
         ):
             axis.update(sign * (encoder - zero) - servo, servo)
         difference = tuple([axis.difference_rad for axis in self._axes])

@@ -21,7 +21,7 @@ def steer(check, *, slip=0.0, play=0.0, config=None, noise=0.0):
             behind = servo + (0.5 * play if target < start else -0.5 * play)
             behind += slip if turn >= 6 else 0.0
             encoder = np.array([behind, servo, servo, servo]) + rng.normal(0, noise, 4)
-            encoder = np.array(config.sign) * encoder + np.array(config.zero_rad)
+            encoder = np.array(config.sign) * encoder + np.array(config.zeros_rad)
             result = check.update(encoder, np.full(4, servo))
     return result
 
@@ -53,6 +53,18 @@ def test_mounting_sign_and_zero_are_taken_out():
     np.testing.assert_allclose(result.difference_rad, 0.0, atol=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("zero_rad", "off_rad", "told"),
+    [(None, 0.5, False), ((0.0,) * 4, 0.5, True), ((0.0,) * 4, -0.2, True), ((0.0,) * 4, 0.1, False)],
+)
+def test_an_axis_that_is_far_off_from_the_start_is_told_where_zeros_are_known(zero_rad, off_rad, told):
+    """A servo's encoder that slipped while nobody looked; zeros of a workshop are off by 0.05."""
+    check = CrossCheck(EncodersConfig(zero_rad=zero_rad))
+    for _ in range(20):
+        result = check.update([off_rad, 0.0, 0.0, 0.0], [0.0] * 4)
+    assert result.horn_slip == (told, False, False, False)
+
+
 def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
     check = CrossCheck(EncodersConfig())
     nan = np.full(4, np.nan)
@@ -77,7 +89,7 @@ def watched(off_rad, *, servo=0.0, config=None, cycles=100, slips=((40, 10**6),)
     for k in range(cycles):
         off = np.array([0.0, off_rad if any(a <= k < b for a, b in slips) else 0.0, 0.0, 0.0])
         stamp, events = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), []
-        angle = np.mod(np.array(config.sign) * (servo + off) + np.array(config.zero_rad) + np.pi, 2 * np.pi)
+        angle = np.mod(np.array(config.sign) * (servo + off) + np.array(config.zeros_rad) + np.pi, 2 * np.pi)
         sample = EncoderSample(stamp, angle - np.pi, (Status.OK,) * 4, (0,) * 4)
         wheels = WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.full(4, servo), (True,) * 4)
         inputs = Inputs(k, k * PERIOD_NS, encoders=(sample,))

@@ -36,7 +36,7 @@ def _emulate(setting: Setting) -> EmulatedDevice:
     channel = channel_of(setting)
     EncoderNode(
         setting.world, channel, rate_hz=config.rate_hz, node_id=config.node_id, sign=config.sign,
-        zero_rad=config.zero_rad, options=setting.options(EncoderTruthOptions),
+        zero_rad=config.zeros_rad, options=setting.options(EncoderTruthOptions),
     )  # fmt: skip
     return on_can(setting, channel, subnet=163, dbc=config.dbc_path)
 
