@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from hil.bench import Bench
-from hil.bench.settings import real_time
+from hil.bench.settings import alignment_parameters, real_time
 from hil.config.bench import BenchConfig
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, properties, source_of
@@ -29,6 +29,7 @@ from hil.ring.loop_timing import LoopStatistics
 from hil.ring.motion import Motion
 from hil.ring.realtime import idle_loop
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.geometry import rotated
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS, Status, worst
 
@@ -36,6 +37,7 @@ __all__ = [
     "_told",
     "test_every_device_says_what_it_is",
     "test_gravity_and_rates_are_those_of_rest",
+    "test_gravity_points_where_the_bench_file_says",
     "test_nothing_turns",
     "test_samples_come_at_their_rate_and_nearly_all_are_good",
     "test_samples_come_in_order_and_in_time",
@@ -51,6 +53,7 @@ WATCH_S = 15.0
 GOOD_SHARE, RATE_SHARE, OLDER = 0.98, 0.85, 5.0
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
+UPRIGHT_RAD = 0.15
 GRAVITY_M_S2, GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 9.81, 0.5, 0.05
 LATE_SHARE, BUSY_SHARE, IDLE_SHARE = 0.01, 0.05, 1.0 / 3.0
 HORN_RAD = 0.1
@@ -195,6 +198,23 @@ def test_gravity_and_rates_are_those_of_rest(watched: Watch) -> None:
     rate_rad_s = np.linalg.norm(np.mean([s.gyro_rad_s for s in good], axis=0))
     assert abs(gravity_m_s2 - GRAVITY_M_S2) < GRAVITY_TOLERANCE_M_S2
     assert rate_rad_s < REST_RAD_S
+
+
+def test_gravity_points_where_the_bench_file_says(watched: Watch) -> None:
+    """Down, as the inertial unit feels it, at the surface's tilt and the robot's heading."""
+    config = watched.bench.config
+    good = [s for s in watched.samples("imu") if s.status is Status.OK]
+    felt = np.mean([s.gravity_m_s2 for s in good], axis=0)
+    mount = alignment_parameters(config).imu.rotation_wxyz
+    up = np.array(rotated(mount, felt.tolist())) / np.linalg.norm(felt)
+    tilt_rad, heading_rad = config.environment.tilt_rad, float(watched.motion.estimate[-1, 2])
+    along = np.sin(tilt_rad)
+    expected = np.array([along * np.cos(heading_rad), -along * np.sin(heading_rad), np.cos(tilt_rad)])
+    apart_rad = float(np.arccos(np.clip(up @ expected, -1.0, 1.0)))
+    assert apart_rad < UPRIGHT_RAD, (
+        f"gravity is {np.degrees(apart_rad):.0f} deg from where tilt and heading have it; "
+        "look at the unit's mount (imu.mount_rotation_wxyz) and at environment.tilt_rad"
+    )
 
 
 def test_the_estimate_stays_where_it_is(watched: Watch) -> None:
