@@ -54,7 +54,7 @@ WHAT = ("procedures", "profiles", "devices", "faults", "estimators")
 
 
 @click.command(name="list")
-@click.argument("what", type=click.Choice(WHAT), required=False)
+@click.argument("what", type=click.Choice(WHAT), required=False, metavar="[WHAT]")
 @click.option(
     "--bench", default="emulated", help="Whose devices and faults, if all were emulated [default: emulated]."
 )

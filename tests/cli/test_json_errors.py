@@ -11,6 +11,7 @@ from hil.vocabulary.errors import DeviceError
 
 GONE = "nowhere.toml"
 WRONG = {
+    "list": ["planets"],
     "adhesion": ["status", "--bench", GONE],
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
     "commission": ["--bench", GONE], "robot": ["show", GONE],

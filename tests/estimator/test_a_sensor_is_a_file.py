@@ -125,7 +125,7 @@ def cycle(k):
     turned = [0.2, 0.2 + 2.0 * np.pi, 0.2, np.nan, 0.2, 3.0][k % 6]  # a full turn more, none, an outlier
     return WithCompass(k, t_ns, compass=(Heading(Stamp(t_ns, t_ns, k), turned),))
 
-sigma = np.array([1e-3, 1e-3, 0.5, 1e-3, 1e-3, 1e-3])
+sigma = np.array([1e-3, 1e-3, 0.14, 1e-3, 1e-3, 1e-3])
 start = RobotState(0, np.zeros(3), np.zeros(3), np.diag(sigma**2))
 cycles = [cycle(k) for k in range(60)]
 for kind in ("ekf", "ukf"):
