@@ -103,8 +103,10 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         high=float(p.max_rounds),
         rationale="by its own stop rule",
     )
-    yield Measurement("rejected_recordings", "1", high=0.1 * p.repetitions * len(p.motions),
-                      rationale="recordings that contradict the others in the fit that was kept")  # fmt: skip
+    yield Measurement("rejected_recordings", "1")
+    yield Measurement("rejected_share", "1", high=0.1,
+                      rationale="of the recordings of all rounds in the fit that was kept, those that "
+                      "contradict the others")  # fmt: skip
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
@@ -152,10 +154,12 @@ def run(ctx: Context) -> None:
         ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
         if best == 0:
             ctx.measure("rejected_recordings", 0)
+            ctx.measure("rejected_share", 0)
             ctx.note("No fit was better than the parameters that the run began with; nothing to install.")
             return
         result = results[best - 1]
         ctx.measure("rejected_recordings", len(result.fit.rejected))
+        ctx.measure("rejected_share", len(result.fit.rejected) / len(result.recordings))
         show(ctx, rounds, fresh, result, p.method, p.compared_methods)
         judged = score(fresh.recordings, fresh.odometry.geometry, result.setting)
         _install(ctx, replace(result, validation={"fresh_run": judged}))

@@ -38,6 +38,7 @@ def test_what_was_found_drives_better_and_passes(small):
     assert small.result.verdict.value in ("PASS", "MARGINAL"), small.result.measurements
     assert small.values["improvement"] > 3.0
     assert small.values["position_rmse_after"] < 2.0
+    assert small.values["rejected_share"] == small.values["rejected_recordings"] / 6
     small.assert_held()
 
 
@@ -141,6 +142,12 @@ def plain_source():
     from hil.procedure import BenchSource
 
     return BenchSource("emulated_floor")
+
+
+def test_what_may_be_rejected_is_a_share_of_all_rounds_that_were_fitted():
+    """Rounds are pooled: two of 36 recordings were once held against a tenth of one round's 18."""
+    limits = {m.name: m.high for m in load_procedure("odometry_calibration").measurements(Parameters())}
+    assert (limits["rejected_share"], limits["rejected_recordings"]) == (0.1, None)
 
 
 def test_more_rounds_than_allowed_are_refused():
