@@ -113,7 +113,7 @@ def healthy(config: BenchConfig) -> dict[str, Healthy]:
         kind = kinds()[name]
         if not kind.actuates:
             rate_hz = asked(name, kind.package, "rate_hz", kind.rate_hz, own, loop_hz)
-            found[name] = Healthy(rate_hz, kind.delivered, kind.age_s + _CYCLES_LATE / loop_hz)
+            found[name] = Healthy(rate_hz, kind.delivered, kind.age_s + _CYCLES_LATE / loop_hz, loop_hz)
     return found
 
 
