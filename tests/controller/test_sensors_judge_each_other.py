@@ -137,6 +137,13 @@ def test_other_frozen_streams_are_named_too(device):
     assert ride.stop is None
 
 
+def test_a_camera_that_falls_silent_or_sends_too_little_is_told_and_lived_with():
+    ride = Ride(straight(UP), "tracker:off@1.5+0.3", "tracker:slow@2.2,factor=5")
+    assert 1.5 < ride.told("tracker", "stale")[0] < 1.7
+    assert ride.told("tracker", "good samples a second")
+    assert ride.stop is None
+
+
 def test_a_gyro_that_turns_by_itself_is_the_one_that_is_named():
     ride = Ride(straight(UP), "imu:wrong@1.5,rate_rad_s=0.2")
     assert ride.stop.reason == "sensors_disagree"
