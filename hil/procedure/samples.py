@@ -107,7 +107,7 @@ def encoders(motion: Motion, config: BenchConfig) -> Series:
     """Steering by the external encoders, bench signs and zeros applied, (n, 4); NaN per unusable axis."""
     table = config.of(EncodersConfig)
     assert table is not None
-    sign, zero = np.array(table.sign, dtype=np.float64), np.array(table.zero_rad)
+    sign, zero = np.array(table.sign, dtype=np.float64), np.array(table.zeros_rad)
     return _series(
         motion,
         (

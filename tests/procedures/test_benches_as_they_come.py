@@ -1,0 +1,23 @@
+"""The first procedure runs on a bench of which nothing is known yet, not even the encoders' zeros."""
+
+import numpy as np
+import pytest
+
+from hil.bench import open_bench
+from hil.cli import main
+from hil.procedure.samples import encoders
+
+
+def test_encoders_whose_zeros_are_unknown_are_read_as_they_are():
+    with open_bench("emulated_delivered") as bench:
+        assert bench.config.encoders.zero_rad is None
+        motion = bench.observe(0.1, feedback="odometry")
+        read = encoders(motion, bench.config)
+    raw = [s.angle_rad for r in motion.records for s in r.inputs.encoders]
+    assert np.allclose(read.values, raw[: len(read.values)])
+
+
+@pytest.mark.long
+def test_bring_up_passes_on_a_robot_as_delivered(tmp_path):
+    out = str(tmp_path / "out")
+    assert main(["run", "bring_up", "--bench", "emulated_delivered", "--quick", "--out", out]) == 0
