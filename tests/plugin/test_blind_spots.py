@@ -52,6 +52,7 @@ def test_a_breakage_that_no_test_notices_fails_the_session(searched):
     assert result.ret == 1
 
 
+@pytest.mark.long
 def test_a_suite_that_fails_on_the_sound_robot_has_to_be_mended_first(searched):
     result = searched("def test_wrong(bench):\n    assert not bench.has('imu')\n", "imu:stuck")
     result.stdout.fnmatch_lines(["*on the sound robot the suite has to pass*"])
@@ -65,6 +66,7 @@ def test_a_breakage_that_there_is_not_is_refused_with_those_that_there_are(searc
     assert result.ret == 4
 
 
+@pytest.mark.long
 def test_real_robots_are_not_broken_on_purpose(searched, pytester):
     (pytester.path / "real.toml").write_text(BENCH.replace('backend = "emulated"', 'port = "/dev/null"'))
     pytester.makepyfile(test_it=LOOKS)
