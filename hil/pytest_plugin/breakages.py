@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 AT_S = 1.0
 """When a fault begins, s of the world: after the devices were opened, before anything has moved far."""
 _BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "delayed")
-_BORNE_BY = {"encoders": ("reset",), "imu": ("reset", "jump"), "tracker": ("jump",)}
-"""What a bench is made to bear, of every device and of these: no test has to notice it."""
+_BORNE_OF_SENSORS = (*_BORNE, "reset", "jump")
+"""What a bench is made to bear, of every device and of those that only sense: no test has to notice it."""
 _HARMFUL_OPTIONS = {"scale": 0.9, "offset_m": 0.1, "rate_rad_s": 0.1}
 _ONE_OF_SEVERAL = ("servo.drive_FL", "servo.steer_FL", "encoder.FL")
 
@@ -57,12 +57,15 @@ def _faulty(declared: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Iterator[B
     for device in (name for name in declared if name in whole or name in _ONE_OF_SEVERAL):
         for kind, options in declared[device].items():
             spec = f"{device}:{kind}@{AT_S:g}"
-            yield Breakage(
-                f"{device}:{kind}", (spec,), matters=kind not in (*_BORNE, *_BORNE_BY.get(device, ()))
-            )
+            yield Breakage(f"{device}:{kind}", (spec,), matters=kind not in _borne(device))
             for option in (o for o in options if kind == "wrong" and o in _HARMFUL_OPTIONS):
                 value = _HARMFUL_OPTIONS[option]
                 yield Breakage(f"{device}:{kind},{option}={value:g}", (f"{spec},{option}={value:g}",))
+
+
+def _borne(device: str) -> tuple[str, ...]:
+    kind = kinds().get(device)
+    return _BORNE if kind is None or kind.actuates or kind.holds else _BORNE_OF_SENSORS
 
 
 def _assembled(config: BenchConfig) -> Iterator[Breakage]:
@@ -89,7 +92,7 @@ def _sign(config: BenchConfig, which: str) -> dict[str, object]:
 
 def _weaker(config: BenchConfig) -> Iterator[Breakage]:
     """Strength that has gone."""
-    if config.environment.kind == "wall" and "adhesion" in config.emulated():
+    if config.environment.kind == "wall" and any(kinds()[name].holds for name in config.emulated()):
         yield Breakage("the fan presses half as much", ("plant:adhesion_loss@1,factor=0.5",))
     if "servos" in config.emulated():
         yield Breakage("the battery is nearly empty", overrides={"emulation.servos.supply_v": 8.5})
