@@ -21,11 +21,12 @@ from hil.calibration.nominal import Nominal
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
     Table,
-    cross_validate,
     deployed,
+    left_out,
     repeatability,
     repetition_numbers,
     score,
+    table_of,
 )
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -196,10 +197,7 @@ def calibrate(
     spectrum = identifiability(found)
     before = [track(r, cad, setting.model, setting.signal) for r in recordings]
     after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]
-    rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
-    intervals = jackknife(found, cad).beside(
-        found.solution.z, [(other.solution.z, jackknife(other, cad)) for other in rivals]
-    )
+    intervals = _intervals(recordings, found, cad, choice)
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None
     applied = deployed(recordings, found.geometry, cad, twist_between(found, cad), setting)
@@ -232,6 +230,16 @@ def calibrate(
 
 def _kept_cost(tracks: Sequence[Track], found: Fit) -> float:
     return cost([t for t in tracks if t.recording.name not in found.rejected])
+
+
+def _intervals(
+    recordings: Sequence[Recording], found: Fit, cad: WheelGeometry, choice: Choice | None
+) -> Jackknife:
+    """Those of a fit, as wide as its rivals' fits call for."""
+    rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
+    return jackknife(found, cad).beside(
+        found.solution.z, [(other.solution.z, jackknife(other, cad)) for other in rivals]
+    )
 
 
 def _rival_fit(recordings: Sequence[Recording], rival: Candidate) -> Fit:
@@ -275,8 +283,7 @@ def _cross_validation(
     for kind, reduced, start, prefix in runs:
         for name, groups in folds.items():
             progress = partial(_fold_done, report, f"{prefix}{name}".replace("_", " "), before, total)
-            tables[prefix + name] = cross_validate(
-                recordings, reduced, kind, nominal, start, groups, progress
-            )  # fmt: skip
+            tracks = left_out(recordings, reduced, kind, nominal, start, groups, progress)
+            tables[prefix + name] = table_of(tracks)
             before += len(set(groups))
     return tables

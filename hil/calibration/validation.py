@@ -30,29 +30,6 @@ def repetition_numbers(motions: Sequence[str]) -> list[int]:
     return out
 
 
-def cross_validate(
-    recordings: Sequence[Recording],
-    blocks: Blocks,
-    setting: Setting,
-    nominal: WheelGeometry,
-    start: Array,
-    groups: Sequence[object],
-    progress: Progress | None = None,
-) -> Table:
-    """Errors by motion on recordings left out of the fit, group by group.
-
-    Args:
-        recordings: the runs, in the order of `blocks`.
-        blocks: the same runs, reduced.
-        setting: how to fit.
-        nominal: prior mean.
-        start: solution on all recordings; see `fitting.fit` for what may start there.
-        groups: one label per recording; each label in turn is left out.
-        progress: called with (done, total) folds.
-    """
-    return table_of(left_out(recordings, blocks, setting, nominal, start, groups, progress))
-
-
 def left_out(
     recordings: Sequence[Recording],
     blocks: Blocks,

@@ -20,6 +20,7 @@ from hil.pytest_plugin.selection import source_of, use_source
 from hil.vocabulary.errors import HilError, did_you_mean
 
 FOUND = pytest.StashKey["list[Seen]"]()
+_CHOSEN = pytest.StashKey[list[Breakage]]()
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ def check_session(config: pytest.Config) -> None:
                 f"--hil-blind-spots: {', '.join(source.real)} of bench {source.config.name} are real, and "
                 "real robots are not broken on purpose; add --emulate"
             )
-        _chosen(config)
+        config.stash[_CHOSEN] = _chosen(config)
     except HilError as error:
         raise pytest.UsageError(str(error)) from None
     if config.getoption("numprocesses", None):
@@ -66,7 +67,7 @@ def _chosen(config: pytest.Config) -> list[Breakage]:
 def run(session: pytest.Session) -> None:
     """The suite on the sound robot, then on every broken one; what was found goes to the session's stash."""
     config = session.config
-    seconds = [_sound(session, item, after) for item, after in pairs(session.items)]
+    seconds = [_sound(session, item, after) for item, after in _pairs(session.items)]
     able = _quick_first(session.items, seconds)
     reporter: TerminalReporter | None = config.pluginmanager.get_plugin("terminalreporter")
     if session.testsfailed or not able:
@@ -77,7 +78,7 @@ def run(session: pytest.Session) -> None:
     source = source_of(config)
     session.stash[FOUND] = found = []
     try:
-        for breakage in _chosen(config):
+        for breakage in config.stash[_CHOSEN]:
             use_source(config, breakage.of(source))
             found.append(Seen(breakage, _noticed(session, able)))
             if reporter is not None:
@@ -105,14 +106,14 @@ def _quick_first(items: Sequence[pytest.Item], seconds: Sequence[float | None]) 
     return [item for members in ranked for _, item in members]
 
 
-def pairs(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
+def _pairs(items: Sequence[pytest.Item]) -> Iterator[tuple[pytest.Item, pytest.Item | None]]:
     """Each test with the one that follows it."""
     return zip(items, [*items[1:], None], strict=True)
 
 
 def _noticed(session: pytest.Session, items: Sequence[pytest.Item]) -> str:
     """Name of the first test that fails."""
-    for item, after in pairs(items):
+    for item, after in _pairs(items):
         getattr(item, "_initrequest", lambda: None)()  # fixtures of the test are made anew
         if any(report.failed for report in runtestprotocol(item, nextitem=after, log=False)):
             session._setupstate.teardown_exact(None)

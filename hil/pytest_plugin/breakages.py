@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.faults import stands_for_itself
 from hil.vocabulary.kinds import kinds
 
 if TYPE_CHECKING:
@@ -18,7 +19,6 @@ _BORNE = ("drop", "corrupt", "truncate", "duplicate", "slow", "intermittent", "d
 _BORNE_OF_SENSORS = (*_BORNE, "reset", "jump")
 """What a bench is made to bear, of every device and of those that only sense: no test has to notice it."""
 _HARMFUL_OPTIONS = {"scale": 0.9, "offset_m": 0.1, "rate_rad_s": 0.1}
-_ONE_OF_SEVERAL = ("servo.drive_FL", "servo.steer_FL", "encoder.FL")
 
 
 @dataclass(frozen=True)
@@ -53,8 +53,7 @@ def breakages(source: BenchSource) -> list[Breakage]:
 
 
 def _faulty(declared: Mapping[str, Mapping[str, tuple[str, ...]]]) -> Iterator[Breakage]:
-    whole = (*kinds(), "plant")
-    for device in (name for name in declared if name in whole or name in _ONE_OF_SEVERAL):
+    for device in filter(stands_for_itself, declared):
         for kind, options in declared[device].items():
             spec = f"{device}:{kind}@{AT_S:g}"
             yield Breakage(f"{device}:{kind}", (spec,), matters=kind not in _borne(device))

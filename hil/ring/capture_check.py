@@ -12,13 +12,13 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from hil.ring.dead_reckoning import Kept, Track, WheelTrack
-from hil.ring.doubts import CAMERA, WHEELS, Party, Relocalisation, Sum
+from hil.ring.dead_reckoning import Kept, Track, WheelTrack, moved
+from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Party, Relocalisation, Sum
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.signals import PoseMeasurement
 
 CAPTURE = Party("mocap", "motion capture")
-_STEP_NS, _GAP_NS = 40_000_000, 300_000_000
+_GAP_NS = 300_000_000
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class CaptureCheck:
             self._last[pair] = None
             return None
         t_ns, before = min(newest, others), self._last[pair]
-        if before is not None and 0 <= t_ns - before[0] < _STEP_NS:
+        if before is not None and 0 <= t_ns - before[0] < STEP_NS:
             return None
         now, seen = other.at(t_ns), self._capture.at(t_ns)
         if now is None or seen is None:
@@ -122,8 +122,8 @@ class CaptureCheck:
 
     def _add_camera(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
         h = self._allowed
-        way, turn = _moved(before, now)
-        true, turned = _moved(was, seen)
+        way, turn = moved(before, now)
+        true, turned = moved(was, seen)
         if self._leaps[0].jumped(t_ns, abs(way - true), abs(turn - turned)):
             return
         allowed = h.lever_m * abs(turned) + h.rest_m_s * dt_s
@@ -131,16 +131,10 @@ class CaptureCheck:
 
     def _add_wheels(self, t_ns: int, dt_s: float, before: Kept, now: Kept, was: Kept, seen: Kept) -> None:
         h = self._allowed
-        true, turned = _moved(was, seen)
-        (place, heading, rolled, slack), (place0, heading0, rolled0, slack0) = now, before
-        rolling = (place - place0) * cmath.rect(1.0, -heading0.real)
-        turning, far, loose = (heading - heading0).real, (rolled - rolled0).real, (slack - slack0).real
+        true, turned = moved(was, seen)
+        rolling, turning = moved(before, now)
+        far, loose = ((b - a).real for a, b in zip(before[2:], now[2:], strict=True))
         if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
             return
         allowed = h.path * far + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
         self.rolled.add(t_ns, true, rolling, allowed, cmath.rect(1.0, -turning), self._creep * far)
-
-
-def _moved(before: Kept, now: Kept) -> tuple[complex, float]:
-    """Way (m, complex) in the body's axes at its beginning, and turn (rad), of two poses."""
-    return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real

@@ -5,6 +5,7 @@ Camera poses come tens of milliseconds late; to compare them, what the others sa
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
 
@@ -63,6 +64,16 @@ class Track:
             return self._values[k]
         part = (t_ns - at[k]) / (at[k + 1] - at[k])
         return tuple(a + part * (b - a) for a, b in zip(self._values[k], self._values[k + 1], strict=True))
+
+
+def moved(before: Kept, now: Kept) -> tuple[complex, float]:
+    """Way (m, complex) in the body's axes at its beginning, and turn (rad), from one place to another.
+
+    Args:
+        before: place (m, complex) and heading (rad) come first in it.
+        now: as `before`.
+    """
+    return (now[0] - before[0]) * cmath.rect(1.0, -before[1].real), (now[1] - before[1]).real
 
 
 class WheelTrack(Track):

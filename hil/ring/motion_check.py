@@ -12,14 +12,13 @@ import cmath
 from dataclasses import dataclass
 
 from hil.ring.capture_check import CaptureCheck, Seen
-from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack
-from hil.ring.doubts import CAMERA, WHEELS, Doubt, Party, Relocalisation, Sum
+from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack, moved
+from hil.ring.doubts import CAMERA, STEP_NS, WHEELS, Doubt, Party, Relocalisation, Sum
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.signals import Measurements, PoseMeasurement
 
 GYRO = Party("imu", "the gyro")
-_STEP_NS = 40_000_000
 _GAP_NS = 1_000_000_000
 
 
@@ -145,7 +144,7 @@ class MotionCheck:
             return False
         pose, before = poses[-1], self._seen
         t_ns = pose.stamp.t_ns
-        if before is not None and 0 <= t_ns - before.t_ns < _STEP_NS:
+        if before is not None and 0 <= t_ns - before.t_ns < STEP_NS:
             return False
         wheels = self._wheels.at(t_ns)
         if wheels is None:
@@ -163,9 +162,8 @@ class MotionCheck:
         dt_s = (now.t_ns - t_ns) / NS_PER_S
         way = (now.place - before.place) * cmath.rect(1.0, -before.heading_rad)
         turn = now.heading_rad - before.heading_rad
-        (place, heading, rolled, slack), (place0, heading0, rolled0, slack0) = now.wheels, before.wheels
-        rolling = (place - place0) * cmath.rect(1.0, -heading0.real)
-        turning, path, loose = (heading - heading0).real, (rolled - rolled0).real, (slack - slack0).real
+        rolling, turning = moved(before.wheels, now.wheels)
+        path, loose = ((b - a).real for a, b in zip(before.wheels[2:], now.wheels[2:], strict=True))
         if self._leap.jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
             return False
         allowed = h.path * path + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
@@ -182,7 +180,7 @@ class MotionCheck:
     def _feel(self, t_ns: int) -> bool:
         """Compare wheels and gyro by themselves; whether there was something to compare."""
         before = self._felt
-        if before is not None and 0 <= t_ns - before[0] < _STEP_NS:
+        if before is not None and 0 <= t_ns - before[0] < STEP_NS:
             return False
         wheels, gyro = self._wheels.at(t_ns), self._gyro.at(t_ns)
         if wheels is None or gyro is None:

@@ -52,8 +52,8 @@ class SampleWatch:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
         for name, labels in self._channels.items():
-            good = False
-            for sample in inputs.of(name):
+            good, samples = False, inputs.of(name)
+            for sample in samples:
                 if sample.status is Status.OK:
                     good = True
                 elif not labels:
@@ -66,7 +66,7 @@ class SampleWatch:
                         self._look(name, f"{label} ", status, t_ns, events)
             if name in self._told_ns:
                 self._age(name, good, t_ns, events)
-            if inputs.of(name):
+            if samples:
                 last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
                 if name not in self._told_ns and t_ns - last_ns > _FORGOTTEN_NS:
                     events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.signals import Event, Inputs, Status, worst
@@ -76,7 +75,7 @@ class StreamWatch:
         t_ns = inputs.t_ns
         for name, stream in self._streams.items():
             for sample in inputs.of(name):
-                if _is_good(sample):
+                if worst(sample) is Status.OK:
                     self._count(stream, t_ns, sample.stamp.t_ns)
             stream.cycles += 1
             if stream.settled_ns is not None and t_ns >= stream.ends_ns:
@@ -109,8 +108,3 @@ class StreamWatch:
         stream.sparse, stream.late = sparse, late
         if stream.learns:
             stream.most = max(stream.most, stream.good)
-
-
-def _is_good(sample: Any) -> bool:
-    status = sample.status if isinstance(sample.status, Status) else worst(sample)
-    return status is Status.OK

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.bench.host.findings import real_ports
+from hil.bench.host.findings import T265_IDS, real_ports
 from hil.bench.host.usb import UsbDevice, behind
 from hil.config.bench import BenchConfig
 from hil.config.tracker import T265Config
@@ -19,7 +19,7 @@ _PATH = "/etc/udev/rules.d/60-hil.rules"
 _TIMER = 'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", ATTR{latency_timer}="1"'
 _CAMERA = tuple(
     f'SUBSYSTEM=="usb", ATTR{{idVendor}}=="{vendor}", ATTR{{idProduct}}=="{product}", MODE="0666"'
-    for vendor, product in (("03e7", "2150"), ("8087", "0b37"))
+    for vendor, product in (("03e7", "2150"), *T265_IDS)
 )
 
 

@@ -5,7 +5,15 @@ held within the limits, whether the cause was named, whether the robot recovered
 the recording can be read.
 """
 
-from hil.procedure.faults.cells import MOMENTS, PLANTS, Cell, cells_of, quick_cells, random_cells
+from hil.procedure.faults.cells import (
+    MOMENTS,
+    PLANTS,
+    Cell,
+    cells_of,
+    quick_cells,
+    random_cells,
+    stands_for_itself,
+)
 from hil.procedure.faults.driving import run_cell
 from hil.procedure.faults.judging import Verdict, lost
 from hil.procedure.faults.matrix import matrix_page, write_page
@@ -21,5 +29,6 @@ __all__ = [
     "quick_cells",
     "random_cells",
     "run_cell",
+    "stands_for_itself",
     "write_page",
 ]

@@ -64,6 +64,11 @@ def _cell(device: str, fault: str, moment: str, seed: int, plant: str) -> Cell:
     return Cell(device, fault, moment, seed, plant, (f"{device}:{fault}{MOMENTS[moment]}",))
 
 
+def stands_for_itself(device: str) -> bool:
+    """Whether a device, by its fault name, is none of those for which another servo or encoder stands."""
+    return not _OF_EIGHT.fullmatch(device)
+
+
 def cells_of(
     supported: Mapping[str, Iterable[str]],
     *,
@@ -90,7 +95,7 @@ def cells_of(
     wanted = (
         list(_wanted(only, pairs, moments))
         if only
-        else [(d, fault, moment) for d, fault in pairs if not _OF_EIGHT.fullmatch(d) for moment in moments]
+        else [(d, fault, moment) for d, fault in pairs if stands_for_itself(d) for moment in moments]
     )
     return tuple(
         _cell(device, fault, moment, seed, plant)

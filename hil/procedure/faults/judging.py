@@ -127,17 +127,18 @@ def _wrong(cell: Cell, seen: Seen, told: bool) -> Iterator[str]:
 
 def _takes_servos(cell: Cell) -> bool:
     """Whether servos lose supply or bus at all."""
-    pairs = zip(cell.device.split("+"), cell.fault.split("+"), strict=True)
-    return any(device.startswith("servo") and fault in _LETS_GO for device, fault in pairs)
+    return bool(_that_let_go(cell))
 
 
 def _is_without(cell: Cell) -> bool:
     """Whether servos lack supply or bus to the end: then nobody can say that the robot is held."""
-    pairs = zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)
-    return any(
-        device.startswith("servo") and fault in _LETS_GO and "+" not in spec.split(",", 1)[0]
-        for device, fault, spec in pairs
-    )
+    return any("+" not in spec.split(",", 1)[0] for spec in _that_let_go(cell))
+
+
+def _that_let_go(cell: Cell) -> list[str]:
+    """Faults of a cell that take supply or bus from servos, as specs."""
+    parts = zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)
+    return [spec for device, fault, spec in parts if device.startswith("servo") and fault in _LETS_GO]
 
 
 def _is_named(device: str, seen: Seen) -> bool:
