@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import gc
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-_MANY = 1_000_000
+_MANY = 3_000_000
 _kept = 0
 
 
@@ -31,14 +32,8 @@ def without_collector() -> Iterator[None]:
 
 def _look_through() -> None:
     global _kept
-    if _made_old() > 2 * _kept + _MANY:
-        gc.collect()
-        _kept = _made_old()
-
-
-def _made_old() -> int:
-    """All objects become old; returns their number."""
     gc.freeze()
-    number = gc.get_freeze_count()
-    gc.unfreeze()
-    return number
+    gc.unfreeze()  # whatever there is has become old
+    if sys.getallocatedblocks() > 2 * _kept + _MANY:
+        gc.collect()
+        _kept = sys.getallocatedblocks()
