@@ -6,6 +6,7 @@ import json
 import os
 import signal
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from types import FrameType
@@ -13,7 +14,17 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.campaign_runs import Job, Setup, finished, lost, run_case
+from hil.cli.campaign_runs import (
+    Delivery,
+    Job,
+    Setup,
+    arrived,
+    files_of,
+    finished,
+    lost,
+    run_case,
+    run_case_elsewhere,
+)
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
 from hil.vocabulary.files import write_text
@@ -24,7 +35,7 @@ if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
-PLAN, TABLE, CSV, PAGE = "plan.json", "campaign.json", "campaign.csv", "campaign.html"
+PLAN, TABLE, CSV, PAGE, ROWS = "plan.json", "campaign.json", "campaign.csv", "campaign.html", "rows"
 
 
 @click.command()
@@ -66,7 +77,7 @@ def command(
         out = Path("out") / f"campaign_{proc.name}" / datetime.now().strftime("%Y%m%d-%H%M%S")
     out = out.absolute()
     _keep_plan(out, proc, setup, resume)
-    rows = _run(setup, cases, out, workers, scheduler)
+    rows = _run(setup, proc, cases, out, workers, scheduler)
     tree = _write(out, proc, setup, cases, rows)
     if as_json:
         click.echo(json.dumps(tree, allow_nan=False))
@@ -117,7 +128,7 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
 
 def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
     """Write the plan of a new campaign, or hold it against that of the one to go on with."""
-    shared = {key: value for key, value in vars(setup).items() if key != "answers"}
+    shared = {key: value for key, value in vars(setup).items() if key not in ("answers", "places")}
     plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
     path = out / PLAN
     if not path.exists():
@@ -142,9 +153,11 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
         )
 
 
-def _run(setup: Setup, cases: Sequence[Case], out: Path, workers: int, scheduler: str) -> list[Row]:
+def _run(
+    setup: Setup, proc: Procedure, cases: Sequence[Case], out: Path, workers: int, scheduler: str
+) -> list[Row]:
     """Run what is not finished; rows in the order of the cases."""
-    from hil.procedure.campaign import spread
+    from hil.procedure.campaign import spread, write_rows
 
     jobs = [Job(setup, case, str(out / "runs" / case.name)) for case in cases]
     rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
@@ -161,11 +174,20 @@ def _run(setup: Setup, cases: Sequence[Case], out: Path, workers: int, scheduler
                 if row.verdict == "ABORTED":
                     raise Aborted(f"{row.case.name}: {row.error}", remedy="go on with --resume")
                 rows[row.case] = row
+                write_rows(out / ROWS, row)
                 report("runs", len(rows), len(jobs))
 
             report("runs", len(rows), len(jobs))
-            if missing:
-                spread(run_case, missing, lost=lost, done=done, workers=workers, scheduler=scheduler)
+            if missing and scheduler:
+                parcel = files_of(setup, proc, cases)
+                away = replace(setup, places=parcel.places)
+                spread(
+                    run_case_elsewhere, [replace(j, setup=away, luggage=parcel.name) for j in missing],
+                    lost=lambda job, reason: Delivery(lost(job, reason)), done=lambda got: done(arrived(got)),
+                    scheduler=scheduler, parcel=parcel,
+                )  # fmt: skip
+            elif missing:
+                spread(run_case, missing, lost=lost, done=done, workers=workers)
     finally:
         signal.signal(signal.SIGTERM, before)
     return [rows[case] for case in cases]
@@ -198,7 +220,7 @@ def _write(
         "groups": summarise(rows),
         "folder": str(out),
         "page": str(out / PAGE),
-        "rows": [row.to_json() for row in rows],
+        "rows": [{**row.to_json(), "command": setup.command(row.case)} for row in rows],
     }
     write_text(out / TABLE, json.dumps(tree, indent=1, allow_nan=False) + "\n")
     write_csv(out / CSV, rows)

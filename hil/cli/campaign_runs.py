@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import shlex
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.vocabulary.errors import EXIT_USAGE, HilError
+from hil.vocabulary.errors import EXIT_USAGE, HilError, RecordingError
 
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.campaign import Case, Row
+    from hil.procedure.campaign import Case, Parcel, Row
     from hil.procedure.declaration import Procedure
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
@@ -19,7 +22,12 @@ FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
 
 @dataclass(frozen=True)
 class Setup:
-    """What all cases share; texts as given on the command line."""
+    """What all cases share; texts as given on the command line.
+
+    Attributes:
+        places: text that names a file -> where the file lies for whoever runs the case; texts that are
+            not in it name files by themselves.
+    """
 
     script: str
     bench: str | None
@@ -28,33 +36,156 @@ class Setup:
     faults: tuple[str, ...]
     calibration: str | None
     answers: str | None
+    places: Mapping[str, str] = field(default_factory=dict)
 
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
         """Bench and parameters of one case."""
+        from hil.config.loading import path_keys
         from hil.procedure.bench_source import BenchSource
-        from hil.procedure.parameters import split_settings
 
-        varied = [f"{key}={value}" for key, value in case.settings if key != "fault"]
-        faults = [value for key, value in case.settings if key == "fault" and value != "none"]
-        parameters, overrides = split_settings((*self.settings, *varied))
+        parameters, overrides = self.split(case)
+        for key in set(path_keys()) & set(overrides):
+            overrides[key] = self.at(str(overrides[key]))
         source = BenchSource(
-            self.bench or proc.bench, emulate=self.emulate, seed=case.seed, faults=(*self.faults, *faults),
-            overrides=overrides, calibration=Path(self.calibration) if self.calibration else None,
+            self.at(self.bench or proc.bench), emulate=self.emulate, seed=case.seed,
+            faults=tuple(map(self.at, self.all_faults(case))), overrides=overrides,
+            calibration=Path(self.at(self.calibration)) if self.calibration else None,
         )  # fmt: skip
         return source, parameters
+
+    def at(self, text: str) -> str:
+        """Where a file lies here."""
+        return self.places.get(text, text)
+
+    def split(self, case: Case) -> tuple[dict[str, str], dict[str, object]]:
+        """Parameters and bench overrides of one case."""
+        from hil.procedure.parameters import split_settings
+
+        return split_settings((*self.settings, *(f"{k}={v}" for k, v in case.settings if k != "fault")))
+
+    def all_faults(self, case: Case) -> tuple[str, ...]:
+        """Faults of one case: specs, and files of timelines."""
+        return (*self.faults, *(v for key, v in case.settings if key == "fault" and v != "none"))
+
+    def command(self, case: Case) -> str:
+        """The line that runs one case again, by itself."""
+        varied = [f"{key}={value}" for key, value in case.settings if key != "fault"]
+        options = [("bench", self.bench), ("emulate", self.emulate), ("calibration", self.calibration)]
+        options += [("set", text) for text in (*self.settings, *varied)]
+        options += [("fault", text) for text in self.all_faults(case)]
+        options += [("answers", self.answers), ("seed", str(case.seed))]
+        given = [part for name, text in options if text for part in (f"--{name}", text)]
+        return shlex.join(["hil", "run", self.script, *given])
 
 
 @dataclass(frozen=True)
 class Job:
-    """One case with everything that a worker needs to run it."""
+    """One case with everything that a worker needs to run it.
+
+    Attributes:
+        folder: of its results.
+        luggage: name of the parcel in which a worker elsewhere finds the files; empty here.
+    """
 
     setup: Setup
     case: Case
     folder: str
+    luggage: str = ""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A run that was done elsewhere: its row, and the packed files of its results folder."""
+
+    row: Row
+    content: bytes = b""
+
+
+def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
+    """Everything that the cases read from files here, packed for workers that do not see them.
+
+    Raises:
+        ConfigError: a file that cannot be read, or more than workers are sent.
+    """
+    import tomli_w
+
+    from hil.config.loading import bench_files, find_bench, path_keys
+    from hil.procedure.campaign import names, parcel
+    from hil.vocabulary.reading import put_dotted
+
+    texts = [setup.calibration, setup.answers]
+    if Path(script := setup.script.partition(".py:")[0] + ".py" * (".py:" in setup.script)).is_file():
+        texts.append(script)
+    for case in cases:
+        _, overrides = setup.split(case)
+        texts += [str(overrides[key]) for key in path_keys() if key in overrides]
+        texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
+    named = {text: Path(text).absolute() for text in texts if text}
+    bench = setup.bench or proc.bench
+    if not Path(bench).is_file():
+        return parcel(named)
+    tree, _ = find_bench(bench)
+    inner = bench_files(tree, Path(bench).parent)
+    named |= {str(path.absolute()): path.absolute() for path in inner.values()}
+    packed = names(named)
+    for key, path in inner.items():
+        put_dotted(tree, key, packed[str(path.absolute())], "path")
+    return parcel(named, {bench: tomli_w.dumps(tree)})
 
 
 def run_case(job: Job) -> Row:
     """One case to its results folder (in a worker)."""
+    try:
+        tree = _result(job)
+    except HilError as error:
+        return _failed(job, "ERROR", str(error), error.exit_code)
+    return _row(job, tree)
+
+
+def run_case_elsewhere(job: Job) -> Delivery:
+    """One case in a worker that shares no files with the campaign; a full disk there loses this run alone."""
+    from hil.procedure.campaign.cluster import address, luggage
+    from hil.procedure.campaign.parcel import packed
+
+    here = luggage(job.luggage)
+    try:
+        with tempfile.TemporaryDirectory(prefix="run-", dir=here.parent) as folder:
+            places = {text: str(here / name) for text, name in job.setup.places.items()}
+            own = replace(
+                job, setup=replace(job.setup, places=places), folder=str(Path(folder) / job.case.name)
+            )
+            try:
+                tree = _result(own)
+            except RecordingError as error:
+                return Delivery(lost(job, f"worker {address()}: {error}"))
+            except HilError as error:
+                return Delivery(_failed(job, "ERROR", str(error), error.exit_code))
+            if _no_room(tree, own.folder):
+                return Delivery(lost(job, f"worker {address()}: {tree['error']['message']}"))
+            return Delivery(_row(job, tree), packed(Path(own.folder)))
+    except OSError as error:
+        return Delivery(lost(job, f"worker {address()}: {error}"))
+
+
+def _no_room(tree: Mapping[str, Any], folder: str) -> bool:
+    """Whether a run ended because its results could not be written: the worker's fault, not the robot's."""
+    error = tree.get("error") or {"type": "", "message": ""}
+    return error["type"] == "RecordingError" or (
+        error["type"] == "DataError" and str(error["message"]).startswith(folder)
+    )
+
+
+def arrived(delivery: Delivery) -> Row:
+    """The row of a run that was done elsewhere, once its results lie where they belong."""
+    from hil.procedure.campaign.parcel import unpacked
+
+    if delivery.content:
+        unpacked(delivery.content, Path(delivery.row.folder))
+    return delivery.row
+
+
+def _result(job: Job) -> dict[str, Any]:
+    """Run one case; gives the tree of its `result.json`."""
     from hil.procedure.journal import NAME
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
@@ -62,21 +193,19 @@ def run_case(job: Job) -> Row:
     from hil.report.run_page import write_run_page
     from hil.vocabulary.clock import MonotonicClock
 
-    folder = Path(job.folder)
-    try:
-        proc = load_procedure(job.setup.script)
-        source, parameters = job.setup.source(proc, job.case)
-        operator = Terminal() if job.setup.answers is None else Answers(Path(job.setup.answers))
-        options = RunOptions(
-            folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
-            started=datetime.now().astimezone().isoformat(timespec="seconds"),
-            resume=(folder / NAME).exists(),
-        )  # fmt: skip
-        result = run_procedure(proc, source, options)
-        write_run_page(folder)
-    except HilError as error:
-        return _failed(job, "ERROR", str(error), error.exit_code)
-    return _row(job, result.to_json())
+    setup, folder = job.setup, Path(job.folder)
+    script, mark, name = setup.script.partition(".py:")
+    proc = load_procedure(setup.at(script + ".py") + f":{name}" if mark else setup.at(script))
+    source, parameters = setup.source(proc, job.case)
+    operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
+    options = RunOptions(
+        folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
+        started=datetime.now().astimezone().isoformat(timespec="seconds"),
+        resume=(folder / NAME).exists(),
+    )  # fmt: skip
+    result = run_procedure(proc, source, options)
+    write_run_page(folder)
+    return result.to_json()
 
 
 def finished(job: Job) -> Row | None:

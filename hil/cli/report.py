@@ -1,4 +1,4 @@
-"""`hil report`: the HTML page of a run, or a comparison of several."""
+"""`hil report`: the HTML page of a run, or a comparison of several runs or of two campaigns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,11 @@ import click
 )
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
-    """Write the report of a results folder; with several folders, compare their runs."""
+    """Write the report of a results folder; with several folders, compare their runs.
+
+    Two folders of campaigns are compared case by case, with the same seeds and settings as pairs.
+    """
+    from hil.report.compare_campaigns import is_campaign
     from hil.report.compare_page import compare, comparison_text, write_compare_page
     from hil.report.result_file import own_file, read_result
     from hil.report.run_page import write_run_page
@@ -28,9 +32,27 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
         click.echo(json.dumps(found) if as_json else printable(f"{tree['verdict']}: {page}"))
         return 0
     page = out if out is not None else own_file(folders[0], "compare.html")
+    if any(map(is_campaign, folders)):
+        return _campaigns(folders, page, as_json)
     table = compare(folders)
     write_compare_page(page, table)
     click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(comparison_text(table)))
+    if not as_json:
+        click.echo(f"page: {page}")
+    return 0
+
+
+def _campaigns(folders: tuple[Path, ...], page: Path, as_json: bool) -> int:
+    """Compare two campaigns."""
+    from hil.report.compare_campaigns import campaigns_text, compare_campaigns, write_campaigns_page
+    from hil.vocabulary.errors import UsageError
+    from hil.vocabulary.reading import printable
+
+    if len(folders) != 2:
+        raise UsageError(f"{len(folders)} campaigns to compare", expected="two of them")
+    table = compare_campaigns(*folders)
+    write_campaigns_page(page, table)
+    click.echo(json.dumps({**table, "report": str(page)}) if as_json else printable(campaigns_text(table)))
     if not as_json:
         click.echo(f"page: {page}")
     return 0

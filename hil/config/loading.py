@@ -121,17 +121,30 @@ def _forget_noise(tree: dict[str, Any], overrides: Mapping[str, object]) -> None
                 tree.get("estimator", {}).pop(table, None)
 
 
-def _anchor(tree: dict[str, Any], folder: Path) -> None:
-    """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
+def path_keys() -> tuple[str, ...]:
+    """Dotted keys of a bench file that name a file or a folder."""
     models = (m for kind in kinds().values() for m in kind.models)
     of_devices = (f"{m.kind}.{path}" for m in models for path in getattr(m.config, "PATHS", ()))
-    for dotted in dict.fromkeys((*_PATHS, *of_devices)):
+    return tuple(dict.fromkeys((*_PATHS, *of_devices)))
+
+
+def bench_files(tree: Mapping[str, Any], folder: Path) -> dict[str, Path]:
+    """Files and folders that a bench file names, by dotted key; relative ones start at `folder`."""
+    found = {}
+    for dotted in path_keys():
         *tables, key = dotted.split(".")
         table: Any = tree
         for name in tables:
-            table = table.get(name) if isinstance(table, dict) else None
-        if isinstance(table, dict) and isinstance(table.get(key), str):
-            table[key] = str(folder / table[key])
+            table = table.get(name) if isinstance(table, Mapping) else None
+        if isinstance(table, Mapping) and isinstance(table.get(key), str):
+            found[dotted] = folder / table[key]
+    return found
+
+
+def _anchor(tree: dict[str, Any], folder: Path) -> None:
+    """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
+    for dotted, path in bench_files(tree, folder).items():
+        put_dotted(tree, dotted, str(path), "path")
 
 
 def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) -> tuple[str, ...]:

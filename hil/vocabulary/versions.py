@@ -12,6 +12,7 @@ import hil
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "dynamixel-sdk", "pyserial", "python-can", "cantools", "filterpy", "mcap",
+    "mujoco",
 )  # fmt: skip
 
 

@@ -5,19 +5,25 @@ machines, and says what came out as statistics, CSV and a page.
 """
 
 from hil.procedure.campaign.page import write_campaign_page
+from hil.procedure.campaign.parcel import Parcel, names, parcel
 from hil.procedure.campaign.plan import Axis, Case, expand, parse_axis, parse_seeds
+from hil.procedure.campaign.rows import write_rows
 from hil.procedure.campaign.spread import spread
 from hil.procedure.campaign.table import Row, summarise, write_csv
 
 __all__ = [
     "Axis",
     "Case",
+    "Parcel",
     "Row",
     "expand",
+    "names",
+    "parcel",
     "parse_axis",
     "parse_seeds",
     "spread",
     "summarise",
     "write_campaign_page",
     "write_csv",
+    "write_rows",
 ]

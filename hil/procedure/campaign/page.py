@@ -32,6 +32,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         DataError: it cannot be written.
     """
     names = dict.fromkeys(n for row in rows for n in row.measurements)
+    commands = {row["case"]: row["command"] for row in tree["rows"]}
     drawn = [name for name in names if _values(name, rows)]
     figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
     shown = sorted(rows, key=lambda row: row.verdict in GOOD)[:_ROWS_SHOWN]
@@ -40,7 +41,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         .get_template("campaign.html")
         .render(
             campaign=tree, figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
-            reports=[_report(row) for row in shown],
+            reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
     )  # fmt: skip
     return write_text(path, page)

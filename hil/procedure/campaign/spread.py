@@ -1,5 +1,6 @@
 """Runs the cases of a campaign in parallel on Dask: worker processes here, or a cluster elsewhere.
 
+Processes here share the files of this computer. A cluster is sent what it needs, and shares none.
 Dask restarts a worker that dies and runs its case again; a case that kills its worker over and over is
 given up and the others go on.
 """
@@ -12,7 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from hil.vocabulary.errors import UsageError
+from hil.procedure.campaign.parcel import Parcel
+from hil.vocabulary.errors import Aborted, UsageError
 from hil.vocabulary.extras import how_to_install
 
 if TYPE_CHECKING:
@@ -32,6 +34,7 @@ def spread(
     done: Callable[[R], None],
     workers: int = 2,
     scheduler: str = "",
+    parcel: Parcel | None = None,
 ) -> None:
     """Do all jobs; results come in the order in which they end.
 
@@ -41,10 +44,12 @@ def spread(
         lost: result of a job whose worker died or that raised, with the reason.
         done: called here with every result.
         workers: processes on this computer; 0 works in this one, without Dask.
-        scheduler: address of a Dask scheduler to use instead; its workers need the same files.
+        scheduler: address of a Dask scheduler to use instead.
+        parcel: files that its workers are to have (`hil.procedure.campaign.cluster.luggage`).
 
     Raises:
-        UsageError: Dask is not installed, or the scheduler does not answer.
+        UsageError: Dask is not installed, the scheduler does not answer, or a worker is of another make.
+        Aborted: the scheduler has gone; results that came before have been given to `done`.
     """
     if workers == 0 and not scheduler:
         for job in jobs:
@@ -53,15 +58,31 @@ def spread(
     with _client(min(workers, len(jobs)), scheduler) as client:
         from distributed import as_completed
 
+        if scheduler:
+            _make_ready(client, scheduler, parcel)
         futures = {client.submit(work, job, retries=_RETRIES, pure=False): job for job in jobs}
         try:
             for future in as_completed(futures):
+                if future.cancelled():
+                    raise Aborted(f"Dask scheduler {scheduler!r} has gone", remedy="go on with --resume")
                 error = future.exception()
                 done(future.result() if error is None else lost(futures[future], _reason(error)))
                 future.release()
         except BaseException:
             client.cancel(list(futures), force=True)
             raise
+
+
+def _make_ready(client: Client, scheduler: str, parcel: Parcel | None) -> None:
+    """Hold the workers of a cluster against this computer, and send them the files."""
+    from hil.procedure.campaign.cluster import Luggage, check_workers
+
+    try:
+        check_workers(client, scheduler)
+        if parcel is not None:
+            client.register_plugin(Luggage(parcel))
+    except OSError as error:
+        raise UsageError(f"Dask scheduler {scheduler!r} has gone ({error})") from None
 
 
 def _reason(error: BaseException) -> str:

@@ -1,0 +1,96 @@
+"""Workers of a Dask cluster elsewhere: they must be of one make with this computer, and are sent the files.
+
+Needs the extra `campaign`; imported by those that spread work over a scheduler only.
+"""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from distributed import Client, Worker, WorkerPlugin, get_worker
+
+from hil.procedure.campaign.parcel import Parcel, unpacked
+from hil.vocabulary.errors import UsageError
+from hil.vocabulary.extras import DISTRIBUTION
+from hil.vocabulary.versions import versions
+
+
+def make() -> dict[str, str]:
+    """What decides the bits of a result: versions of Python, of this package and of those below it."""
+    found = {name: version for name, version in versions().items() if name != "platform"}
+    return found | {"python": ".".join(platform.python_version_tuple()[:2])}
+
+
+def check_workers(client: Client, scheduler: str) -> None:
+    """Refuse a cluster without workers, or with one of another make.
+
+    Raises:
+        UsageError: names worker, package and both versions.
+    """
+    if not client.scheduler_info(n_workers=-1)["workers"]:
+        raise UsageError(
+            f"Dask scheduler {scheduler!r} has no workers", remedy=f"start some: dask worker {scheduler}"
+        )
+    own = metadata.version(DISTRIBUTION)
+    for worker, there in _asked(client, metadata.version, DISTRIBUTION):
+        if isinstance(there, BaseException):
+            raise UsageError(f"worker {worker}: has no {DISTRIBUTION}", remedy=_REMEDY)
+        if there != own:
+            raise _other(worker, DISTRIBUTION, there, own)
+    here = make()
+    for worker, found in _asked(client, make):
+        if isinstance(found, BaseException):
+            raise UsageError(f"worker {worker}: cannot be used ({found})", remedy=_REMEDY)
+        for name, version in here.items():
+            if found.get(name) != version:
+                raise _other(worker, name, str(found.get(name)), version)
+
+
+def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tuple[str, Any]]:
+    """What every worker answers, or the error that it raises; those that have gone meanwhile are left out."""
+    answers = client.run(what, *arguments, on_error="return")
+    return [(worker, found) for worker, found in answers.items() if not isinstance(found, OSError)]
+
+
+_REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
+
+
+def _other(worker: str, name: str, there: str, here: str) -> UsageError:
+    return UsageError(
+        f"worker {worker}: has {name} {there}, this computer {here}: results would not repeat",
+        remedy=_REMEDY,
+    )
+
+
+class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
+    """Has every worker, also one that comes later, unpack the files of a campaign into its own folder."""
+
+    def __init__(self, parcel: Parcel) -> None:
+        self.name, self.content, self.make = parcel.name, parcel.content, make()
+
+    def setup(self, worker: Worker) -> None:
+        """Unpack; raises for a worker that came later and is of another make."""
+        if make() != self.make:
+            raise UsageError(f"worker {worker.address}: is of another make", remedy=_REMEDY)
+        folder = Path(worker.local_directory) / self.name
+        if not folder.exists():
+            unpacked(self.content, folder)
+
+    def teardown(self, worker: Worker) -> None:
+        """Leave nothing behind."""
+        shutil.rmtree(Path(worker.local_directory) / self.name, ignore_errors=True)
+
+
+def luggage(name: str) -> Path:
+    """Where the worker that asks keeps the files of a campaign."""
+    return Path(get_worker().local_directory) / name
+
+
+def address() -> str:
+    """Of the worker that asks."""
+    return str(get_worker().address)

@@ -1,0 +1,51 @@
+"""The runs of a campaign as Parquet while it is under way: one small file per run, together one table.
+
+`pandas.read_parquet(folder)`, `polars.read_parquet(folder + "/*.parquet")` and Dask read all of them. One
+line per measurement, so that the columns are the same whatever a procedure measures.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from hil.procedure.campaign.table import Row
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.extras import is_installed
+
+_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None}
+
+
+def write_rows(folder: Path, row: Row) -> None:
+    """Write the lines of one run, over those that there may be; nothing without the extra `parquet`.
+
+    Columns: case, seed, settings (map of text to text), verdict, exit_code, duration_s (s), error,
+    measurement, unit, value (in `unit`), outcome, low, high.
+
+    Raises:
+        DataError: they cannot be written.
+    """
+    if not is_installed("parquet"):
+        return
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    text, number = pa.string(), pa.float64()
+    schema = pa.schema(
+        {
+            "case": text, "seed": pa.int64(), "settings": pa.map_(text, text), "verdict": text,
+            "exit_code": pa.int64(), "duration_s": number, "error": text, "measurement": text, "unit": text,
+            "value": number, "outcome": text, "low": number, "high": number,
+        }
+    )  # fmt: skip
+    own = {
+        "case": row.case.name, "seed": row.case.seed, "settings": list(row.case.settings),
+        "verdict": row.verdict, "exit_code": row.exit_code, "duration_s": row.duration_s, "error": row.error,
+    }  # fmt: skip
+    measured: list[dict[str, Any]] = [{"measurement": name, **m} for name, m in row.measurements.items()]
+    lines = [{**own, **values} for values in measured or [_NONE]]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        parquet.write_table(pa.Table.from_pylist(lines, schema), folder / f"{row.case.name}.parquet")
+    except OSError as error:
+        raise DataError(str(folder), f"cannot be written ({error.strerror or error})") from None

@@ -1,0 +1,187 @@
+"""Two campaigns over the same cases, case by case: is the second one better, and how sure is that?
+
+Both met the same worlds, so the difference of each case is free of what the worlds differ in. That tells two
+estimators or calibrations apart with far fewer runs than two averages would.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from markupsafe import Markup
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from scipy import stats
+
+from hil.report.figures import figure_image
+from hil.report.run_page import environment, number
+from hil.report.run_plots import PALETTE, new_figure, style
+from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.files import write_text
+from hil.vocabulary.reading import read_json
+
+TABLE = "campaign.json"
+GOOD = ("PASS", "MARGINAL")
+_SHOWN = 5
+_SURE = 0.95
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="allow", allow_inf_nan=False)
+
+
+class _Measured(_Part):
+    unit: str
+    value: Annotated[float, Field(strict=True)] | None
+
+
+class _Row(_Part):
+    case: str
+    verdict: str
+    measurements: dict[str, _Measured]
+
+
+class _Campaign(_Part):
+    schema_version: Literal[1] = Field(alias="schema")
+    procedure: str
+    rows: list[_Row]
+
+
+def is_campaign(folder: Path) -> bool:
+    """Whether a folder holds the results of a campaign."""
+    return (folder / TABLE).is_file()
+
+
+def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
+    """Hold two campaigns against each other, case by case.
+
+    Returns:
+        JSON values: `procedure`, `folders`, `cases` (in both), `only_first`, `only_second`, `verdicts` (cases
+        that only one passed, with the p value of the exact McNemar test), `measurements`: unit, pairs,
+        medians, mean difference (second minus first) with its 95 % interval (Student's t), p value of the
+        Wilcoxon signed-rank test, and the differences by case.
+
+    Raises:
+        DataError: a folder without the results of a campaign.
+        UsageError: campaigns of different procedures, or without a case in common.
+    """
+    trees = [_read(folder) for folder in (first, second)]
+    if trees[0].procedure != trees[1].procedure:
+        raise UsageError(
+            f"campaigns of different procedures: {trees[0].procedure}, {trees[1].procedure}",
+            expected="two campaigns of one procedure",
+        )
+    rows = [{row.case: row for row in tree.rows} for tree in trees]
+    cases = [case for case in rows[0] if case in rows[1]]
+    if not cases:
+        raise UsageError(
+            f"{first} and {second} have no case in common",
+            expected="the same seeds and varied settings in both", remedy="put what differs into --set",
+        )  # fmt: skip
+    pairs = [(rows[0][case], rows[1][case]) for case in cases]
+    names = dict.fromkeys(n for a, b in pairs for n in a.measurements if n in b.measurements)
+    return {
+        "procedure": trees[0].procedure,
+        "folders": [str(first), str(second)],
+        "cases": len(cases),
+        "only_first": [case for case in rows[0] if case not in rows[1]],
+        "only_second": [case for case in rows[1] if case not in rows[0]],
+        "verdicts": _verdicts(pairs),
+        "measurements": [m for name in names if (m := _measurement(name, pairs)) is not None],
+    }
+
+
+def _read(folder: Path) -> _Campaign:
+    path = folder / TABLE
+    tree = read_json(path, remedy="name the folder of a campaign")
+    try:
+        return _Campaign.model_validate(tree)
+    except ValidationError as error:
+        wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
+        raise DataError(str(path), f"is not the result of a campaign ({'; '.join(wrong)})") from None
+
+
+def _verdicts(pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any]:
+    better = [a.case for a, b in pairs if a.verdict not in GOOD and b.verdict in GOOD]
+    worse = [a.case for a, b in pairs if a.verdict in GOOD and b.verdict not in GOOD]
+    changed = len(better) + len(worse)
+    p = float(stats.binomtest(len(better), changed).pvalue) if changed else 1.0
+    good = [sum(row.verdict in GOOD for row in own) for own in zip(*pairs, strict=True)]
+    return {"good": good, "better": better, "worse": worse, "p": p}
+
+
+def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any] | None:
+    found = [
+        (a.case, a.measurements[name].value, b.measurements[name].value)
+        for a, b in pairs
+        if name in a.measurements and name in b.measurements
+    ]
+    both = [(case, one, two) for case, one, two in found if one is not None and two is not None]
+    if not both:
+        return None
+    values = np.array([(one, two) for _, one, two in both])
+    change = values[:, 1] - values[:, 0]
+    some: dict[str, Any] = {
+        "name": name,
+        "unit": next(a.measurements[name].unit for a, _ in pairs if name in a.measurements),
+        "pairs": len(both),
+        "medians": np.median(values, axis=0).tolist(),
+        "change": float(change.mean()),
+        "interval": None,
+        "p": None,
+        "changes": dict(zip([case for case, _, _ in both], change.tolist(), strict=True)),
+    }
+    if len(both) > 1 and np.ptp(change) > 0:
+        interval = stats.ttest_1samp(change, 0.0).confidence_interval(_SURE)
+        some["interval"] = [float(interval.low), float(interval.high)]
+    if len(both) > 1 and np.any(change):
+        some["p"] = float(stats.wilcoxon(change).pvalue)
+    return some
+
+
+def campaigns_text(table: Mapping[str, Any]) -> str:
+    """The comparison for a terminal."""
+    one, two = table["verdicts"]["good"]
+    lines = [
+        f"{table['procedure']}: {table['cases']} cases in both; good: {one} and then {two} "
+        f"(p = {table['verdicts']['p']:.2g})"
+    ]
+    for m in table["measurements"]:
+        low_high = "" if m["interval"] is None else " [{} to {}]".format(*map(number, m["interval"]))
+        sure = "" if m["p"] is None else f", p = {m['p']:.2g}"
+        was, now = map(number, m["medians"])
+        lines.append(
+            f"  {m['name']:42}{was:>11} ->{now:>11} {m['unit']:6} {m['change']:+.4g}{low_high}{sure}"
+        )
+    return "\n".join(lines)
+
+
+def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
+    """Write the page.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    figures = [{"name": m["name"], "image": _figure(m)} for m in table["measurements"]]
+    page = environment().get_template("campaigns_compare.html").render(table=table, figures=figures)
+    return write_text(path, page)
+
+
+def _figure(measured: Mapping[str, Any]) -> Markup:
+    """The difference of every case in order of its size, and the mean with its interval."""
+    change = np.sort(list(measured["changes"].values()))
+    figure = new_figure(6.4, 2.6)
+    unit = measured["unit"].replace("$", r"\$")
+    axes = style(figure.add_subplot(), "cases, by their difference", f"second minus first ({unit})")
+    axes.plot(np.arange(1, len(change) + 1), change, "o", ms=4, color=PALETTE["c1"], mec="none")
+    axes.axhline(0.0, color=PALETTE["truth"], lw=1.0)
+    if measured["interval"] is not None:
+        axes.axhspan(*measured["interval"], color=PALETTE["c2"], alpha=0.25, lw=0)
+    axes.axhline(measured["change"], color=PALETTE["c2"], lw=1.5)
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figure.svg"
+        figure.savefig(file)
+        return figure_image(file, measured["name"])

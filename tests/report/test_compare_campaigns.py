@@ -1,0 +1,83 @@
+"""Two campaigns held against each other, case by case."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hil.cli import main
+
+
+def campaign(folder, values, procedure="climb"):
+    """A folder as `hil campaign` leaves it: case -> (verdict, end error in mm)."""
+    rows = [
+        {"case": case, "verdict": verdict, "measurements": {"end error": {"unit": "mm", "value": value}}}
+        for case, (verdict, value) in values.items()
+    ]
+    folder.mkdir()
+    tree = {"schema": 1, "procedure": procedure, "rows": rows}
+    (folder / "campaign.json").write_text(json.dumps(tree))
+    return str(folder)
+
+
+@pytest.fixture
+def two(tmp_path):
+    """Worlds that differ by far more than the campaigns do; the second one is 1 mm better in each."""
+    rng = np.random.default_rng(3)
+    worlds = rng.uniform(5.0, 60.0, 20)
+    gain = rng.normal(-1.0, 0.3, 20)
+    first = {f"seed={k}": ("PASS" if v < 35 else "FAIL", v) for k, v in enumerate(worlds)}
+    second = {f"seed={k}": ("PASS", v + g) for k, (v, g) in enumerate(zip(worlds, gain, strict=True))}
+    del second["seed=19"]
+    second["seed=77"] = ("PASS", 3.0)
+    return campaign(tmp_path / "one", first), campaign(tmp_path / "two", second), gain[:19]
+
+
+def test_pairs_show_what_averages_hide(two, capsys):
+    first, second, gain = two
+    assert main(["report", first, second, "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert (table["cases"], table["only_first"], table["only_second"]) == (19, ["seed=19"], ["seed=77"])
+    (found,) = table["measurements"]
+    assert found["change"] == pytest.approx(gain.mean())
+    low, high = found["interval"]
+    assert low < -1.0 < high < 0
+    assert high - low == pytest.approx(2 * stats.t.ppf(0.975, 18) * gain.std(ddof=1) / np.sqrt(19))
+    assert found["p"] < 1e-4
+    flipped = table["verdicts"]["better"]
+    assert len(flipped) > 1
+    assert table["verdicts"]["p"] == pytest.approx(2 * 0.5 ** len(flipped))
+
+
+def test_the_page_names_cases_and_draws_the_differences(two, capsys, tmp_path):
+    first, second, _ = two
+    assert main(["report", first, second]) == 0
+    said = capsys.readouterr().out
+    assert "climb: 19 cases in both" in said
+    page = (tmp_path / "one" / "compare.html").read_text()
+    assert "seed=19" in page
+    assert page.count("<figure>") == 1
+
+
+def test_campaigns_that_say_nothing_about_each_other_are_refused(tmp_path, capsys):
+    a = campaign(tmp_path / "a", {"seed=1": ("PASS", 1.0)})
+    b = campaign(tmp_path / "b", {"seed=2": ("PASS", 1.0)})
+    c = campaign(tmp_path / "c", {"seed=1": ("PASS", 1.0)}, procedure="turn")
+    (tmp_path / "d").mkdir()
+    (tmp_path / "d" / "campaign.json").write_text('{"schema": 1, "rows": 3}')
+    for others, told in (
+        ((b,), "have no case in common"), ((c,), "different procedures: climb, turn"),
+        ((str(tmp_path / "d"),), "is not the result of a campaign"), ((b, c), "3 campaigns to compare"),
+        ((str(tmp_path / "none"),), "cannot be read"),
+    ):  # fmt: skip
+        assert main(["report", a, *others]) == 2
+        assert told in capsys.readouterr().err
+
+
+def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys):
+    same = {f"seed={k}": ("PASS", float(k)) for k in range(4)}
+    folders = [campaign(tmp_path / name, same) for name in ("a", "b")]
+    assert main(["report", *folders, "--json"]) == 0
+    (found,) = json.loads(capsys.readouterr().out)["measurements"]
+    assert (found["change"], found["interval"], found["p"]) == (0.0, None, None)
