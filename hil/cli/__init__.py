@@ -44,6 +44,7 @@ COMMANDS = {
     "live": "the control-estimate loop in real time, with monitoring",
     "replay": "re-run estimation on a recording, or prove that it repeats bit for bit",
     "report": "the HTML page of a run, or a comparison of several",
+    "results": "earlier runs: list, open, search, trends, delete",
     "robot": "the record of a robot: show, compare, apply and roll back its versions",
     "run": "run a procedure on a bench",
     "setup": "write one servo's ID, baud rate and operating mode",

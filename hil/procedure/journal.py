@@ -6,6 +6,7 @@ dropped; any other damage is named and refused, because a run continued from it 
 
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import os
@@ -45,7 +46,7 @@ Entry = dict[str, Any]
 
 
 class Journal:
-    """Appends entries; each is on disk when `add` returns.
+    """Appends entries; each is on disk when `add` returns. While it is open the file is locked (shared).
 
     Args:
         path: the file; created if it does not exist.
@@ -65,6 +66,8 @@ class Journal:
                 f"{path}: cannot be written ({error.strerror})",
                 remedy="choose a folder that exists and has room",
             ) from None
+        with suppress(OSError):  # some file systems have no locks
+            fcntl.flock(self._fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
 
     def add(self, kind: str, data: Mapping[str, Any]) -> None:
         """Append one entry; `data` holds JSON values.

@@ -41,7 +41,7 @@ ZEROS = NewPart(
 OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
 
-EMPTY_IS_FINE = {("empty", "answers")}
+EMPTY_IS_FINE = {("empty", "answers"), ("a_folder", "where")}
 
 
 def leaves(group=cli, words=()):
@@ -141,6 +141,8 @@ def base(world, tmp_path, monkeypatch):
         "run": {"script": world / "idle.py"},
         "campaign": {"script": world / "idle.py", "seeds": "0", "workers": "0"},
         "report": {"folders": world / "results"},
+        "results list": {"where": world},
+        "results trends": {"where": world, "out": tmp_path / "trends.html"},
         "live": {"duration_s": "0.2"},
         "replay": {"recording": world / "run.mcap", "estimators": "odometry"},
         "emulate": {"only": "imu"},
@@ -153,6 +155,9 @@ def base(world, tmp_path, monkeypatch):
         "calibration apply": {"file": world / "cal.toml", "version": "1"},
         "calibration rollback": {"file": world / "cal.toml"},
         "robot show": {"record": world / "record"},
+        "results open": {"where": world},
+        "results search": {"where": world, "words": "idle"},
+        "results delete": {"where": world, "runs": "absent"},
         "robot diff": {"record": world / "record"},
         "robot rollback": {"record": world / "record"},
         "robot apply": {
@@ -198,7 +203,10 @@ def wrong_values(parameter, world):
         if parameter.name in OUTPUTS:
             taken = [(world / "taken", False), (world / "taken_folder", False)]
             return [(below, True), (below / "deeper", True), ("/proc/absent/place", True), *taken]
-        found = [(world / name, True) for name in ("absent.toml", "absent", "a_folder", "junk")]
+        found = [
+            (world / name, (name, parameter.name) not in EMPTY_IS_FINE)
+            for name in ("absent.toml", "absent", "a_folder", "junk")
+        ]
         for suffix in (".toml", ".csv", ".mcap", ".py", ".json", ".db3"):
             for kind in ("empty", "junk"):
                 path = world / f"{kind}{suffix}"

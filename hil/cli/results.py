@@ -1,0 +1,266 @@
+"""`hil results`: what earlier runs have left: listed, opened, searched, followed over time, deleted."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.cli.options import SuggestingGroup
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
+
+if TYPE_CHECKING:
+    from hil.report.history.found import Kept
+
+_COLOURS = {"PASS": "green", "MARGINAL": "yellow", "FAIL": "red", "ERROR": "red", "ABORTED": "magenta"}
+_KEY_ROWS = 2
+
+_IN = click.option(
+    "--in", "where", type=click.Path(path_type=Path), default=Path("out"), show_default=True,
+    help="Folder of results.",
+)  # fmt: skip
+_PROCEDURE = click.option("--procedure", default="", help="Only runs of this procedure.")
+_BENCH = click.option("--bench", default="", help="Only runs on the bench of this name.")
+_JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+
+
+def _filters(function: Callable[..., Any]) -> Callable[..., Any]:
+    for option in (
+        click.option("--since", type=click.DateTime(["%Y-%m-%d"]), help="Only from this day on."),
+        click.option("--verdict", default="", help="Only with this verdict, PASS or FAIL for example."),
+        _BENCH, _PROCEDURE,
+        click.option("--all", "within", is_flag=True, help="Also the runs of campaigns and commissionings."),
+        click.option("--limit", type=click.IntRange(1), default=30, show_default=True, help="Most rows."),
+    ):  # fmt: skip
+        function = option(function)
+    return function
+
+
+@click.group(cls=SuggestingGroup)
+def command() -> None:
+    """Earlier runs in a folder: list, open, search, trends, delete.
+
+    Example: hil results list --procedure bring_up
+    """
+
+
+@command.command("list")
+@_IN
+@_filters
+@_JSON
+def list_results(where: Path, as_json: bool, **asked: Any) -> int:
+    """What ran, when, on which bench, with which verdict; the latest first."""
+    return _tell(where, as_json, asked, ())
+
+
+@command.command()
+@click.argument("words", nargs=-1, required=True)
+@_IN
+@_filters
+@_JSON
+def search(words: tuple[str, ...], where: Path, as_json: bool, **asked: Any) -> int:
+    """As list, but only what holds all WORDS: names, errors, notes, faults, parameters as KEY=VALUE.
+
+    Example: hil results search tracker "not held"
+    """
+    return _tell(where, as_json, asked, tuple(word.casefold() for word in words))
+
+
+def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[str]) -> int:
+    from hil.report.history.choice import chosen
+    from hil.report.history.found import find_results
+
+    since, limit = asked["since"], asked["limit"]
+    found = chosen(
+        find_results(where), procedure=asked["procedure"], bench=asked["bench"], verdict=asked["verdict"],
+        since=None if since is None else since.astimezone(), words=words, within=asked["within"],
+    )  # fmt: skip
+    shown = found[:limit]
+    if as_json:
+        told = {"folder": str(where), "found": len(found), "results": [_as_json(kept) for kept in shown]}
+        click.echo(json.dumps(told, allow_nan=False))
+        return EXIT_PASS
+    for kept in shown:
+        _print(kept)
+    if not found:
+        click.echo(f"nothing in {where} fits")
+    elif len(found) > limit:
+        click.echo(f"{len(found) - limit} more; --limit {len(found)} shows all")
+    return EXIT_PASS
+
+
+def _as_json(kept: Kept) -> dict[str, Any]:
+    tree = kept.result
+    return {
+        "name": kept.name, "folder": str(kept.folder), "kind": kept.kind, "procedure": kept.what,
+        "when": kept.when.isoformat(timespec="seconds"), "bench": kept.bench, "where": kept.where,
+        "verdict": kept.verdict, "why": kept.why, "within": kept.within,
+        "measurements": {row["name"]: row["value"] for row in tree.get("measurements", ())},
+    }  # fmt: skip
+
+
+def _print(kept: Kept) -> None:
+    from hil.vocabulary.reading import printable
+
+    word = kept.verdict or kept.kind
+    mark = click.style(f"{word:12}", fg=_COLOURS.get(word))
+    on = f"{kept.bench} ({kept.where})" if kept.where else kept.bench
+    when = f"{kept.when.astimezone():%Y-%m-%d %H:%M}"
+    line = printable(f"{when}  {{}}  {kept.what:22} {on:28} {kept.name}")
+    click.echo(line.replace("{}", mark, 1).rstrip())
+    said = "; ".join(_key_rows(kept)) or kept.why
+    if said:
+        click.echo(printable(f"{'':18}{said}"))
+
+
+def _key_rows(kept: Kept) -> list[str]:
+    """The measurements that a reader wants first: what failed, then what is nearest to its limit."""
+    from hil.report.run_page import number
+
+    def nearness(row: Mapping[str, Any]) -> tuple[bool, float]:
+        limits = [abs(v) for v in (row["low"], row["high"]) if v]
+        return row["outcome"] != "FAIL", (row["margin"] or 0.0) / max([*limits, 1e-12])
+
+    rows = [r for r in kept.result.get("measurements", ()) if r["value"] is not None and r["limited"]]
+    told = []
+    for row in sorted(rows, key=nearness)[:_KEY_ROWS]:
+        limits = [
+            f"{w} {number(row[k])}"
+            for w, k in (("at least", "low"), ("at most", "high"))
+            if row[k] is not None
+        ]
+        unit = "" if row["unit"] == "1" else f" {row['unit']}"
+        bad = " FAIL" if row["outcome"] == "FAIL" else ""
+        told.append(f"{row['name']} {number(row['value'])}{unit} ({', '.join(limits)}){bad}")
+    return told
+
+
+@command.command("open")
+@click.argument("run", default="last")
+@_IN
+@click.option(
+    "--browser/--no-browser", default=None, help="Show the page [default: where there is a screen]."
+)
+@_JSON
+def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> int:
+    """Print the page of RUN, and show it. RUN is a name from the list, a part of one, or `last`.
+
+    The page of a run is written if it is missing.
+    """
+    import os
+    import sys
+
+    from hil.report.history.choice import named
+    from hil.report.history.found import find_results
+
+    kept = named(find_results(where), run)
+    page = _page(kept)
+    if browser is None:
+        screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
+        browser = bool(screen) and sys.stdout.isatty() and not as_json
+    click.echo(json.dumps({**_as_json(kept), "page": str(page)}) if as_json else str(page))
+    if browser:
+        click.launch(str(page))
+    return EXIT_PASS
+
+
+def _page(kept: Kept) -> Path:
+    from hil.report.history.found import CAMPAIGN, COMMISSIONING, RUN
+    from hil.report.run_page import PAGE, write_run_page
+    from hil.vocabulary.errors import DataError
+
+    names = {RUN: PAGE, CAMPAIGN: "campaign.html", COMMISSIONING: "commission.html"}
+    page = kept.folder / names.get(kept.kind, "")
+    if page.is_file():
+        return page
+    if kept.kind == RUN:
+        return write_run_page(kept.folder)
+    raise DataError(str(kept.folder), f"has no page ({kept.why})")
+
+
+@command.command()
+@_IN
+@_PROCEDURE
+@_BENCH
+@click.option(
+    "--out", type=click.Path(path_type=Path), help="Page to write [default: trends.html in the folder]."
+)
+@click.option("--strict", is_flag=True, help="Exit with 1 when a measurement drifts or is outside.")
+@_JSON
+def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bool, as_json: bool) -> int:
+    """Each measurement over all runs of a bench: is it steady, does it drift, when does it meet its limit?
+
+    Example: hil results trends --bench lab
+    """
+    from hil.report.history.chart import DRIFTING, OUTSIDE
+    from hil.report.history.choice import chosen
+    from hil.report.history.found import find_results
+    from hil.report.history.page import PAGE, headline, write_trends_page
+    from hil.report.history.series import groups
+    from hil.report.result_file import own_file
+    from hil.vocabulary.reading import printable
+
+    found = groups(chosen(find_results(where), procedure=procedure, bench=bench, within=True))
+    page = write_trends_page(own_file(where, PAGE) if out is None else out, found)
+    if as_json:
+        click.echo(
+            json.dumps({"page": str(page), "groups": [_group_json(g) for g in found]}, allow_nan=False)
+        )
+    else:
+        click.echo(headline(found))
+        for group in found:
+            urgent = [s for s in group.series if s.chart.state in (DRIFTING, OUTSIDE)]
+            click.echo(
+                printable(f"{group.title}: {len(group.runs)} runs, {len(urgent) or 'none'} to look at")
+            )
+            for series in urgent:
+                click.echo(printable(f"    {series.name} {series.in_words()}"))
+        click.echo(f"page: {page}")
+    alarmed = any(s.chart.state in (DRIFTING, OUTSIDE) for g in found for s in g.series)
+    return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS
+
+
+def _group_json(group: Any) -> dict[str, Any]:
+    return {
+        "procedure": group.procedure, "bench": group.bench, "where": group.where, "runs": len(group.runs),
+        "settings": json.loads(group.settings),
+        "measurements": [
+            {"name": s.name, "unit": s.unit, "limits": [s.low, s.high], "values": [p.value for p in s.points],
+             "calibrations": [p.calibration for p in s.points], "runs": [p.run for p in s.points],
+             "words": s.in_words(), **vars(s.chart)}
+            for s in group.series
+        ],
+    }  # fmt: skip
+
+
+@command.command()
+@click.argument("runs", nargs=-1, required=True)
+@_IN
+@click.option("--yes", is_flag=True, help="Do not ask. RUNS must then be whole names.")
+@_JSON
+def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
+    """Delete results for good. Says what would be lost, and asks.
+
+    Only what `hil` has written is deleted, no run that is still going on, nothing behind a link.
+    """
+    from hil.report.history.choice import named
+    from hil.report.history.found import find_results
+    from hil.report.history.removal import delete as remove
+    from hil.report.history.removal import loss
+    from hil.vocabulary.reading import printable
+
+    found = find_results(where)
+    losses = [loss(where, kept) for kept in dict.fromkeys(named(found, run, whole=yes) for run in runs)]
+    for item in losses:
+        click.echo(printable(item.in_words()), err=True)
+    if not yes:
+        click.confirm(
+            f"delete {'this' if len(losses) == 1 else f'these {len(losses)}'} for good?", abort=True, err=True
+        )
+    remove(losses)
+    told = [item.kept.name for item in losses]
+    click.echo(json.dumps({"deleted": told}) if as_json else printable(f"deleted: {', '.join(told)}"))
+    return EXIT_PASS

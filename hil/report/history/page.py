@@ -1,0 +1,106 @@
+"""The page of trends: each measurement over all runs of a bench, with limits, control limits, calibrations.
+
+The drawings are made of the page's own markup: they follow its theme, a hover names run and value, and
+nothing is loaded.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
+from hil.report.history.series import Group, Series
+from hil.report.run_page import environment, number
+from hil.vocabulary.files import write_text
+
+PAGE = "trends.html"
+_IN_WORDS = {
+    DRIFTING: "drifting", OUTSIDE: "outside their control limits", STEADY: "steady",
+    TOO_FEW: "with too few runs to judge",
+}  # fmt: skip
+_WIDTH, _HEIGHT, _EDGE = 320.0, 110.0, 8.0
+
+
+def write_trends_page(path: Path, found: Sequence[Group]) -> Path:
+    """Write the page; returns its path.
+
+    Raises:
+        DataError: it cannot be written.
+    """
+    shown = [{"group": g, "series": [(s, drawing(s)) for s in g.series]} for g in found]
+    template = environment().get_template("trends.html")
+    page = template.render(groups=shown, headline=headline(found), width=_WIDTH, height=_HEIGHT)
+    return write_text(path, page)
+
+
+def headline(found: Sequence[Group]) -> str:
+    """One sentence: whether anything needs a look."""
+    all_series = [s for group in found for s in group.series]
+    runs = sum(len(group.runs) for group in found)
+    counts = Counter(s.chart.state for s in all_series)
+    if not all_series:
+        return "No run that came to its end has measured anything yet."
+    told = [f"{counts[state]} {words}" for state, words in _IN_WORDS.items() if counts[state]]
+    return f"{len(all_series)} measurements in {runs} runs: {', '.join(told)}."
+
+
+def drawing(series: Series) -> dict[str, Any]:
+    """Places of what is drawn, in px of a picture `_WIDTH` by `_HEIGHT`; runs stand side by side.
+
+    Returns:
+        `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),
+        `control` (x, width, top, height, y of the centre) and `calibrations` (x, words).
+    """
+    points, reach = series.points, _span(series)
+    step = (_WIDTH - 2 * _EDGE) / max(1, len(points) - 1)
+
+    def y(value: float) -> float:
+        low, high = reach
+        return round(_HEIGHT - _EDGE - (_HEIGHT - 2 * _EDGE) * (value - low) / (high - low), 1)
+
+    dots, lines, control, calibrations = [], [], [], []
+    first = 0
+    for own, chart in series.stretches:
+        xs = [round(_EDGE + step * (first + k), 1) for k in range(len(own))]
+        unit = "" if series.unit == "1" else f" {series.unit}"
+        for x, p in zip(xs, own, strict=True):
+            words = (
+                f"{number(p.value)}{unit}, {p.when:%Y-%m-%d %H:%M} UTC, {p.run}, calibration {p.calibration}"
+            )
+            dots.append({"x": x, "y": y(p.value), "tone": p.outcome, "words": words})
+        lines.append(" ".join(f"{x},{y(p.value)}" for x, p in zip(xs, own, strict=True)))
+        if chart.centre is not None and chart.low is not None and chart.high is not None:
+            top, bottom = y(chart.high), y(chart.low)
+            control.append(
+                {"x": xs[0] - 3, "width": xs[-1] - xs[0] + 6, "top": top, "height": max(1.0, bottom - top),
+                 "centre": y(chart.centre)}
+            )  # fmt: skip
+        if first:
+            calibrations.append(
+                {"x": round(xs[0] - step / 2, 1), "words": f"calibration {own[0].calibration}"}
+            )
+        first += len(own)
+    limits = [y(v) for v in (series.low, series.high) if v is not None and reach[0] <= v <= reach[1]]
+    return {
+        "points": dots,
+        "lines": lines,
+        "limits": limits,
+        "control": control,
+        "calibrations": calibrations,
+    }
+
+
+def _span(series: Series) -> tuple[float, float]:
+    """Lowest and highest value of the picture: all that was measured, and a limit that is not far off."""
+    values = [p.value for p in series.points]
+    for _, chart in series.stretches:
+        values += [v for v in (chart.low, chart.high) if v is not None]
+    low, high = min(values), max(values)
+    room = high - low or abs(high) or 1.0
+    for limit in (series.low, series.high):
+        if limit is not None and low - 2 * room <= limit <= high + 2 * room:
+            low, high = min(low, limit), max(high, limit)
+    return low, high if high > low else low + room

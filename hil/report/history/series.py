@@ -1,0 +1,151 @@
+"""Each measurement over all runs of a bench, in stretches between two calibrations, and what it does.
+
+Only runs that can be compared stand in one series: of one procedure on one bench, on the same devices, with
+the same parameters and faults. Runs of a campaign are no history of a bench and are left out.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import groupby
+from typing import Any
+
+from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
+from hil.report.history.found import RUN, Kept
+from hil.report.run_page import number
+
+_URGENCY = (DRIFTING, OUTSIDE, STEADY, TOO_FEW)
+_COUNTED = ("PASS", "MARGINAL", "FAIL")
+"""Verdicts of runs that came to their end; what an aborted one measured is left out."""
+
+
+@dataclass(frozen=True)
+class Point:
+    """One value: of which run, when, by which calibration, with which outcome."""
+
+    run: str
+    when: datetime
+    value: float
+    outcome: str
+    calibration: str
+
+
+@dataclass(frozen=True)
+class Series:
+    """One measurement over the runs of a group.
+
+    Attributes:
+        name: of the measurement.
+        unit: of its values and limits.
+        low, high: limits of the last run; None for none.
+        stretches: points between two changes of the calibration, each with its chart, in order.
+    """
+
+    name: str
+    unit: str
+    low: float | None
+    high: float | None
+    stretches: tuple[tuple[tuple[Point, ...], Chart], ...]
+
+    @property
+    def points(self) -> list[Point]:
+        """All of them, in order."""
+        return [point for points, _ in self.stretches for point in points]
+
+    @property
+    def chart(self) -> Chart:
+        """That of the last stretch: what the measurement does now."""
+        return self.stretches[-1][1]
+
+    def in_words(self) -> str:
+        """One sentence: what it does."""
+        chart, last = self.chart, self.points[-1].value
+        unit = "" if self.unit == "1" else f" {self.unit}"
+        if chart.state == TOO_FEW:
+            return f"{len(self.stretches[-1][0])} runs: too few to judge"
+        if chart.state == DRIFTING:
+            return self._drift(chart, unit)
+        span = f"{number(chart.low)} to {number(chart.high)}{unit}"
+        if chart.state == OUTSIDE:
+            return f"{number(last)}{unit} is outside what the runs before it gave ({span})"
+        return f"steady, {span}"
+
+    def _drift(self, chart: Chart, unit: str) -> str:
+        limit = self.high if chart.slope > 0 else self.low
+        ahead = f"drifts by {chart.slope:+.3g}{unit} a run"
+        if chart.runs_left is None or limit is None:
+            return f"{ahead}, towards no limit"
+        if chart.runs_left == 0:
+            return f"{ahead} and is at its limit of {number(limit)}{unit}"
+        runs = f"{chart.runs_left} run{'s' if chart.runs_left > 1 else ''}"
+        return f"{ahead}; at this rate it meets its limit of {number(limit)}{unit} in {runs}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that can be compared, and their measurements, those that need a look first."""
+
+    procedure: str
+    bench: str
+    where: str
+    settings: str
+    runs: tuple[Kept, ...]
+    series: tuple[Series, ...]
+
+    @property
+    def title(self) -> str:
+        """What a reader knows it by."""
+        how = f" ({self.where})" if self.where else ""
+        return f"{self.procedure} on {self.bench or 'a bench without a name'}{how}"
+
+
+def groups(found: Sequence[Kept]) -> list[Group]:
+    """Comparable runs together, those with a drift first, then by name."""
+    runs = [k for k in found if k.kind == RUN and k.verdict in _COUNTED and not k.of_campaign]
+    ordered = sorted(runs, key=lambda k: (_key(k), k.when))
+    made = [_group(key, tuple(own)) for key, own in groupby(ordered, key=_key)]
+    return sorted(made, key=lambda g: (min((_urgency(s) for s in g.series), default=len(_URGENCY)), g.title))
+
+
+def _key(kept: Kept) -> tuple[str, str, str, str]:
+    tree = kept.result
+    settings = {**tree["parameters"], **({"faults": tree["faults"]} if tree["faults"] else {})}
+    return kept.what, kept.bench, kept.where, json.dumps(settings, sort_keys=True, default=str)
+
+
+def _group(key: tuple[str, str, str, str], runs: tuple[Kept, ...]) -> Group:
+    names = dict.fromkeys(row["name"] for kept in runs for row in kept.result["measurements"])
+    series = [s for s in (_series(name, runs) for name in names) if s is not None]
+    return Group(*key, runs, tuple(sorted(series, key=_urgency)))
+
+
+def _urgency(series: Series) -> int:
+    return _URGENCY.index(series.chart.state)
+
+
+def _series(name: str, runs: Sequence[Kept]) -> Series | None:
+    """None for a measurement that no run has a value of. Values in another unit than the last begin anew."""
+    rows = [(kept, row) for kept in runs for row in kept.result["measurements"] if row["name"] == name]
+    rows = [(kept, row) for kept, row in rows if row["value"] is not None]
+    if not rows:
+        return None
+    last = rows[-1][1]
+    points = [
+        Point(kept.name, kept.when, row["value"], row["outcome"], _calibration(kept.result))
+        for kept, row in rows
+        if row["unit"] == last["unit"]
+    ]
+    stretches = [tuple(own) for _, own in groupby(points, key=lambda p: p.calibration)]
+    charts = [
+        (own, individuals_chart([p.value for p in own], last["low"], last["high"])) for own in stretches
+    ]
+    return Series(name, last["unit"], last["low"], last["high"], tuple(charts))
+
+
+def _calibration(tree: Mapping[str, Any]) -> str:
+    """What a reader knows a calibration by; two with the same version and other content are two."""
+    found = tree["calibration"]
+    return "none" if not found else f"version {found['version']} ({found['sha256'][:6]})"

@@ -1,0 +1,112 @@
+"""`hil results`: what earlier runs left is listed, opened, searched, followed and deleted with care."""
+
+import json
+
+import pytest
+
+from hil.cli import main
+
+SCRIPT = '''
+"""Nothing to do."""
+from hil.procedure import Measurement, procedure
+
+
+@procedure(name="idle", needs=(), measurements=[Measurement("width", "mm", high=6.0)])
+def run(ctx):
+    """Do nothing."""
+    ctx.measure("width", 5.0)
+'''
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch, capsys):
+    """A folder in which a run was made, and a result of another version lies."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "idle.py").write_text(SCRIPT)
+    assert main(["run", "idle.py", "--out", "out/idle/one"]) == 0
+    (tmp_path / "out" / "newer").mkdir()
+    (tmp_path / "out" / "newer" / "result.json").write_text('{"schema": 2, "procedure": "idle"}')
+    capsys.readouterr()
+    return tmp_path
+
+
+def call(capsys, *words):
+    code = main(["results", *words])
+    return code, *capsys.readouterr()
+
+
+def test_the_list_says_what_ran_where_with_which_verdict_and_figures(place, capsys):
+    code, out, _ = call(capsys, "list")
+    assert code == 0
+    (row,) = [line for line in out.splitlines() if line.endswith("idle/one")]
+    assert {"PASS", "idle", "emulated", "(emulated)"} <= set(row.split())
+    assert "width 5 mm (at most 6)" in out
+    assert "written by another version of hil (schema 2; this one reads 1)" in out
+    told = json.loads(call(capsys, "list", "--json", "--verdict", "pass")[1])
+    assert [(r["name"], r["measurements"]) for r in told["results"]] == [("idle/one", {"width": 5.0})]
+
+
+def test_a_search_finds_by_any_word_and_says_when_nothing_fits(place, capsys):
+    assert "idle/one" in call(capsys, "search", "WIDTH")[1]
+    assert "fits" in call(capsys, "search", "width", "nowhere")[1]
+    assert "1 more; --limit 2 shows all" in call(capsys, "list", "--limit", "1")[1]
+
+
+def test_the_page_of_a_run_is_named_and_written_again_where_it_is_missing(place, capsys):
+    page = place / "out" / "idle" / "one" / "report.html"
+    page.unlink()
+    code, out, _ = call(capsys, "open", "idle/one")
+    assert (code, out.strip()) == (0, "out/idle/one/report.html")
+    assert page.stat().st_size > 5000
+    assert call(capsys, "open")[1].strip() == "out/idle/one/report.html"
+    code, _, said = call(capsys, "open", "newer")
+    assert code == 2
+    assert "has no page (written by another version" in said
+
+
+def test_trends_write_a_page_and_a_gate_for_ci(place, capsys):
+    for number in range(2, 12):
+        tree = json.loads((place / "out" / "idle" / "one" / "result.json").read_text())
+        tree["measurements"][0]["value"] = 5.0 + 0.01 * number
+        tree["started"] = f"2027-01-{number:02}T10:00:00+00:00"
+        (place / "out" / "idle" / str(number)).mkdir()
+        (place / "out" / "idle" / str(number) / "result.json").write_text(json.dumps(tree))
+    code, out, _ = call(capsys, "trends")
+    assert code == 0
+    assert "width drifts by +0.01 mm a run" in out
+    assert (place / "out" / "trends.html").stat().st_size > 4000
+    assert call(capsys, "trends", "--strict", "--out", "elsewhere.html")[0] == 1
+    told = json.loads(call(capsys, "trends", "--json")[1])
+    assert told["groups"][0]["measurements"][0]["state"] == "drifting"
+
+
+def test_nothing_is_deleted_unless_it_is_confirmed(place, capsys, monkeypatch):
+    monkeypatch.setattr("click.termui.visible_prompt_func", lambda _: "n")
+    code, _, said = call(capsys, "delete", "idle/one")
+    assert code == 4
+    assert "idle/one: idle PASS" in said
+    assert (place / "out" / "idle" / "one" / "result.json").exists()
+    monkeypatch.setattr("click.termui.visible_prompt_func", lambda _: "y")
+    code, out, _ = call(capsys, "delete", "idle/one")
+    assert (code, out.strip()) == (0, "deleted: idle/one")
+    assert not (place / "out" / "idle" / "one").exists()
+
+
+def test_without_a_question_only_whole_names_of_our_own_are_deleted(place, capsys):
+    for name, why in (
+        ("idle/on", "no result is called"),
+        ("newer", "is not deleted"),
+        ("../..", "no result"),
+    ):
+        code, _, said = call(capsys, "delete", name, "--yes")
+        assert code == 2
+        assert why in said
+    assert call(capsys, "delete", "idle/one", "--yes", "--json")[1] == '{"deleted": ["idle/one"]}\n'
+
+
+def test_a_folder_without_results_is_told(place, capsys):
+    (place / "empty").mkdir()
+    assert "nothing in empty fits" in call(capsys, "list", "--in", "empty")[1]
+    code, _, said = call(capsys, "list", "--in", "absent")
+    assert code == 2
+    assert "there is no such folder" in said
