@@ -6,10 +6,10 @@ LOCK := requirements/ci.lock
 VENV := $(if $(LOCK),.venv,.venv-newest)
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
-EXTRAS := fast rerun parquet campaign mujoco test lint
+EXTRAS := fast rerun parquet campaign mujoco test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs pictures test test-slowest test-long lint lock bench clean
+.PHONY: help demo demo-calibration docs site dist pictures test test-slowest test-long lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -19,6 +19,8 @@ help:
 	@echo "make test-long  run the tests that take minutes, too"
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
+	@echo "make site       build the documentation site in out/site, every warning an error"
+	@echo "make dist       build wheel and source archive in dist/ and check them"
 	@echo "make pictures   the Rerun view as pictures and a clip, without a screen (needs a Vulkan driver)"
 	@echo "make bench      print the measured ratios"
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
@@ -81,6 +83,16 @@ docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py
 	$(BIN)/python docs/make_fault_reference.py
 	$(BIN)/python docs/images/render_robot_on_wall.py
+
+site: $(BIN)/.installed
+	$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs . out/site
+	@echo "open out/site/index.html"
+
+dist: $(BIN)/.installed
+	rm -rf build dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation -w dist .
+	$(BIN)/python -c 'from setuptools.build_meta import build_sdist; print(build_sdist("dist"))'
+	$(BIN)/python -m twine check --strict dist/*
 
 pictures: $(BIN)/.installed
 	$(BIN)/python docs/images/render_rerun_view.py

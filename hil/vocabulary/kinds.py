@@ -100,7 +100,7 @@ class DeviceModel:
         name: as `model = "..."` in the bench file says it.
         title: as a person says it, for example `BNO055 on a serial port`.
         config: its table in the bench file, a subclass of `hil.config.device.DeviceConfig`.
-        driver: makes the driver of (config, clock, **parts of a `Connection`), closed.
+        driver: makes the driver, closed, of config, clock and the parts of a `Connection` by name.
         emulate: makes the emulated device of a `hil.devices.emulated.Setting`; None where there is none.
         imperfections: gives the dataclass of what may be wrong with the emulated one: `[emulation.KIND]`.
         ask: asks a serial port whether the model is there.

@@ -53,7 +53,7 @@ def test_readme_lists_every_extra_once():
     (table,) = re.findall(r"^\| extra \|.*\n\|[-|]+\n((?:\|.*\n)+)", readme, re.MULTILINE)
     listed = [name for row in table.splitlines() for name in re.findall(r"`(\w+)`", row.split("|")[1])]
     assert sorted(listed) == sorted(project["optional-dependencies"])
-    assert set(listed) == {*extras.MODULES, "test", "lint"}
+    assert set(listed) == {*extras.MODULES, "test", "lint", "docs"}
 
 
 def test_info_tells_it(capsys, monkeypatch):

@@ -4,6 +4,7 @@ import email
 import importlib.metadata
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -22,7 +23,7 @@ pytestmark = pytest.mark.skipif(not BUILDS, reason="setuptools in this environme
 def wheel(tmp_path_factory):
     """The wheel of the files that git knows (or would add), built without a network."""
     source, out = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("dist")
-    parts = ("hil", "procedures", "pyproject.toml", "README.md", "LICENSE")
+    parts = ("hil", "procedures", "pyproject.toml", "PACKAGE.md", "LICENSE")
     listed = subprocess.run(
         ["git", "ls-files", "-co", "--exclude-standard", *parts], cwd=ROOT, capture_output=True, text=True,
         check=True,
@@ -74,6 +75,9 @@ def test_it_is_described(unpacked):
     assert described["Keywords"]
     assert described["Description-Content-Type"] == "text/markdown"
     assert described.get_all("Project-URL") is None
+    text = described.get_payload()
+    assert "hardware-in-the-loop" in text
+    assert re.findall(r"\]\((?!https?://)[^)]*\)", text) == []  # a relative link leads nowhere from there
 
 
 def call(unpacked, folder, *arguments):

@@ -1,0 +1,36 @@
+"""The documentation site: `make site` builds it, without a network, with every warning an error.
+
+The source is the whole checkout, not this folder: README and the pages beside it keep their links.
+"""
+
+from __future__ import annotations
+
+from hil import __version__
+
+project = "hil-4wis4wid"
+author = copyright = "hil-4wis4wid maintainers"
+version = release = __version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx_click"]
+root_doc = "docs/index"
+include_patterns = [
+    *("README.md", "CONTRIBUTING.md", "SECURITY.md", "CODE_OF_CONDUCT.md", "CHANGELOG.md"),
+    *("docs/**", "examples/*.md", "examples/**/*.md", "firmware/**/*.md"),
+]
+
+myst_heading_anchors = 4
+myst_enable_extensions = ["colon_fence"]
+default_role = "code"
+autodoc_member_order = "bysource"
+autodoc_typehints = "description"
+autodoc_typehints_description_target = "documented"
+autodoc_class_signature = "mixed"
+python_use_unqualified_type_names = True
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Array": "Array"}
+napoleon_numpy_docstring = False
+napoleon_use_ivar = True
+
+html_theme = "furo"
+html_title = f"hil-4wis4wid {__version__}"
+html_extra_path = ["site"]
+html_copy_source = False
+html_show_sphinx = False

@@ -1,0 +1,48 @@
+"""The documentation site: every page has its place, a guide says what it leads to, the build is clean."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+INDEX = (DOCS / "index.md").read_text(encoding="utf-8")
+TREES = dict(re.findall(r"^```{toctree}\n:caption: (\w+)\n.*?\n\n(.*?)```", INDEX, re.S | re.M))
+NO_GUIDES = {"hardware", "results"}
+"""Guides that begin with a word of their own about what they lead to."""
+
+
+def test_every_page_has_its_place_once():
+    listed = [name for tree in TREES.values() for name in tree.split()]
+    there = {str(p.relative_to(DOCS).with_suffix("")) for p in DOCS.glob("*.md")} - {"index"}
+    assert sorted(n for n in listed if "/" not in n) == sorted(there)
+    assert [n for n in listed if not (DOCS / f"{n}.md").exists()] == []
+    assert list(TREES) == ["Begin", "Guides", "Reference", "Explanation", "Project"]
+
+
+@pytest.mark.parametrize("name", [n for n in TREES["Guides"].split() if "/" not in n and n not in NO_GUIDES])
+def test_a_guide_begins_with_what_the_reader_will_have_and_how_long_it_takes(name):
+    first = (DOCS / f"{name}.md").read_text(encoding="utf-8").split("\n\n")[1].replace("\n", " ")
+    assert first.startswith("At the end of this page ")
+    assert re.search(r"minutes|half a day|a day", first)
+
+
+@pytest.mark.long
+def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
+    pytest.importorskip("sphinx_click", reason="the extra docs is not installed")
+    pytest.importorskip("furo", reason="the extra docs is not installed")
+    build = [sys.executable, "-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", "-c", str(DOCS)]
+    done = subprocess.run([*build, str(ROOT), str(tmp_path)], capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    for page in tmp_path.rglob("*.html"):
+        loaded = re.findall(
+            r'<(?:script|link|img)[^>]*?(?:src|href)="(https?:[^"]+)', page.read_text(encoding="utf-8")
+        )
+        assert loaded == [], page
+    assert (tmp_path / "searchindex.js").stat().st_size > 100_000
+    commands = (tmp_path / "docs" / "commands.html").read_text(encoding="utf-8")
+    assert "hil results trends" in commands
+    assert 'href="docs/hardware.html"' in (tmp_path / "README.html").read_text(encoding="utf-8")

@@ -1,0 +1,61 @@
+"""The tutorial works as printed: each file is saved, each line is run in order, in an empty folder."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TUTORIAL = (ROOT / "docs" / "tutorial.md").read_text(encoding="utf-8")
+BLOCK = re.compile(
+    r"(?:Save this as `(?P<name>[\w.]+)`:\n\n)?```(?P<kind>sh|python)\n(?P<text>.*?)^```", re.S | re.M
+)
+
+
+def steps():
+    """(line, how it is run, its exit code); the lines that set up an environment are tried elsewhere."""
+    for block in BLOCK.finditer(TUTORIAL):
+        if block["kind"] == "python":
+            continue
+        for line in block["text"].splitlines():
+            if re.match(r"mkdir|python3 -m venv|\. \.venv|python -m pip|hil info --compile", line):
+                continue
+            yield line, re.sub(r"^(hil|python) ?", lambda m: RUN[m[1]], line), 3 if line in STOPS else 0
+
+
+RUN = {"hil": f"{sys.executable} -m hil ", "python": f"{sys.executable} "}
+STOPS = {"hil run climb.py --fault tracker:off@1"}
+"""Lines of which the page says that they end with exit code 3."""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    place = tmp_path_factory.mktemp("my-bench")
+    for block in BLOCK.finditer(TUTORIAL):
+        if block["kind"] == "python":
+            (place / block["name"]).write_text(block["text"])
+    return place
+
+
+def run(folder, line):
+    return subprocess.run(["sh", "-c", line], cwd=folder, capture_output=True, text=True, timeout=240)
+
+
+def test_every_block_of_code_says_where_it_is_saved():
+    names = [b["name"] for b in BLOCK.finditer(TUTORIAL) if b["kind"] == "python"]
+    assert names == ["climb.py", "test_climb.py"]
+    assert {line for line, _, _ in steps()} >= STOPS
+
+
+def test_its_procedure_runs_and_its_run_is_found_again(folder):
+    assert "PASS: climb" in run(folder, RUN["hil"] + "run climb.py --out out/climb/first").stdout
+    assert "end_error" in run(folder, RUN["hil"] + "results list").stdout
+
+
+@pytest.mark.long
+def test_every_line_works_in_order(folder):
+    for line, command, code in steps():
+        done = run(folder, command)
+        assert done.returncode == code, f"{line}\n{done.stdout}{done.stderr}"
