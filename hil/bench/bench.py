@@ -310,7 +310,7 @@ class Bench(Blueprint):
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.
 
-        The brain is reset to the start, now, and the sinks are told: without that note nobody could
+        The brain is reset to the start, now, and the sinks get a note: without that note nobody could
         repeat the run from its recording.
 
         Args:

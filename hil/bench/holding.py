@@ -39,7 +39,7 @@ class Held:
     Attributes:
         state: `not needed` where gravity does not pull along the surface.
         moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
-            where nobody has looked.
+            where it was not measured.
         why: what confirms it; or what is missing, and what is left to do.
         wanted: whether the servos were asked to hold it, and not told to let go.
     """

@@ -90,7 +90,7 @@ class Calibration:
         return twist_between(self.fit, self.nominal)
 
     def to_json(self) -> dict[str, object]:
-        """JSON of `hil calibrate` (`design.md`); keys may be added, never renamed."""
+        """JSON of `hil calibrate`; keys may be added, never renamed."""
         z = self.fit.solution.z
         half = self.intervals.quantile * self.intervals.std
         weights = zip(self.fit.problem.blocks.names, self.fit.problem.weights.tolist(), strict=True)

@@ -204,7 +204,7 @@ def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> 
 
 
 def metrics(tracks: Sequence[Track]) -> dict[str, float]:
-    """Errors of one motion's repetitions; keys as `design.md` fixes them."""
+    """Errors of one motion's repetitions; keys may be added, never renamed."""
     worst = np.array([np.max(np.abs(t.error), axis=0) for t in tracks])
     out: dict[str, float] = {"n": len(tracks)}
     for k, axis in enumerate(("x", "y", "theta")):

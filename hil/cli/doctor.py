@@ -36,7 +36,7 @@ def command(
 ) -> int:  # fmt: skip
     """Examine every device of a bench without moving it.
 
-    Ends with 0 when nothing failed (warnings are allowed), else with 3. --fix looks at no device: it prints
+    Ends with 0 when nothing failed (warnings are allowed), else with 3. --fix opens no device: it prints
     udev rules for the adapters that are plugged in (latency timer, access, no suspend, no ModemManager).
     """
     from itertools import chain

@@ -56,7 +56,7 @@ class MotorConfig(AdhesionConfig, KeptMotorConfig):
     """A fan whose motor controller is on CAN.
 
     Attributes:
-        command: what the controller is told: `duty`, `current` or `rpm`.
+        command: what the controller is given: `duty`, `current` or `rpm`.
         rpm_per_v: of the motor: speed per volt, unloaded.
     """
 

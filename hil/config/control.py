@@ -21,7 +21,7 @@ class ControlConfig(BaseModel):
             behind by what the wheels slip.
         gains: k_x, k_y, k_theta of the non-linear law, 1/s.
         dead_zone: pose errors (m, m, rad) that are not corrected: below what wheels of 4096 steps a turn
-            resolve, a slow wheel would steer after noise, through the play of its gear.
+            resolve, a slow wheel would steer after noise, through the backlash of its gear.
         integral: whether the optimal law has integral action; it learns only while the wheels can follow.
         state_weight, integral_weight, input_weight: LQR weights (diagonal, per axis alike).
         integral_clamp: bound of the integral states, m s and rad s.

@@ -27,7 +27,7 @@ class EncodersConfig(CanConfig):
         rate_hz: sample sets per second that the node sends.
         sign, zero_rad: encoder = sign * steering + zero, only used by the cross-check. Zeros that are left
             out are unknown; where they are given, an axis that is more than 0.15 rad off from the start on
-            is told, too.
+            is reported, too.
         yellow_mode: MagINC and MagDEC both set is then no fault (MagCompEn, datasheet).
         horn_slip_threshold_rad: lasting encoder minus servo difference that counts as horn slip.
         backlash_limit_rad: largest direction-dependent part of that difference.

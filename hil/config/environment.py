@@ -33,7 +33,7 @@ class EnvironmentConfig(BaseModel):
         tilt_rad: 0 for a floor, pi/2 for a wall, more overhangs. Above 0.1 it counts as a wall: gravity lies
             in the plane of motion, and the wall's guards are on.
         friction: coefficient of tyre on surface, where it is known (`hil run surface_identification` and
-            `adhesion_check` find it): how much adhesion the robot needs goes by it. Left out, an assumption.
+            `adhesion_check` find it): the adhesion that is needed depends on it. Left out, an assumption.
         start_pose: (x m, y m, theta rad) in the wall frame: where an emulated robot is when its world begins.
             Where a real one stands is measured by motion capture, else given with `--start`, else this if it
             is written in the file.

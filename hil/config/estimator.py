@@ -40,7 +40,7 @@ class WheelNoise(_Strict):
             none is gated); the others take one body displacement of that forward model
             (`hil.robot.kinematics`).
         source: servo `position`, or the truncated and lagging `velocity` register.
-        step_m: noise of one displacement (quantisation, play).
+        step_m: noise of one displacement (quantisation, backlash).
         per_sqrt_m: random slip, m per square root of rolled metre.
         per_sqrt_s: random creep of a wheel at rest, m per square root of a second.
         steering_m_rad: m of noise per radian that the module turned during the step.

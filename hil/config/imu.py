@@ -30,7 +30,7 @@ class Bno055Config(ImuConfig):
         retry_budget_s: time one `read` may spend on repeating requests.
         retry_gap_s: pause before a request is repeated after an error reply.
         open_timeout_s: longest wait for a chip that is still booting.
-        check_period_s: how often mode and system status are looked at.
+        check_period_s: how often mode and system status are read.
         fail_after_s: uninterrupted failure that raises instead of being reported as data.
         outage_poll_s: time between polls while the sensor is silent.
         stuck_after_s: bit-identical data for longer than this are marked frozen.

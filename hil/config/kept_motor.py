@@ -15,7 +15,7 @@ class KeptMotorConfig(CanConfig):
 
     Attributes:
         timeout_s: after which the controller lets go of the motor when it hears no command, as set in VESC
-            Tool; the doctor reads what it truly is, where the controller tells.
+            Tool; the doctor reads what it truly is, where the controller reports it.
         ramp_up_s, ramp_down_s: from rest to the highest duty, and back.
         fail_after_s: uninterrupted silence that raises.
     """

@@ -1,6 +1,6 @@
 """The fault vocabulary and timeline: which fault is active on which emulated device, when.
 
-One vocabulary for every device (`design.md`). A fault spec is written
+One vocabulary for every device. A fault spec is written
 `DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
 `servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
 without `+` until the end. A device declares what it supports and with which options; anything else is

@@ -284,7 +284,7 @@ class Context(Notebook):
             what: piece of work, in words.
             done: how much of it is done, of
             total: in units of its own.
-            whole: (done, total) of the whole run, where that can be told: the time left is then its.
+            whole: (done, total) of the whole run, where that is known: the time left is then its.
         """
         if whole is not None:
             self._report(WHOLE, *whole)

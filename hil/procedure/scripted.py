@@ -1,6 +1,6 @@
 """Drives the joints by a script instead of a trajectory, through the same loop, supervisor and sinks.
 
-What a procedure needs that looks at single joints (turn one steering servo, roll one wheel) or that
+What a procedure needs that examines single joints (turn one steering servo, roll one wheel) or that
 wants to know exactly what was commanded when. The robot stands before and after.
 """
 

@@ -1,4 +1,4 @@
-"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units (`design.md`).
+"""Plain CSV: `t,phi1..phi4,delta1..delta4,x,y,theta[,w1..w4]`, one file a run, SI units.
 
 Ground truth may be empty or NaN in any row. The motion is the file name before its last `_`.
 """

@@ -1,7 +1,7 @@
 """The ring: one control cycle from devices to devices, and the deterministic part of it by itself.
 
-`Brain.decide` is steps 2 to 7 of `design.md`: a function of the inputs and its own state, so a
-recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
+`Brain.decide` is all that lies between reading and sending: a function of the inputs and its own state, so
+a recording's inputs fed back through it reproduce the recorded setpoints exactly (`hil replay`).
 `ControlLoop.run` adds the devices, the clock and the sinks.
 """
 

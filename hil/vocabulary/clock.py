@@ -88,7 +88,7 @@ class MonotonicClock(Clock):
         return ended.set
 
     def wall_offset(self) -> WallOffset:
-        """The offset by the look at the wall clock that took least between two looks at this one."""
+        """The offset by the reading of the wall clock that took least between two readings of this one."""
         looks = [(time.monotonic_ns(), time.time_ns(), time.monotonic_ns()) for _ in range(_LOOKS)]
         before_ns, wall_ns, after_ns = min(looks, key=lambda look: look[2] - look[0])
         middle_ns, width_ns = (before_ns + after_ns) // 2, after_ns - before_ns

@@ -107,7 +107,7 @@ class Actuators(Device, Protocol):
 class Holding(Sensor[S_co], Protocol[S_co]):
     """What keeps the robot on its surface beside its wheels: the fan, the propellers.
 
-    Opening and closing it changes nothing: it goes on as it was told last, whoever told it.
+    Opening and closing it changes nothing: it goes on as the last command said, whoever gave it.
     """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""What a kind of device is, and which kinds and models there are: everything about devices goes by this.
+"""What a kind of device is, and which kinds and models there are: everything about devices follows this.
 
 A kind (`imu`) is what the rest of the bench knows: its samples, how they are judged, recorded and drawn. A
 model of it (`bno055`) is a thing that one can buy: its table in the bench file, its driver, and what speaks
@@ -70,7 +70,7 @@ class Search:
         given: by kind, tables of devices that the user named.
         clock: for time-outs.
         say: receives progress.
-        sysfs: where the kernel tells of its devices.
+        sysfs: where the kernel lists its devices.
         found: by kind, tables of what has been found so far.
     """
 
@@ -190,7 +190,7 @@ class DeviceKind:
         actuates: whether it does something to the robot: a moving kind is opened last and closed first.
         holds: whether what it does keeps the robot on its surface (`hil.vocabulary.interfaces.Holding`): it
             is opened first, closed last, and a stop leaves it alone.
-        guards: whether what it says tells how firmly the robot is held: a run that leaves devices out keeps
+        guards: whether what it says shows how firmly the robot is held: a run that leaves devices out keeps
             it, as it keeps those that hold.
         aliases: further names that people give it.
         endpoint: its name in what `hil emulate` prints, where that is not its own.
@@ -208,7 +208,7 @@ class DeviceKind:
         plots: where the monitor draws them.
         forces: what a cycle's samples tell of forces on the robot, of (inputs, `[robot]` of the bench file,
             its own table or None); the monitor draws them instead of those that `[robot]` promises.
-        witness: how it tells whether the robot moves; None if it cannot.
+        witness: how it notices that the robot moves; None if it cannot.
         look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
         package: name and version of the package that it comes from; filled in when it is loaded.
     """

@@ -30,6 +30,17 @@ def test_a_guide_begins_with_what_the_reader_will_have_and_how_long_it_takes(nam
     assert re.search(r"minutes|half a day|a day", first)
 
 
+def test_every_page_that_a_docstring_names_is_there():
+    known = {p.name for p in (*ROOT.glob("*.md"), *DOCS.rglob("*.md"))}
+    sources = [*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py")]
+    named = {
+        (str(p), name)
+        for p in sources
+        for name in re.findall(r"`([\w-]+\.md)`", p.read_text(encoding="utf-8"))
+    }
+    assert [where for where in named if where[1] not in known] == []
+
+
 @pytest.mark.long
 def test_the_site_is_built_without_a_warning_and_needs_no_network(tmp_path):
     pytest.importorskip("sphinx_click", reason="the extra docs is not installed")

@@ -14,6 +14,11 @@ BLOCK = re.compile(
 )
 
 
+RUN = {"hil": f"{sys.executable} -m hil ", "python": f"{sys.executable} "}
+STOPS = {"hil run climb.py --fault tracker:off@1"}
+"""Lines of which the page says that they end with exit code 3."""
+
+
 def steps():
     """(line, how it is run, its exit code); the lines that set up an environment are tried elsewhere."""
     for block in BLOCK.finditer(TUTORIAL):
@@ -23,11 +28,6 @@ def steps():
             if re.match(r"mkdir|python3 -m venv|\. \.venv|python -m pip|hil info --compile", line):
                 continue
             yield line, re.sub(r"^(hil|python) ?", lambda m: RUN[m[1]], line), 3 if line in STOPS else 0
-
-
-RUN = {"hil": f"{sys.executable} -m hil ", "python": f"{sys.executable} "}
-STOPS = {"hil run climb.py --fault tracker:off@1"}
-"""Lines of which the page says that they end with exit code 3."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def test_its_procedure_runs_and_its_run_is_found_again(folder):
 
 
 @pytest.mark.long
-def test_every_line_works_in_order(folder):
-    for line, command, code in steps():
-        done = run(folder, command)
-        assert done.returncode == code, f"{line}\n{done.stdout}{done.stderr}"
+@pytest.mark.parametrize(("line", "command", "code"), [pytest.param(*step, id=step[0]) for step in steps()])
+def test_every_line_works_in_order(folder, line, command, code):
+    done = run(folder, command)
+    assert done.returncode == code, f"{line}\n{done.stdout}{done.stderr}"

@@ -22,7 +22,7 @@ class AdhesionTruthOptions:
         timeout_s: without a `SET_*` for so long the motor is released; 0 never.
         rate_1_hz, rate_2_hz: two rates of status messages.
         messages_1, messages_2: which of 1 to 6 go out at each rate; none as delivered.
-        firmware: version that it tells.
+        firmware: version that it reports.
         twins: further controllers of the same id on the bus.
         pack_v: voltage of the battery at no load.
         pack_ohm: its resistance.

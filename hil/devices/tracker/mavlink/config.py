@@ -53,7 +53,7 @@ class MavlinkTrackerConfig(TrackerConfig):
         system_id, component_id: MAVLink ids of the sender; those of the first one that sends odometry when
             None.
         frame: frame that the poses must be given in; any that is understood when None.
-        body_axes: axes that the pose's quaternion turns. None goes by the frames: front-right-down, but
+        body_axes: axes that the pose's quaternion turns. None follows the frames: front-right-down, but
             front-left-up where the twist is given in a frame with z up.
         least_quality: quality (percent) below which a pose has low confidence and is not used.
         good_quality: quality (percent) from which a pose is trusted fully. An unknown quality (0) is below.
