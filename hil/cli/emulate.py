@@ -59,10 +59,14 @@ def command(
     there is removed at the start, and the file is removed again when the emulator ends in order. In a script
     `hil emulate --wait FILE` stands between an emulator in the background and its first client.
 
+    A robot on a wall is held by hand until a client enables torque, and slides without it from then on: the
+    first line on stderr says so, the last one whether it is held, and how far it is from where it began.
+
     Motion capture is served at [mocap] command_port and data_port where the bench file names them, else
     at free ports; it streams to [mocap] multicast, or to each client. Nothing leaves this host.
     """
     from hil.bench import open_emulation
+    from hil.bench.on_its_wall import OnItsWall
     from hil.cli.endpoints import EndpointsFile, await_endpoints
     from hil.config.loading import load_bench
     from hil.vocabulary.kinds import kind_of
@@ -86,6 +90,11 @@ def command(
         signal.signal(number, signal.SIG_IGN if await_start and number in _OF_A_TERMINAL else leave)
     _as_prompt_as_hardware(config.loop.fifo_priority)
     line = json.dumps(server.endpoints())
+    robot = (
+        None if await_start else OnItsWall(config, server.world, "servos" in server.faces)
+    )  # whoever awaits the start looks after it
+    if robot is not None and (told := robot.at_the_start()):
+        click.echo(told, err=True)
     click.echo(line)
     sys.stdout.flush()
     if (answered := click.get_current_context().find_object(Answered)) is not None:
@@ -95,6 +104,8 @@ def command(
     finally:
         if file is not None:
             file.remove()
+        if robot is not None and (told := robot.at_the_end()):
+            click.echo(told, err=True)
     return EXIT_PASS
 
 

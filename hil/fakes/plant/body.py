@@ -44,7 +44,7 @@ class SteppedBody(Plant):
         self, parameters: TrueParameters, constants: Array, *, tilt_rad: float, faults: FaultPlan | None,
         step_ns: int, by_hand: bool,
     ) -> None:  # fmt: skip
-        self.parameters, self._by_hand = parameters, by_hand
+        self.parameters, self.by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
         self._faults = faults if faults is not None else FaultPlan()
         self._faults.declare("plant", {"adhesion_loss": ("factor", "over_s")})
@@ -88,7 +88,7 @@ class SteppedBody(Plant):
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )
         q, mode = self._commands, _MODES[command.mode]
-        self._by_hand = self._by_hand and mode == k.MODE_OFF
+        self.by_hand = self.by_hand and mode == k.MODE_OFF
         if mode != q[k.MODE + joint]:
             self._state[k.INTEGRAL + joint] = 0.0
         q[k.MODE + joint] = mode
@@ -125,7 +125,7 @@ class SteppedBody(Plant):
         end = t_ns // self._step_ns
         if end <= self._steps:
             return
-        if self._by_hand:
+        if self.by_hand:
             self._steps = end
         while self._steps < end:
             n, factor = self._stretch(end)

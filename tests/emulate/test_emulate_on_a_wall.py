@@ -1,0 +1,69 @@
+"""`hil emulate` on a wall: a robot that nobody holds slides, and the first line and the last say so."""
+
+import re
+from contextlib import contextmanager
+
+import pytest
+from emulators import END_S, emulator
+
+from hil.bench import open_bench, open_emulation
+from hil.bench.on_its_wall import OnItsWall
+from hil.config.loading import load_bench
+
+
+@contextmanager
+def served(profile, only=("servos",)):
+    """The served robot of a profile, and a way to let its time pass."""
+    config = load_bench(profile, emulate=("all",))
+    server = open_emulation(config, only=only)
+    try:
+        robot = OnItsWall(config, server.world, "servos" in server.faces)
+        yield robot, lambda s: server.world.advance_to(server.world.now_ns + round(s * 1e9))
+    finally:
+        server.close()
+
+
+def test_a_robot_that_no_client_has_enabled_does_not_slide_and_is_not_held():
+    with served("emulated") as (robot, let_pass):
+        assert robot.at_the_start().startswith("at the start NOT HELD: ")
+        assert "let go when a client enables torque" in robot.at_the_start()
+        let_pass(4.0)
+        assert robot.at_the_end() == (
+            "at the end NOT HELD: no client has enabled torque; the robot was held by hand"
+        )
+
+
+def test_without_servos_it_is_never_let_go():
+    with served("emulated", only=("imu",)) as (robot, _):
+        assert "no servos are served" in robot.at_the_start()
+
+
+def test_on_the_floor_there_is_nothing_to_say():
+    with served("emulated_floor") as (robot, let_pass):
+        let_pass(0.5)
+        assert (robot.at_the_start(), robot.at_the_end()) == ("", "")
+
+
+def test_torque_holds_it_and_without_torque_it_slides():
+    """The bench's own drivers as the client, in virtual time."""
+    with open_bench("emulated") as bench:
+        robot = OnItsWall(bench.config, bench.world, servos=True)
+        bench.observe(1.0)
+        assert robot.at_the_end().startswith("at the end HELD: ")
+        bench.rig.servos.release()
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 3_000_000_000)
+        assert re.fullmatch(
+            r"at the end NOT HELD: the robot (slides at \d+ mm/s|has left its wall), \d+ mm from .*",
+            robot.at_the_end(),
+        )
+
+
+@pytest.mark.parametrize("profile", ["emulated", "emulated_floor"])
+def test_the_command_tells_it_on_stderr(profile):
+    with emulator("--bench", profile, "--only", "servos") as running:
+        running.endpoints()
+        running.process.terminate()
+        assert running.process.wait(END_S) == 0
+        told = running.process.stderr.read().splitlines()
+    first_words = [" ".join(line.split()[:3]) for line in told]
+    assert first_words == (["at the start", "at the end"] if profile == "emulated" else [])
