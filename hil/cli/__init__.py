@@ -27,6 +27,7 @@ from hil.vocabulary.stop_signals import deaf_from_now_on
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 COMMANDS = {
+    "accept": "the first day: doctor, contract of every device, turning wheels, one page to sign",
     "adhesion": "the fan that presses the robot on its wall: on, off, status, watch",
     "calibrate": "fit the odometry parameters to recordings, with validation",
     "calibration": "list, apply and roll back versions of a calibration",

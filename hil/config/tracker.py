@@ -45,6 +45,7 @@ class T265Config(TrackerConfig):
 
     Attributes:
         serial: serial number of the camera to use; any T265 when None.
+        firmware: versions that it may have; `hil doctor` refuses others. Its library gives it its own.
         endpoint: poses come from an emulated camera in another process instead of the USB library.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body (arXiv 2509.04016);
             applied by the alignment.
@@ -68,6 +69,7 @@ class T265Config(TrackerConfig):
 
     model: Literal["t265"] = "t265"
     serial: str | None = None
+    firmware: tuple[str, ...] = ("0.2.0.951",)
     endpoint: FeedEndpoint | None = None
     mount_position_m: Position = (0.1489, 0.0092, 0.0666)
     jump_distance_m: Annotated[float, Within(0.001, 1.0, "a jump of 1 m is one")] = 0.03

@@ -14,40 +14,20 @@ Tests of its own can stand beside: their `bench` is the plugin's.
 
 from __future__ import annotations
 
-import typing
 from collections.abc import Callable, Generator
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from types import ModuleType
 from typing import Any
 
-import numpy as np
 import pytest
 
 from hil.bench import Bench
+from hil.bench.contract import Subject, at_rest, read_for
 from hil.bench.doctor import examine
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, source_of
-from hil.pytest_plugin.selfcheck import due
-from hil.recording.compare import first_difference
-from hil.recording.cycle_codec import CycleEncoder
-from hil.recording.cycle_decoder import CycleDecoder
-from hil.recording.cycle_layout import DTYPES, describe
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.finding import Finding
-from hil.vocabulary.geometry import Array
-from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import KINDS as OURS
-from hil.vocabulary.signals import (
-    CycleRecord,
-    Inputs,
-    Measurements,
-    RobotState,
-    ServoSetpoint,
-    Status,
-    WheelSetpoint,
-    worst,
-)
 
 __all__ = [
     "closed_bench",
@@ -55,6 +35,7 @@ __all__ = [
     "device",
     "findings",
     "pytest_generate_tests",
+    "subject",
     "test_a_read_never_waits_for_the_next_sample",
     "test_a_sample_is_delivered_once",
     "test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing",
@@ -65,29 +46,12 @@ __all__ = [
     "test_samples_arrive_in_order_with_stamps_that_make_sense",
     "test_the_doctor_finds_no_failure",
     "test_the_same_seed_gives_the_same_samples",
-    "watched",
 ]
 
 VIRTUAL, WIRE, GIVEN = "virtual", "wire", "given"
-WATCH_S, SHORT_S = 1.0, 0.2
-SHARE = 0.7
-"""Of the samples that are due: this computer's load may cost some."""
-OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
-LONGEST_READ_NS = nanoseconds(0.06)
-NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
-"""Statuses of samples that hold no data at all."""
+SHORT_S = 0.2
 
 Collect = Callable[[Any, float], list[Any]]
-
-
-@dataclass(frozen=True)
-class Watched:
-    """A device that was opened, read for a while and closed: its samples, and when it was read."""
-
-    kind: str
-    samples: list[Any]
-    began_ns: int
-    ended_ns: int
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -138,35 +102,6 @@ def opened(backend: str, request: pytest.FixtureRequest) -> Bench:
             pytest.skip(str(error))
 
 
-def read_for(bench: Bench, device: Any, duration_s: float) -> list[Any]:
-    """Everything that a device delivers when it is read at the loop rate."""
-    period_ns = round(NS_PER_S / bench.config.loop.rate_hz)
-    samples, next_ns = list[Any](), bench.clock.now_ns()
-    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
-        samples += device.read()
-        next_ns += period_ns
-        bench.clock.sleep_until_ns(next_ns)
-    return samples
-
-
-def arrays_of(sample: type[Any]) -> list[str]:
-    """Names of the fields of a sample that hold arrays."""
-    hints = typing.get_type_hints(sample)
-    return [f.name for f in fields(sample) if hints[f.name] == Array]
-
-
-def by_channel(values: Array, states: tuple[Status, ...]) -> list[tuple[Array, tuple[Status, ...]]]:
-    """Parts of an array with the statuses that speak of each: rows where it has one for every channel.
-
-    Whole numbers and booleans have no NaN, so nothing is asked of them.
-    """
-    if values.dtype.kind != "f":
-        return []
-    if values.ndim and len(values) == len(states):
-        return [(row, (state,)) for row, state in zip(values, states, strict=True)]
-    return [(values, states)]
-
-
 @pytest.fixture(scope="module")
 def closed_bench(backend: str, request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
     """A bench whose world runs and whose devices are still closed."""
@@ -192,130 +127,57 @@ def collect(closed_bench: Bench) -> Collect:
 
 
 @pytest.fixture(scope="module")
-def watched(closed_bench: Bench, kind: str) -> Watched:
-    """A device that was opened, read for a while and closed."""
-    found = closed_bench.rig.get(kind)
-    found.open()
-    began_ns = closed_bench.clock.now_ns()
-    samples = read_for(closed_bench, found, WATCH_S)
-    ended_ns = closed_bench.clock.now_ns()
-    found.close()
-    return Watched(kind, samples, began_ns, ended_ns)
+def subject(closed_bench: Bench, backend: str, kind: str, request: pytest.FixtureRequest) -> Subject:
+    """One closed device after the other; what it delivers while it is watched is kept for all tests."""
+    virtual = backend.startswith(VIRTUAL)
+    return Subject(closed_bench, kind, (lambda: opened(backend, request)) if virtual else None)
 
 
-def test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing(device: Any) -> None:
+def test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing(subject: Subject) -> None:
     """Identity is text by text; closing twice is allowed."""
-    identity = device.identity()
-    assert identity
-    assert all(isinstance(k, str) and isinstance(v, str) and v for k, v in identity.items())
-    device.close()
-    assert not device.identity()
-    device.close()
+    at_rest.says_what_it_is(subject)
 
 
-def test_it_can_be_opened_again(device: Any, collect: Collect) -> None:
+def test_it_can_be_opened_again(subject: Subject) -> None:
     """After it was closed, and without being asked to, it delivers as before."""
-    assert collect(device, SHORT_S)
-    device.close()
-    device.open()
-    assert collect(device, SHORT_S)
+    at_rest.opens_again(subject)
 
 
-def test_reading_a_closed_device_is_a_named_error(device: Any) -> None:
+def test_reading_a_closed_device_is_a_named_error(subject: Subject) -> None:
     """A `DeviceError` with the device's name."""
-    device.close()
-    with pytest.raises(DeviceError, match=device.name):
-        device.read()
+    at_rest.closed_is_a_named_error(subject)
 
 
-def test_samples_arrive_in_order_with_stamps_that_make_sense(watched: Watched, closed_bench: Bench) -> None:
+def test_samples_arrive_in_order_with_stamps_that_make_sense(subject: Subject) -> None:
     """Nearly all samples that are due come, are good, and say when they were measured."""
-    good = [s for s in watched.samples if worst(s) is Status.OK]
-    assert len(good) >= max(2.0, SHARE * due(closed_bench, watched.kind, watched.samples, WATCH_S))
-    assert np.all(np.diff([s.stamp.t_ns for s in good]) > 0)
-    assert np.all(np.diff([s.stamp.seq for s in watched.samples]) >= 0)
-    for sample in good:
-        stamp = sample.stamp
-        assert watched.began_ns - OLDEST_NS <= stamp.t_ns <= stamp.host_ns + EARLY_NS
-        assert watched.began_ns - EARLY_NS <= stamp.host_ns <= watched.ended_ns
+    at_rest.samples_in_time(subject)
 
 
-def test_no_data_is_never_a_number(watched: Watched) -> None:
+def test_no_data_is_never_a_number(subject: Subject) -> None:
     """Samples are of their kind; arrays keep their shape; NaN stands for what was not received."""
-    kind = kinds()[watched.kind]
-    names = arrays_of(kind.sample)
-    assert all(type(s) is kind.sample for s in watched.samples)
-    for name in names:
-        forms = {(getattr(s, name).shape, getattr(s, name).dtype) for s in watched.samples}
-        assert len(forms) <= 1, f"{name} changes its shape or type: {forms}"
-        assert all(dtype in DTYPES.values() for _, dtype in forms), f"{name} is recorded as another type"
-    for sample in watched.samples:
-        states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
-        assert len(states) == max(1, len(kind.labels))
-        for name in names:
-            for values, said in by_channel(getattr(sample, name), states):
-                assert any(s is not Status.OK for s in said) or np.all(np.isfinite(values)), name
-                assert any(s not in NOTHING for s in said) or np.all(np.isnan(values)), name
+    at_rest.no_data_is_no_number(subject)
 
 
-def test_a_sample_is_delivered_once(watched: Watched) -> None:
+def test_a_sample_is_delivered_once(subject: Subject) -> None:
     """No two have the same time and number."""
-    keys = [(s.stamp.t_ns, s.stamp.seq) for s in watched.samples]
-    assert len(set(keys)) == len(keys)
+    at_rest.delivered_once(subject)
 
 
-def test_a_read_never_waits_for_the_next_sample(device: Any, closed_bench: Bench, collect: Collect) -> None:
+def test_a_read_never_waits_for_the_next_sample(subject: Subject) -> None:
     """It takes what is there; two of twenty reads may be late because this computer was busy elsewhere."""
-    collect(device, SHORT_S)
-    took_ns = []
-    for _ in range(20):
-        began_ns = closed_bench.clock.now_ns()
-        device.read()
-        took_ns.append(closed_bench.clock.now_ns() - began_ns)
-        closed_bench.clock.sleep_until_ns(began_ns + 10_000_000)
-    assert sorted(took_ns)[-3] < LONGEST_READ_NS
+    at_rest.reads_do_not_wait(subject)
 
 
-def test_samples_are_recorded_bit_for_bit(watched: Watched) -> None:
+def test_samples_are_recorded_bit_for_bit(subject: Subject) -> None:
     """A recording gives back what was written; each topic has a message of every sample."""
-    kind = kinds()[watched.kind]
-    own = () if kind.name in OURS else (kind,)
-    samples = tuple(watched.samples)
-    delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
-    inputs = Inputs(0, 0, **delivered)
-    record = _record_of(inputs)
-    again = CycleDecoder(describe(own)).decode(CycleEncoder(own).encode(record))
-    assert first_difference({"inputs": inputs}, {"inputs": again.inputs}) is None
-    for topic in kind.topics:
-        assert all(len(topic.encode(sample, 0)) > 4 for sample in samples), topic.name
+    at_rest.recorded_bit_for_bit(subject)
 
 
-def _record_of(inputs: Inputs) -> CycleRecord:
-    """A cycle in which nothing was decided."""
-    rest = WheelSetpoint(np.zeros(4), np.zeros(4))
-    state = RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
-    command = ServoSetpoint(np.zeros(4), np.zeros(4))
-    return CycleRecord(0, 0, 0, inputs, Measurements(0, 0), state, None, rest, command)
-
-
-def test_the_same_seed_gives_the_same_samples(
-    backend: str, kind: str, request: pytest.FixtureRequest
-) -> None:
+def test_the_same_seed_gives_the_same_samples(subject: Subject) -> None:
     """The emulated device takes chance from the world's seed and from nowhere else."""
-    if not backend.startswith(VIRTUAL):
+    if subject.anew is None:
         pytest.skip("in virtual time only")
-
-    def samples() -> list[Any]:
-        bench = opened(backend, request)
-        bench.begin()
-        try:
-            device = bench.rig.get(kind)
-            device.open()
-            return read_for(bench, device, SHORT_S)
-        finally:
-            bench.close()
-
-    assert first_difference({"samples": tuple(samples())}, {"samples": tuple(samples())}) is None
+    at_rest.same_seed_same_samples(subject)
 
 
 @pytest.fixture(scope="module")

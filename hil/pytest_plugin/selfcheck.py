@@ -20,15 +20,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.bench import Bench
-from hil.bench.settings import alignment_parameters, real_time
-from hil.config.bench import BenchConfig
+from hil.bench import Bench, contract
+from hil.bench.contract import BUSY_SHARE, due, oldest_s
+from hil.bench.settings import alignment_parameters
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, properties, source_of
 from hil.ring.loop_timing import LoopStatistics
 from hil.ring.motion import Motion
-from hil.ring.realtime import idle_loop
-from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.geometry import rotated
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS, Status, worst
@@ -50,12 +48,12 @@ __all__ = [
 ]
 
 WATCH_S = 15.0
-GOOD_SHARE, RATE_SHARE, OLDER = 0.98, 0.85, 5.0
+GOOD_SHARE, RATE_SHARE = 0.98, 0.85
 REST_RAD, REST_M, REST_HEADING_RAD = 0.02, 0.01, 0.02
 SUPPLY_V, HOT_C = (10.0, 16.8), 70.0
 UPRIGHT_RAD = 0.15
 GRAVITY_M_S2, GRAVITY_TOLERANCE_M_S2, REST_RAD_S = 9.81, 0.5, 0.05
-LATE_SHARE, BUSY_SHARE, IDLE_SHARE = 0.01, 0.05, 1.0 / 3.0
+LATE_SHARE, IDLE_SHARE = 0.01, 1.0 / 3.0
 HORN_RAD = 0.1
 
 
@@ -80,21 +78,6 @@ class Watch:
         return [sample for record in self.motion.records for sample in record.inputs.of(device)]
 
 
-def due(bench: Bench, device: str, samples: list[Any], duration_s: float) -> float:
-    """Samples that a healthy device delivers; by the period that they came with where its owner chose it."""
-    rate_hz = kinds()[device].rate_hz(bench.config.devices()[device], bench.config.loop.rate_hz)
-    if np.isnan(rate_hz):
-        period_ns = np.median(np.diff([s.stamp.t_ns for s in samples])) if len(samples) > 2 else np.inf
-        return duration_s / (1e-9 * float(period_ns))
-    return duration_s * rate_hz
-
-
-def oldest_s(config: BenchConfig, device: str) -> float:
-    """How old a healthy device's samples may be, s: a cycle more where they are asked for a cycle ahead."""
-    ahead = bool(getattr(config.devices()[device], "prefetch", False))
-    return OLDER * kinds()[device].age_s + ahead / config.loop.rate_hz
-
-
 @pytest.fixture(scope="module")
 def watched(request: pytest.FixtureRequest) -> Watch:
     """The bench of the session, watched once for all tests of the module."""
@@ -114,11 +97,7 @@ def idle_for(source: BenchSource, seconds: float) -> tuple[LoopStatistics, ...]:
     """Punctuality of a loop that does nothing, at the bench's rate; empty in virtual time: never late."""
     if source.virtual:
         return ()
-    clock, config = MonotonicClock(), source.config
-    scheduling = real_time(config, clock)
-    assert scheduling is not None
-    rate_hz, late_after_s = config.loop.rate_hz, config.loop.late_after_s
-    return (idle_loop(clock, scheduling, seconds=seconds, rate_hz=rate_hz, late_after_s=late_after_s),)
+    return (contract.idle_for(source.config, seconds),)
 
 
 @pytest.fixture(autouse=True)

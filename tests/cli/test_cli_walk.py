@@ -121,6 +121,8 @@ def base(world, tmp_path, monkeypatch):
 
     monkeypatch.setattr("hil.procedure.commission.running._Running.all", nobody)
 
+    monkeypatch.setattr("hil.procedure.acceptance._Running.all", nobody)
+
     def no_run(cell, bench):
         return lost(cell, "is not run in this test")
 

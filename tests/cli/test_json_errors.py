@@ -12,7 +12,7 @@ from hil.vocabulary.errors import DeviceError
 GONE = "nowhere.toml"
 WRONG = {
     "list": ["planets"],
-    "adhesion": ["status", "--bench", GONE],
+    "accept": ["--bench", GONE], "adhesion": ["status", "--bench", GONE],
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
     "commission": ["--bench", GONE], "robot": ["show", GONE],
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.config.tracker import FeedEndpoint, T265Config
+from hil.devices.looks import Watched
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import HilError
+from hil.vocabulary.finding import Finding, Level
 from hil.vocabulary.interfaces import Sensor
 from hil.vocabulary.kinds import Connection, DeviceModel, Found, Search
 from hil.vocabulary.signals import TrackerSample
@@ -84,6 +86,19 @@ def _plugged_in(sysfs: Path) -> bool:
     return bool(ids & _USB_IDS)
 
 
+def _look(watched: Watched) -> Iterator[Finding]:
+    """Its firmware: the library gives it one whenever it is plugged in; another one is another library's."""
+    config: T265Config = watched.config
+    found, expected = watched.device.identity().get("firmware", "unknown"), " or ".join(config.firmware)
+    right = found in config.firmware
+    level: Level = "ok" if right else "warning" if found == "unknown" else "failure"
+    remedy = (
+        "install pyrealsense2 2.53.1, which brings 0.2.0.951, and plug the camera out and in again; or, if "
+        f'this one was tried, tracker.firmware = ["{found}"]'
+    )
+    yield Finding("tracker", "firmware", level, found, expected, "" if right else remedy)
+
+
 T265 = DeviceModel(
     kind="tracker",
     name="t265",
@@ -94,4 +109,5 @@ T265 = DeviceModel(
     imperfections=_imperfections,
     search=_search,
     reach=_reach,
+    look=_look,
 )

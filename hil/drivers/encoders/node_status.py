@@ -52,6 +52,11 @@ class NodeStatus:
         return bool(self._latest)
 
     @property
+    def firmware(self) -> str:
+        """Its version; `?` where it does not say."""
+        return str(self._latest.get("Firmware", "?"))
+
+    @property
     def rate_hz(self) -> float:
         """Sample sets per second that the node was built for; 0 where it does not say."""
         return float(self._latest.get("Rate", 0))
@@ -79,4 +84,4 @@ class NodeStatus:
             return "the node does not say"
         causes = next((s.choices for s in self._message.signals if s.name == "ResetCause"), None) or {}
         cause = causes.get(self._latest.get("ResetCause", -1), "unknown")
-        return f"firmware {self._latest.get('Firmware', '?')}, started by {cause}"
+        return f"firmware {self.firmware}, started by {cause}"

@@ -22,11 +22,14 @@ class EncoderTruthOptions:
     Attributes:
         noise_rad: transition noise, 0.06 degrees rms in fast mode.
         once_rad, twice_rad: amplitude of the once- and twice-per-turn error of an eccentric magnet.
+        firmware, layout: what the node says of its firmware and of the layout of its frames.
     """
 
     noise_rad: float = math.radians(0.06)
     once_rad: float = math.radians(0.3)
     twice_rad: float = math.radians(0.1)
+    firmware: int = 1
+    layout: int = 1
 
 
 def with_parity(word: int) -> int:

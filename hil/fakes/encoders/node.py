@@ -40,7 +40,6 @@ NODE_FAULTS: Supported = {
 }
 FRAME_IDS = (0x1A0, 0x1A1, 0x1A2)
 
-_LAYOUT, _FIRMWARE = 1, 1
 _TIME_LSB_NS = 10_000
 _TIME_MASK = 0xFFFFF
 _BOOT_NS = 50_000_000
@@ -91,6 +90,7 @@ class EncoderNode(Scheduled):
         self.chips = tuple(self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True))
         self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
         self._rate_hz = max(1, round(rate_hz))
+        self._says = options.layout & 0xFF | (options.firmware & 0xFF) << 8
         self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))
         self._rate_error = 1.0 - 1e-6 * clock_ppm
         self._jitter_ns = 1e9 * jitter_s
@@ -168,7 +168,7 @@ class EncoderNode(Scheduled):
         self._wire.transmit(left, (words[0] | words[1] << 18 | tail).to_bytes(8, "little"), send_ns)
         self._wire.transmit(right, (words[2] | words[3] << 18 | tail).to_bytes(8, "little"), send_ns)
         if (self._sequence - 1) % self._rate_hz == 0:
-            told = _LAYOUT | _FIRMWARE << 8 | (self._rate_hz & 0xFFF) << 16
+            told = self._says | (self._rate_hz & 0xFFF) << 16
             self._wire.transmit(status, told.to_bytes(8, "little"), send_ns)
 
     def _power(self, t_ns: int) -> bool:

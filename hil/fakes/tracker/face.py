@@ -19,7 +19,7 @@ from hil.config.tracker import (
     POSE_RECORD,
 )
 from hil.fakes.server import Face
-from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
+from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.t265 import T265
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import nanoseconds
@@ -109,7 +109,7 @@ class TrackerFace(Face):
             except RuntimeError:
                 return
         self._clients[client] = t_ns
-        texts = (self._camera.model, self._camera.serial, FIRMWARE)
+        texts = (self._camera.model, self._camera.serial, self._camera.firmware)
         record = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, *(text.encode()[:32] for text in texts))
         self._send(record, client)
 

@@ -9,7 +9,6 @@ from typing import Any, Protocol
 from hil.fakes.tracker.odometry import CameraPose
 
 MODEL = "Intel RealSense T265"
-FIRMWARE = "0.2.0.951"
 
 
 class PoseData:
@@ -58,6 +57,7 @@ class Camera(Protocol):
 
     serial: str
     model: str
+    firmware: str
 
     def start_stream(self, callback: FrameCallback) -> None:
         """Begin to deliver poses; raises `RuntimeError` as the library does."""
@@ -70,7 +70,11 @@ class DeviceInfo:
     """Device and profile in one: knows its name, serial number and firmware."""
 
     def __init__(self, camera: Camera) -> None:
-        self._info = {"name": camera.model, "serial_number": camera.serial, "firmware_version": FIRMWARE}
+        self._info = {
+            "name": camera.model,
+            "serial_number": camera.serial,
+            "firmware_version": camera.firmware,
+        }
 
     def get_device(self) -> DeviceInfo:
         """Itself."""

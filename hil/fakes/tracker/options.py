@@ -28,6 +28,7 @@ class TrackerTruthOptions:
         boot_s: silence after a reset.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
             bench configures it when None.
+        firmware: version that it tells.
     """
 
     scale_sigma: float = 0.005
@@ -53,6 +54,7 @@ class TrackerTruthOptions:
     boot_s: float = 0.3
     mount_position_m: tuple[float, float, float] | None = None
     mount_rotation_wxyz: tuple[float, float, float, float] | None = None
+    firmware: str = "0.2.0.951"
 
 
 IDEAL = TrackerTruthOptions(

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from hil.fakes.tracker.frames import FIRMWARE, PoseFrame
+from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.t265 import RATE_HZ, T265
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.extras import how_to_install
@@ -45,7 +45,7 @@ class SoftwareT265:
         for key, text in (
             (rs.camera_info.name, camera.model),
             (rs.camera_info.serial_number, camera.serial),
-            (rs.camera_info.firmware_version, FIRMWARE),
+            (rs.camera_info.firmware_version, camera.firmware),
         ):
             self._device.register_info(key, text)
         self._sensor = self._device.add_sensor("Tracking Module")

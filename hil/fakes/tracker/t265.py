@@ -50,6 +50,7 @@ class T265(Scheduled):
         self.name, self.model = name, model
         self._world = world
         self._options = options if options is not None else TrackerTruthOptions()
+        self.firmware = self._options.firmware
         self._rng = world.rng(name)
         self.odometry = VisualOdometry(
             self._options,

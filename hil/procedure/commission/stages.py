@@ -95,6 +95,13 @@ def stages(config: BenchConfig, order: Sequence[Stage]) -> Iterator[tuple[Stage,
         yield stage, why
 
 
+def off_the_wall(config: BenchConfig) -> dict[str, object]:
+    """Overrides of a wall's bench for a robot on floor or stand: neither fan nor propellers run there."""
+    if not config.environment.on_wall:
+        return {}
+    return _FLOOR | {name: None for name, kind in kinds().items() if kind.holds or kind.guards}
+
+
 def placed(stage: Stage, number: int, config: BenchConfig) -> dict[str, object]:
     """Bench overrides of a stage: its place, and for an emulated camera a session of its own.
 
@@ -104,9 +111,8 @@ def placed(stage: Stage, number: int, config: BenchConfig) -> dict[str, object]:
         config: of the wall bench.
     """
     overrides: dict[str, object] = {}
-    if stage.place == "floor" and config.environment.on_wall:
-        overrides |= _FLOOR
-        overrides |= {name: None for name, kind in kinds().items() if kind.holds or kind.guards}
+    if stage.place == "floor":
+        overrides |= off_the_wall(config)
     if config.imperfections("tracker").get("session_scale_sigma"):
         overrides["emulation.tracker.session"] = number
     return overrides

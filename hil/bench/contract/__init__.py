@@ -1,0 +1,32 @@
+"""What devices promise, whoever answers on the wire: one suite for emulated and real ones.
+
+`hil accept` runs it and prints findings; the pytest suite `hil.pytest_plugin.contract` runs the same checks
+as tests. A check takes what it judges, returns what it measured in a few words, and raises `Broken`.
+"""
+
+from hil.bench.contract.at_rest import AT_REST
+from hil.bench.contract.delays import (
+    BUSY_SHARE,
+    delays_at_rest,
+    delays_in_motion,
+    idle_for,
+    punctuality,
+)
+from hil.bench.contract.in_motion import IN_MOTION
+from hil.bench.contract.subject import Broken, Subject, due, judged, oldest_s, read_for
+
+__all__ = [
+    "AT_REST",
+    "BUSY_SHARE",
+    "IN_MOTION",
+    "Broken",
+    "Subject",
+    "delays_at_rest",
+    "delays_in_motion",
+    "due",
+    "idle_for",
+    "judged",
+    "oldest_s",
+    "punctuality",
+    "read_for",
+]

@@ -1,0 +1,232 @@
+"""What every device promises while nothing is commanded."""
+
+from __future__ import annotations
+
+import typing
+from collections.abc import Callable, Mapping
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from hil.bench.contract.subject import SHORT_S, WATCH_S, Broken, Subject, due, read_for
+from hil.recording.compare import first_difference
+from hil.recording.cycle_codec import CycleEncoder
+from hil.recording.cycle_decoder import CycleDecoder
+from hil.recording.cycle_layout import DTYPES, describe
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import KINDS as OURS
+from hil.vocabulary.signals import (
+    CycleRecord,
+    Inputs,
+    Measurements,
+    RobotState,
+    ServoSetpoint,
+    Status,
+    WheelSetpoint,
+    worst,
+)
+
+SHARE = 0.7
+"""Of the samples that are due: this computer's load may cost some."""
+OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
+LONGEST_READ_NS = nanoseconds(0.06)
+NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
+"""Statuses of samples that hold no data at all."""
+_READS, _STEP_NS = 20, nanoseconds(0.01)
+_DRIVER = "mend the driver of this device"
+_LINK = "check cable, supply and baud rate; `hil doctor` says more"
+
+
+def says_what_it_is(subject: Subject) -> str:
+    """An open device says what it is, text by text, and a closed one nothing; closing twice is allowed."""
+    with subject.opened() as device:
+        identity = device.identity()
+        texts = all(isinstance(k, str) and isinstance(v, str) and v for k, v in identity.items())
+        if not identity or not texts:
+            raise Broken(f"identity {dict(identity)}", "text by text: model, firmware, port", _DRIVER)
+        device.close()
+        if device.identity():
+            raise Broken("says what it is while closed", "nothing", _DRIVER)
+    return ", ".join(f"{key} {value}" for key, value in identity.items())
+
+
+def opens_again(subject: Subject) -> str:
+    """After it was closed it can be opened again, and delivers as before."""
+    counts = []
+    for _ in range(2):
+        with subject.opened() as device:
+            counts.append(len(read_for(subject.bench, device, SHORT_S)))
+    if not all(counts):
+        raise Broken(
+            f"{counts[0]} samples, after it was opened again {counts[1]}", "samples each time", _LINK
+        )
+    return f"{counts[0]} samples, then {counts[1]}"
+
+
+def closed_is_a_named_error(subject: Subject) -> str:
+    """Reading a closed device is an error of the kind `DeviceError` that names it."""
+    device = subject.device
+    device.close()
+    try:
+        device.read()
+    except DeviceError as error:
+        if device.name in str(error):
+            return "named"
+        raise Broken(f"{error}", f"an error that names {device.name}", _DRIVER) from None
+    raise Broken("a closed device was read", "a DeviceError", _DRIVER)
+
+
+def samples_in_time(subject: Subject) -> str:
+    """Nearly all samples that are due come, are good, in order, and say when they were measured."""
+    watched, wanted = (
+        subject.watched,
+        SHARE * due(subject.bench, subject.kind, subject.watched.samples, WATCH_S),
+    )
+    good = [s for s in watched.samples if worst(s) is Status.OK]
+    if len(good) < max(2.0, wanted):
+        raise Broken(f"{len(good)} good samples in {WATCH_S:g} s", f"{max(2.0, wanted):.0f} or more", _LINK)
+    if np.any(np.diff([s.stamp.t_ns for s in good]) <= 0):
+        raise Broken("times of measurement go back", "each later than the one before", _DRIVER)
+    if np.any(np.diff([s.stamp.seq for s in watched.samples]) < 0):
+        raise Broken("sequence numbers go back", "none lower than the one before", _DRIVER)
+    for stamp in (s.stamp for s in good):
+        if not watched.began_ns - OLDEST_NS <= stamp.t_ns <= stamp.host_ns + EARLY_NS:
+            age_s = (stamp.host_ns - stamp.t_ns) / NS_PER_S
+            expected = f"0 to {OLDEST_NS / NS_PER_S:g} s before it arrived"
+            raise Broken(f"a sample measured {age_s:.3g} s before it arrived", expected, _LINK)
+        if not watched.began_ns - EARLY_NS <= stamp.host_ns <= watched.ended_ns:
+            raise Broken(
+                "a sample arrived before or after it was read", "arrival by the bench clock", _DRIVER
+            )
+    return f"{len(good)} of {len(watched.samples)} good in {WATCH_S:g} s"
+
+
+def no_data_is_no_number(subject: Subject) -> str:
+    """Samples are of their kind; arrays keep their shape; NaN stands for what was not received."""
+    kind, samples = kinds()[subject.kind], subject.watched.samples
+    names = arrays_of(kind.sample)
+    if not all(type(s) is kind.sample for s in samples):
+        raise Broken("samples of another type", kind.sample.__name__, _DRIVER)
+    for name in names:
+        forms = {(getattr(s, name).shape, getattr(s, name).dtype) for s in samples}
+        if len(forms) > 1 or not all(dtype in DTYPES.values() for _, dtype in forms):
+            raise Broken(
+                f"{name} has shapes and types {forms}", "one shape, and a type that is recorded", _DRIVER
+            )
+    for sample in samples:
+        states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
+        if len(states) != max(1, len(kind.labels)):
+            raise Broken(f"{len(states)} statuses", f"{max(1, len(kind.labels))}", _DRIVER)
+        for name in names:
+            for values, said in by_channel(getattr(sample, name), states):
+                if all(s is Status.OK for s in said) and not np.all(np.isfinite(values)):
+                    raise Broken(f"{name} is NaN or infinite with status ok", "a number", _DRIVER)
+                if all(s in NOTHING for s in said) and not np.all(np.isnan(values)):
+                    raise Broken(f"{name} has numbers with status {said[0].value}", "NaN", _DRIVER)
+    return f"{len(samples)} samples"
+
+
+def delivered_once(subject: Subject) -> str:
+    """No two samples have the same time and number."""
+    keys = [(s.stamp.t_ns, s.stamp.seq) for s in subject.watched.samples]
+    if len(set(keys)) != len(keys):
+        raise Broken(f"{len(keys) - len(set(keys))} of {len(keys)} samples came twice", "each once", _DRIVER)
+    return "each once"
+
+
+def reads_do_not_wait(subject: Subject) -> str:
+    """A read takes what is there; two of twenty may be late because this computer was busy elsewhere."""
+    clock, took_ns = subject.bench.clock, []
+    with subject.opened() as device:
+        read_for(subject.bench, device, SHORT_S)
+        for _ in range(_READS):
+            began_ns = clock.now_ns()
+            device.read()
+            took_ns.append(clock.now_ns() - began_ns)
+            clock.sleep_until_ns(began_ns + _STEP_NS)
+    usual_ns = sorted(took_ns)[-3]
+    told = f"{1e-6 * usual_ns:.2g} ms"
+    if usual_ns >= LONGEST_READ_NS:
+        raise Broken(f"reads take {told}", f"less than {1e-6 * LONGEST_READ_NS:g} ms", _LINK)
+    return told
+
+
+def recorded_bit_for_bit(subject: Subject) -> str:
+    """A recording gives back what was written; each topic has a message of every sample."""
+    kind, samples = kinds()[subject.kind], tuple(subject.watched.samples)
+    own = () if kind.name in OURS else (kind,)
+    delivered: dict[str, Any] = {"added": {kind.name: samples}} if own else {kind.name: samples}
+    inputs = Inputs(0, 0, **delivered)
+    again = CycleDecoder(describe(own)).decode(CycleEncoder(own).encode(_record_of(inputs)))
+    difference = first_difference({"inputs": inputs}, {"inputs": again.inputs})
+    if difference is not None:
+        raise Broken(f"recorded otherwise: {difference}", "what was written", _DRIVER)
+    for topic in kind.topics:
+        if not all(len(topic.encode(sample, 0)) > 4 for sample in samples):
+            raise Broken(f"{topic.name} has an empty message", "a message of every sample", _DRIVER)
+    return f"{len(samples)} samples"
+
+
+def same_seed_same_samples(subject: Subject) -> str:
+    """An emulated device takes chance from the world's seed and from nowhere else."""
+    anew = subject.anew
+    if anew is None:
+        return "in virtual time only"
+
+    def samples() -> tuple[Any, ...]:
+        bench = anew()
+        bench.begin()
+        try:
+            with Subject(bench, subject.kind).opened() as device:
+                return tuple(read_for(bench, device, SHORT_S))
+        finally:
+            bench.close()
+
+    difference = first_difference({"samples": samples()}, {"samples": samples()})
+    if difference is not None:
+        raise Broken(f"another run differs: {difference}", "the same samples from the same seed", _DRIVER)
+    return "twice the same"
+
+
+def arrays_of(sample: type[Any]) -> list[str]:
+    """Names of the fields of a sample that hold arrays."""
+    hints = typing.get_type_hints(sample)
+    return [f.name for f in fields(sample) if hints[f.name] == Array]
+
+
+def by_channel(values: Array, states: tuple[Status, ...]) -> list[tuple[Array, tuple[Status, ...]]]:
+    """Parts of an array with the statuses that speak of each: rows where it has one for every channel.
+
+    Whole numbers and booleans have no NaN, so nothing is asked of them.
+    """
+    if values.dtype.kind != "f":
+        return []
+    if values.ndim and len(values) == len(states):
+        return [(row, (state,)) for row, state in zip(values, states, strict=True)]
+    return [(values, states)]
+
+
+def _record_of(inputs: Inputs) -> CycleRecord:
+    """A cycle in which nothing was decided."""
+    rest = WheelSetpoint(np.zeros(4), np.zeros(4))
+    state = RobotState(0, np.zeros(3), np.zeros(3), np.zeros((6, 6)))
+    command = ServoSetpoint(np.zeros(4), np.zeros(4))
+    return CycleRecord(0, 0, 0, inputs, Measurements(0, 0), state, None, rest, command)
+
+
+AT_REST: Mapping[str, Callable[[Subject], str]] = {
+    "identity": says_what_it_is,
+    "opens again": opens_again,
+    "closed is a named error": closed_is_a_named_error,
+    "samples in time": samples_in_time,
+    "no data is no number": no_data_is_no_number,
+    "delivered once": delivered_once,
+    "reads do not wait": reads_do_not_wait,
+    "recorded bit for bit": recorded_bit_for_bit,
+    "same seed, same samples": same_seed_same_samples,
+}
+"""By what the promise is called on a page."""

@@ -1,0 +1,185 @@
+"""How late a bench is: how old samples are when they arrive, and how long after a command the axes turn.
+
+What a stand allows. From command to motion of the body, and how far each device's stamps are off, is what the
+procedure `latency` measures on the wheels.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hil.bench.bench import Bench
+from hil.bench.contract.in_motion import at_loop_rate, enabled, fresh, still
+from hil.bench.contract.subject import Broken, Subject, oldest_s
+from hil.bench.settings import real_time
+from hil.config.bench import BenchConfig
+from hil.ring.loop_timing import LoopStatistics
+from hil.ring.realtime import idle_loop
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock, nanoseconds
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import ServoSample, ServoSetpoint, Status, worst
+
+_TURN_RAD, _RATE_RAD_S, _LASTS_S, _TIMES = 0.07, 1.0, 0.6, 4
+BUSY_SHARE, _IDLE_S = 0.05, 2.0
+_LEAST_S, _MOST_S = 0.005, 0.15
+_BUS = "check baud rates, latency timer and servos.reply_slack_s; then hil run latency, on the wheels"
+
+
+def delays_at_rest(subject: Subject) -> str:
+    """Median and 95th percentile of the samples' age on arrival, by their own stamps, and of the reads.
+
+    Raises:
+        Broken: they are older than those of a healthy device.
+    """
+    watched = subject.watched
+    stamps = [s.stamp for s in watched.samples if worst(s) is Status.OK]
+    limit_s = oldest_s(subject.bench.config, subject.kind)
+    if not stamps:
+        raise Broken(
+            "no good sample", f"samples younger than {1e3 * limit_s:.3g} ms", "see `samples in time`"
+        )
+    age_ms = np.array([s.host_ns - s.t_ns for s in stamps]) * 1e-6
+    median, late = float(np.median(age_ms)), float(np.percentile(age_ms, 95))
+    read = 1e3 * float(np.percentile(watched.took_s, 99))
+    told = f"{median:.2f} ms old (95 %: {late:.2f} ms), read in {read:.2f} ms (99 %)"
+    if median >= 1e3 * limit_s:
+        raise Broken(
+            told, f"younger than {1e3 * limit_s:.3g} ms", "look at USB latency timer, hub and network"
+        )
+    return told
+
+
+def punctuality(config: BenchConfig) -> Finding:
+    """How punctual this computer is for now: a loop that does nothing, at the bench's rate, in real time."""
+    found = idle_for(config, _IDLE_S)
+    late = found.late / max(found.cycles, 1)
+    return Finding(
+        "bench", "this computer", "ok" if late <= BUSY_SHARE else "warning",
+        f"{found.late} of {found.cycles} cycles of a loop that does nothing began late",
+        f"at most {BUSY_SHARE:.0%}",
+        "" if late <= BUSY_SHARE else "end other programs, set loop.fifo_priority, then accept again: what "
+        "is said of samples and delays may be this computer's doing",
+    )  # fmt: skip
+
+
+def idle_for(config: BenchConfig, seconds: float) -> LoopStatistics:
+    """Punctuality of a loop that does nothing, at the bench's rate, in real time."""
+    clock = MonotonicClock()
+    scheduling = real_time(config, clock)
+    assert scheduling is not None
+    loop = config.loop
+    return idle_loop(clock, scheduling, seconds=seconds, rate_hz=loop.rate_hz, late_after_s=loop.late_after_s)
+
+
+def delays_in_motion(bench: Bench) -> Iterator[Finding]:
+    """From a command until the axes have turned, as servos and encoders say it.
+
+    Args:
+        bench: whose servos, and encoders if it has them, are open. The robot is on a stand.
+
+    Raises:
+        Broken, DeviceError: nothing could be measured.
+    """
+    steering, encoders, wheels = list[float](), list[float](), list[float]()
+    if (sensor := bench.rig.get("encoders")) is not None:
+        sensor.close()  # what has piled up while nobody read them is of no use
+        sensor.open()
+    with enabled(bench) as start:
+        at_loop_rate(bench, 0.3, still(start))
+        for number in range(_TIMES):
+            way = 1.0 if number % 2 == 0 else -1.0
+            turn = ServoSetpoint(np.zeros(4), start.position_rad[4:] + way * 0.5 * _TURN_RAD)
+            seen = _watch(bench, turn)
+            steering.append(_mean_delay_s(*seen["servos"]))
+            if "encoders" in seen:
+                encoders.append(_mean_delay_s(*seen["encoders"]))
+        at_loop_rate(bench, 0.5, still(start))
+        for number in range(_TIMES):
+            way = 1.0 if number % 2 == 0 else -1.0
+            wheels.append(_rolling_delay_s(bench, start, way * _RATE_RAD_S))
+    for device, check, found in (
+        ("servos", "command to steering", steering), ("encoders", "command to steering", encoders),
+        ("servos", "command to wheels", wheels),
+    ):  # fmt: skip
+        if found:
+            yield _delay(device, check, np.array(found))
+
+
+def _delay(device: str, check: str, found_s: Array) -> Finding:
+    median, spread = 1e3 * float(np.median(found_s)), 1e3 * float(np.ptp(found_s))
+    right = _LEAST_S <= 1e-3 * median <= _MOST_S
+    return Finding(
+        device, check, "ok" if right else "failure",
+        f"{median:.1f} ms (span of {len(found_s)}: {spread:.1f} ms)",
+        f"{1e3 * _LEAST_S:g} to {1e3 * _MOST_S:g} ms", "" if right else _BUS,
+    )  # fmt: skip
+
+
+def _watch(bench: Bench, setpoint: ServoSetpoint) -> dict[str, tuple[Array, Array]]:
+    """Command once a cycle; by device, times since the first command, s, and mean steering angles, rad."""
+    servos, sensor = bench.rig.servos, bench.rig.get("encoders")
+    assert servos is not None
+    before = fresh(bench)
+    rows: dict[str, list[tuple[int, float]]] = {"servos": [], "encoders": []}
+    if sensor is not None:
+        sensor.read()
+    began_ns = next_ns = bench.clock.now_ns()
+    rows["servos"].append((began_ns, float(before.position_rad[4:].mean())))
+    for _ in range(round(_LASTS_S * bench.config.loop.rate_hz)):
+        servos.command(setpoint)
+        rows["servos"] += [(s.stamp.t_ns, float(s.position_rad[4:].mean())) for s in servos.read() if s.ok]
+        if sensor is not None:
+            rows["encoders"] += [
+                (s.stamp.t_ns, float(s.angle_rad.mean())) for s in sensor.read() if worst(s) is Status.OK
+            ]
+        next_ns += nanoseconds(1.0 / bench.config.loop.rate_hz)
+        bench.clock.sleep_until_ns(next_ns)
+    return {
+        name: ((np.array([t for t, _ in seen]) - began_ns) / NS_PER_S, np.array([a for _, a in seen]))
+        for name, seen in rows.items()
+        if len(seen) > 2
+    }
+
+
+def _mean_delay_s(t_s: Array, angle_rad: Array) -> float:
+    """Mean delay of a step's response: the area between the step and the response, over the step.
+
+    Times before 0 belong to before the step; the response is taken to have ended by the last fifth.
+    """
+    late = t_s > 0.8 * _LASTS_S
+    first, last = float(angle_rad[0]), float(angle_rad[late].mean())
+    if not abs(last - first) > 0.2 * _TURN_RAD:
+        raise Broken(f"the steering turned by {last - first:.3f} rad", f"about {_TURN_RAD:g} rad", _BUS)
+    left = 1.0 - (angle_rad - first) / (last - first)
+    after = t_s >= 0.0
+    t_s, left = np.append(0.0, t_s[after]), np.append(1.0, left[after])
+    return float(np.sum(0.5 * (left[1:] + left[:-1]) * np.diff(t_s)))
+
+
+def _rolling_delay_s(bench: Bench, start: ServoSample, rate_rad_s: float) -> float:
+    """When the line through the wheels' steady turning leaves their angle at rest, after the command."""
+    servos = bench.rig.servos
+    assert servos is not None
+    rest = float(at_loop_rate(bench, 0.4, still(start)).position_rad[:4].mean())
+    began_ns = next_ns = bench.clock.now_ns()
+    setpoint = ServoSetpoint(np.full(4, rate_rad_s), start.position_rad[4:].copy())
+    rows = list[tuple[float, float]]()
+    for _ in range(round(_LASTS_S * bench.config.loop.rate_hz)):
+        servos.command(setpoint)
+        rows += [
+            ((s.stamp.t_ns - began_ns) / NS_PER_S, float(s.position_rad[:4].mean()))
+            for s in servos.read()
+            if s.ok
+        ]
+        next_ns += nanoseconds(1.0 / bench.config.loop.rate_hz)
+        bench.clock.sleep_until_ns(next_ns)
+    steady = np.array([row for row in rows if row[0] > 0.5 * _LASTS_S]).reshape(-1, 2)
+    if len(steady) < 3:
+        raise Broken(f"{len(steady)} good samples of the wheels", "one a cycle", "check cable and supply")
+    rate, offset = np.polyfit(steady[:, 0], steady[:, 1], 1)
+    if not abs(rate) > 0.5 * abs(rate_rad_s):
+        raise Broken(f"the wheels turn at {rate:.2f} rad/s", f"{rate_rad_s:g} rad/s", _BUS)
+    return float((rest - offset) / rate)

@@ -1,0 +1,221 @@
+"""What the servos promise when they are commanded. Wheels turn: the robot is on a stand or on an open floor.
+
+Every check takes a bench whose servos are open, ends with wheels at rest and torque on, and puts the steering
+back to where it was.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import Any, cast
+
+import numpy as np
+
+from hil.bench.bench import Bench
+from hil.bench.contract.subject import Broken
+from hil.config.servos import ServosConfig
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.signals import SERVOS, ServoSample, ServoSetpoint
+
+_PATIENCE_S = 1.0
+_RATE_RAD_S = 1.0
+_STEP = np.array([0.1, -0.1, 0.1, -0.1])
+_RESTS_RAD, _STEERS_RAD, _RATE_OFF_RAD_S = 0.01, 0.03, 0.1
+_HORN = "check the horn, the load on the axis and the servo's gains"
+_VOLTS, _CELSIUS = (9.0, 16.0), (5.0, 80.0)
+_HEALTH_S, _SILENT_S = 2.5, 1.5
+
+
+def pause(bench: Bench, duration_s: float) -> None:
+    """Let time pass in which nobody talks to a device."""
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(duration_s))
+
+
+def fresh(bench: Bench) -> ServoSample:
+    """The next sample in which all eight are good: a reading lost or marked is data, not a failure."""
+    servos = _servos(bench)
+    for _ in range(round(_PATIENCE_S * bench.config.loop.rate_hz)):
+        (sample,) = servos.read()
+        if sample.ok:
+            return cast("ServoSample", sample)
+        pause(bench, 1.0 / bench.config.loop.rate_hz)
+    told = ", ".join(f"{n} {s.value}" for n, s in zip(SERVOS, sample.status, strict=True) if s.value != "ok")
+    raise Broken(f"no good sample in {_PATIENCE_S:g} s: {told}", "all eight", "check cable and supply")
+
+
+def at_loop_rate(bench: Bench, duration_s: float, setpoint: ServoSetpoint | None = None) -> ServoSample:
+    """Read (and command) at the loop rate; the last good sample."""
+    period_ns = nanoseconds(1.0 / bench.config.loop.rate_hz)
+    next_ns, servos = bench.clock.now_ns(), _servos(bench)
+    for _ in range(round(duration_s * bench.config.loop.rate_hz)):
+        if setpoint is not None:
+            servos.command(setpoint)
+        servos.read()
+        next_ns += period_ns
+        bench.clock.sleep_until_ns(next_ns)
+    return fresh(bench)
+
+
+@contextmanager
+def enabled(bench: Bench) -> Iterator[ServoSample]:
+    """Torque on; wheels at rest afterwards, whatever happened. Gives the angles at the beginning."""
+    servos = _servos(bench)
+    servos.enable()
+    try:
+        yield fresh(bench)
+    finally:
+        servos.stop()
+
+
+def still(sample: ServoSample) -> ServoSetpoint:
+    """Stay where a sample was."""
+    return ServoSetpoint(np.zeros(4), sample.position_rad[4:].copy())
+
+
+def rolling(sample: ServoSample, rate_rad_s: float = _RATE_RAD_S) -> ServoSetpoint:
+    """All wheels at one rate, the steering as it was."""
+    return ServoSetpoint(np.full(4, rate_rad_s), sample.position_rad[4:].copy())
+
+
+def enabling_moves_nothing(bench: Bench) -> str:
+    """A robot without torque may creep down its wall until the moment at which it is held."""
+    before = fresh(bench)
+    with enabled(bench) as held:
+        _near("turned when torque came on", held.position_rad, before.position_rad, 0.1)
+        after = at_loop_rate(bench, 0.5, still(held))
+    return _near("turned when held", after.position_rad, held.position_rad, 0.02)
+
+
+def goals_are_reached(bench: Bench) -> str:
+    """Rates and angles are reached, each with its own sign."""
+    with enabled(bench) as start:
+        turned = ServoSetpoint(5.0 * _STEP, start.position_rad[4:] + _STEP)
+        sample = at_loop_rate(bench, 1.5, turned)
+        _near("wheel rates", sample.velocity_rad_s[:4], turned.drive_velocity_rad_s, _RATE_OFF_RAD_S, "rad/s")
+        told = _near("steering", sample.position_rad[4:], turned.steer_position_rad, _STEERS_RAD)
+        moved = sample.position_rad[:4] - start.position_rad[:4]
+        if not np.all(np.sign(moved) == np.sign(turned.drive_velocity_rad_s)):
+            raise Broken(f"wheels turned by {np.round(moved, 2)} rad", "the signs of the goals", _HORN)
+        back = at_loop_rate(bench, 1.0, still(start))
+        _near("steering, back again,", back.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+    return told
+
+
+def stop_holds(bench: Bench) -> str:
+    """After a stop the wheels rest and the steering stays."""
+    with enabled(bench) as start:
+        at_loop_rate(bench, 0.5, rolling(start))
+        _servos(bench).stop()
+        resting = at_loop_rate(bench, 0.4)
+        later = at_loop_rate(bench, 0.4)
+        _near("turned after the stop", later.position_rad, resting.position_rad, _RESTS_RAD)
+        return _near("steering", later.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+
+
+def a_forgotten_wheel_stops(bench: Bench) -> str:
+    """A program that forgets its wheels leaves a held robot."""
+    with enabled(bench) as start:
+        moving = at_loop_rate(bench, 0.5, rolling(start))
+        pause(bench, _SILENT_S)
+        quiet = fresh(bench)
+        later = at_loop_rate(bench, 0.2)
+        went_rad = float(np.max(quiet.position_rad[:4] - moving.position_rad[:4]))
+        if went_rad >= 0.8:
+            raise Broken(
+                f"wheels went on for {went_rad:.2f} rad", "less than 0.8 rad", "set servos.watchdog_s"
+            )
+        _near("turned in silence", later.position_rad, quiet.position_rad, 0.02)
+        _near("steering", later.position_rad[4:], start.position_rad[4:], _STEERS_RAD)
+        return f"after {went_rad:.2f} rad"
+
+
+def obeys_after_silence(bench: Bench) -> str:
+    """Servos that nobody talked to are looked after, and obey the next goals."""
+    with enabled(bench) as start:
+        pause(bench, 5.0 * _table(bench).watchdog_s)
+        trouble = _servos(bench).look_after().trouble
+        if trouble:
+            raise Broken(f"{trouble}", "servos that were looked after", "check supply and cable")
+        fresh(bench)
+        moving = at_loop_rate(bench, 0.5, rolling(start))
+        return _near(
+            "wheel rates", moving.velocity_rad_s[:4], np.full(4, _RATE_RAD_S), _RATE_OFF_RAD_S, "rad/s"
+        )
+
+
+def goals_beyond_limits_are_clipped(bench: Bench) -> str:
+    """A rate beyond the limit becomes the limit."""
+    with enabled(bench) as start:
+        sample = at_loop_rate(bench, 0.6, rolling(start, 50.0))
+        limit = _table(bench).velocity_limit_rad_s
+        slowest, fastest = (float(f(sample.velocity_rad_s[:4])) for f in (np.min, np.max))
+        if fastest > limit + 0.2 or slowest <= 0.5:
+            raise Broken(f"{slowest:.2f} to {fastest:.2f} rad/s", f"up to {limit:g} rad/s", _HORN)
+        return f"{fastest:.2f} of {limit:g} rad/s"
+
+
+def health_is_told(bench: Bench) -> str:
+    """Voltage and temperature come at their own slow rate."""
+    found, servos = list[Any](), _servos(bench)
+    for _ in range(round(100.0 * _HEALTH_S)):
+        servos.read()
+        found += servos.read_health()
+        pause(bench, 0.01)
+    if not 1 <= len(found) <= 4:
+        raise Broken(f"{len(found)} reports in {_HEALTH_S:g} s", "one to four", "check the servo bus")
+    volts, celsius = found[-1].voltage_v, found[-1].temperature_c
+    told = (
+        f"{np.min(volts):.1f} to {np.max(volts):.1f} V, {np.min(celsius):.0f} to {np.max(celsius):.0f} degC"
+    )
+    if not (_within(volts, _VOLTS) and _within(celsius, _CELSIUS)):
+        expected = f"{_VOLTS[0]:g} to {_VOLTS[1]:g} V, {_CELSIUS[0]:g} to {_CELSIUS[1]:g} degC"
+        raise Broken(told, expected, "check supply and load of the servos")
+    return told
+
+
+def stop_never_raises(bench: Bench) -> str:
+    """Not even on a closed port."""
+    servos = _servos(bench)
+    servos.close()
+    servos.stop()
+    servos.open()
+    return "not on a closed port either"
+
+
+def _servos(bench: Bench) -> Any:
+    return bench.rig.servos
+
+
+def _table(bench: Bench) -> ServosConfig:
+    table = bench.config.of(ServosConfig)
+    assert table is not None
+    return table
+
+
+def _within(values: Array, limits: tuple[float, float]) -> bool:
+    return bool(np.all((values > limits[0]) & (values < limits[1])))
+
+
+def _near(what: str, values: Array, wanted: Array, tolerance: float, unit: str = "rad") -> str:
+    """Raise `Broken` where one is farther off than it may be; names the joint."""
+    off = np.abs(values - wanted)
+    names = SERVOS if len(off) == 8 else SERVOS[:4] if unit == "rad/s" else SERVOS[4:]
+    if not np.all(off <= tolerance):
+        told = ", ".join(f"{n} {o:.3f}" for n, o in zip(names, off, strict=True) if not o <= tolerance)
+        raise Broken(f"{what}: off by {told} {unit}", f"at most {tolerance:g} {unit}", _HORN)
+    return f"off by at most {np.max(off):.3f} {unit}"
+
+
+IN_MOTION: Mapping[str, Callable[[Bench], str]] = {
+    "enabling moves nothing": enabling_moves_nothing,
+    "goals are reached": goals_are_reached,
+    "stop holds": stop_holds,
+    "a forgotten wheel stops": a_forgotten_wheel_stops,
+    "obeys after silence": obeys_after_silence,
+    "goals beyond limits are clipped": goals_beyond_limits_are_clipped,
+    "health is told": health_is_told,
+    "stop never raises": stop_never_raises,
+}
+"""By what the promise is called on a page."""

@@ -1,0 +1,79 @@
+"""`hil accept`: a bench on its first day, from doctor to turning wheels, and the page that is signed."""
+
+from __future__ import annotations
+
+import json
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from hil.cli.options import SEED, results_folder
+from hil.cli.progress import reporting
+
+
+@click.command()
+@click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
+@click.option("--on-stand", is_flag=True, help="The wheels are free and may turn: do not ask.")
+@click.option("--emulate", help="Devices to emulate: all, or comma-separated names.")
+@click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
+@click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
+@click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
+@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the question.")
+@click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/accept/TIME].")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(
+    bench: str, on_stand: bool, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...],
+    answers: Path | None, out: Path | None, as_json: bool,
+) -> int:  # fmt: skip
+    """Everything that supplier or lab sign on the first day, on one page.
+
+    Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
+    right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
+    and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
+    promise was broken, 4 if wheels were not allowed to turn or something ended it. A page there always is.
+    """
+    from hil.procedure.acceptance import Acceptance, accept
+    from hil.procedure.bench_source import BenchSource
+    from hil.procedure.interrupts import Interrupts
+    from hil.procedure.operator import Answers, Terminal
+    from hil.report.acceptance_page import write_acceptance
+    from hil.vocabulary.files import check_folder
+
+    folder = results_folder("accept", out, None)
+    check_folder(folder)
+    interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
+    source = BenchSource(bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults)
+    with interrupts.installed(), interrupts.deferred():
+        with reporting() as report:
+            told, code = accept(
+                Acceptance(
+                    source, _now, on_stand=on_stand,
+                    operator=Terminal() if answers is None else Answers(answers), report=report,
+                    interrupts=interrupts,
+                )
+            )  # fmt: skip
+        told = write_acceptance(folder, told)
+        click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
+    return code
+
+
+def _now() -> str:
+    return datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _text(told: dict[str, Any]) -> str:
+    lines = []
+    for stage in told["stages"]:
+        lines.append(f"{stage['verdict']:8}{stage['name']:10}{stage['why']}".rstrip())
+        for finding in stage["findings"]:
+            if finding["level"] == "ok":
+                continue
+            mark = {"warning": "warn", "failure": "FAIL"}[finding["level"]]
+            lines.append(f"  {mark} {finding['device']} {finding['check']}: {finding['found']}")
+            expected = f"expected {finding['expected']}" if finding["expected"] else ""
+            if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
+                lines.append(f"       {hints}")
+    lines.append(f"{told['verdict']}: the page to sign is {told['page']}, its data {told['data']}")
+    return "\n".join(lines)

@@ -1,0 +1,306 @@
+"""Acceptance: is this bench, as it stands here today, what its file says, and does it keep its promises?
+
+Doctor, the contract of every device, how old their samples are; then, if a person says that the robot is on
+a stand, the contract of the servos with turning wheels and how late they turn. The same stages for emulated
+devices and real ones. What was found is kept whatever ends it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from hil.bench import Bench
+from hil.bench.contract import (
+    AT_REST,
+    IN_MOTION,
+    Subject,
+    delays_at_rest,
+    delays_in_motion,
+    judged,
+    punctuality,
+)
+from hil.bench.doctor import examine
+from hil.bench.what_opens import open_what_can_be
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.commission.stages import off_the_wall
+from hil.procedure.interrupts import Interrupts
+from hil.procedure.measurements import Verdict
+from hil.procedure.operator import Operator, Terminal
+from hil.vocabulary.errors import (
+    EXIT_ABORTED,
+    EXIT_DEVICE,
+    EXIT_LIMIT_FAILED,
+    EXIT_PASS,
+    Aborted,
+    HilError,
+)
+from hil.vocabulary.finding import Finding
+from hil.vocabulary.progress import Report, silent
+from hil.vocabulary.versions import versions
+
+DOCTOR, CONTRACT, LATENCY, MOTION = "doctor", "contract", "latency", "motion"
+TITLES = {
+    DOCTOR: "The machine and every device by itself",
+    CONTRACT: "What every device promises, without motion",
+    LATENCY: "How old the samples are",
+    MOTION: "With turning wheels, on a stand",
+}
+QUESTION = "is the robot on a stand, all four wheels free, and nobody's fingers near them? (yes/no)"
+
+
+@dataclass
+class Stage:
+    """One part of an acceptance: what was found, and the verdict once it has ended."""
+
+    name: str
+    verdict: str = Verdict.ABORTED.value
+    why: str = "not begun"
+    findings: list[Finding] = field(default_factory=list)
+
+    def end(self, verdict: Verdict | None = None, why: str = "") -> None:
+        """Judge it by its findings, unless a verdict is given."""
+        failed = sum(f.level == "failure" for f in self.findings)
+        self.why = why or (f"{failed} of {len(self.findings)} checks failed" if failed else "")
+        self.verdict = (verdict or (Verdict.FAIL if failed else Verdict.PASS)).value
+
+    def to_json(self) -> dict[str, Any]:
+        """As plain data."""
+        findings = [f.to_json() for f in self.findings]
+        return {"name": self.name, "title": TITLES[self.name], "verdict": self.verdict, "why": self.why,
+                "findings": findings}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Acceptance:
+    """What to accept and how.
+
+    Attributes:
+        source: the bench.
+        now: date and time, ISO 8601.
+        on_stand: somebody has said that the wheels are free; otherwise the operator is asked.
+        operator: who answers.
+        report: progress.
+        interrupts: signals.
+        watch_s: how long the doctor reads each device.
+    """
+
+    source: BenchSource
+    now: Callable[[], str]
+    on_stand: bool = False
+    operator: Operator = field(default_factory=Terminal)
+    report: Report = silent
+    interrupts: Interrupts = field(default_factory=Interrupts)
+    watch_s: float = 2.0
+
+
+def accept(asked: Acceptance) -> tuple[dict[str, Any], int]:
+    """Run all stages; wheels turn only if all before was right, and a person has said that they may.
+
+    Args:
+        asked: what and how.
+
+    Returns:
+        JSON values (`verdict`, `bench`, `stages`, `devices`, `files`, ...), and the exit code.
+
+    Raises:
+        ConfigError, UsageError: bench file or fault are wrong; no device was opened.
+    """
+    config = asked.source.config
+    asked.source.check_faults()
+    began = asked.now()
+    run = _Running(asked)
+    ended_by = ""
+    try:
+        run.all()
+    except Aborted as aborted:
+        ended_by = aborted.message
+        run.current.end(Verdict.ABORTED, aborted.message)
+    told = {
+        "verdict": run.verdict().value,
+        "bench": config.name,
+        "robot": config.robot.name,
+        "began": began,
+        "ended": asked.now(),
+        "backends": "virtual time" if asked.source.virtual else "real time",
+        "seed": asked.source.seed,
+        "faults": list(asked.source.faults),
+        "stopped": ended_by,
+        "devices": run.devices(),
+        "files": list(_files(asked.source)),
+        "versions": versions(),
+        "held": run.held,
+        "stages": [stage.to_json() for stage in run.stages.values()],
+    }
+    return told, run.exit_code()
+
+
+class _Running:
+    """The stages of one acceptance, one after the other."""
+
+    def __init__(self, asked: Acceptance) -> None:
+        self._asked, self._config = asked, asked.source.config
+        self.stages = {name: Stage(name) for name in TITLES}
+        self.current = self.stages[DOCTOR]
+        self.held: dict[str, object] | None = None
+        self._identities: dict[str, dict[str, str]] = {}
+
+    def all(self) -> None:
+        """Every stage; raises `Aborted` where a person or a signal ends it."""
+        self._look()
+        self._contracts()
+        stage = self.current = self.stages[MOTION]
+        stage.why = "not done"
+        if "servos" not in self._config.devices():
+            stage.end(Verdict.PASS, "the bench has no servos: nothing can turn")
+        elif any(s.verdict == Verdict.FAIL.value for s in self.stages.values()):
+            stage.end(Verdict.ABORTED, "not done: mend first what failed above, then accept again")
+        else:
+            self._may_turn()
+            self._turn(stage)
+
+    def verdict(self) -> Verdict:
+        """Of the whole."""
+        verdicts = {stage.verdict for stage in self.stages.values()}
+        return next((v for v in (Verdict.FAIL, Verdict.ABORTED) if v.value in verdicts), Verdict.PASS)
+
+    def exit_code(self) -> int:
+        """As `hil` ends: 3 where the doctor found a device that is wrong, as `hil doctor` does."""
+        if self.verdict() is Verdict.PASS:
+            return EXIT_PASS
+        if self.verdict() is Verdict.ABORTED:
+            return EXIT_ABORTED
+        sick = self.stages[DOCTOR].verdict == Verdict.FAIL.value
+        return EXIT_DEVICE if sick else EXIT_LIMIT_FAILED
+
+    def devices(self) -> dict[str, dict[str, Any]]:
+        """Each device: whether it is real, and who it said it is."""
+        real = self._asked.source.real
+        return {
+            name: {"backend": "real" if name in real else "emulated",
+                   "model": getattr(table, "model", name), "identity": self._identities.get(name, {})}
+            for name, table in self._config.devices().items()
+        }  # fmt: skip
+
+    def _opened(self) -> tuple[Bench, list[Finding]]:
+        source = self._asked.source
+        return open_what_can_be(
+            source.bench, emulate=source.emulate, seed=source.seed, realtime=source.realtime,
+            faults=source.faults, overrides=source.overrides, calibration=source.calibration,
+        )  # fmt: skip
+
+    def _look(self) -> None:
+        """What `hil doctor` says."""
+        stage, total = self.stages[DOCTOR], len(self._config.devices())
+        self._asked.report(DOCTOR, 0, total)
+        with self._asked.interrupts.heeded():
+            bench, stage.findings = self._opened()
+            seen = {f.device for f in stage.findings}
+            for finding in examine(bench, watch_s=self._asked.watch_s):
+                stage.findings.append(finding)
+                if finding.device in self._config.devices() and finding.device not in seen:
+                    seen.add(finding.device)
+                    self._asked.report(DOCTOR, len(seen), total)
+        stage.end()
+
+    def _contracts(self) -> None:
+        """The contract of every device that could be opened, and the age of its samples."""
+        self.current, late = self.stages[CONTRACT], self.stages[LATENCY]
+        if not self._asked.source.virtual:
+            late.findings.append(punctuality(self._config))
+        closed = {
+            f.device for f in self.stages[DOCTOR].findings if f.check == "open" and f.level == "failure"
+        }
+        devices = [name for name in self._config.devices() if name not in closed]
+        anew = self._asked.source.open if self._asked.source.virtual else None
+        bench, _ = self._opened()
+        try:
+            bench.begin()
+            for number, name in enumerate(devices):
+                self._asked.report(CONTRACT, number, len(devices))
+                subject = Subject(bench, name, anew)
+                for promise, check in AT_REST.items():
+                    self._one(self.current, name, promise, partial(check, subject))
+                self._one(late, name, "age of samples", partial(delays_at_rest, subject))
+                if "watched" in subject.__dict__:
+                    self._identities[name] = dict(subject.watched.identity)
+        finally:
+            bench.close()
+        self._asked.report(CONTRACT, len(devices), max(len(devices), 1))
+        left = f"not asked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
+        self.current.end(why=left)
+        late.end(why=left)
+
+    def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
+        """One check; a signal before it, or within, ends the acceptance."""
+        self._asked.interrupts.finish_here()
+        with self._asked.interrupts.heeded():
+            stage.findings.append(judged(device, promise, check))
+
+    def _may_turn(self) -> None:
+        """Raise `Aborted` unless the servos are emulated, or a person says that the wheels are free."""
+        asked = self._asked
+        if "servos" not in asked.source.real or asked.on_stand:
+            return
+        with asked.interrupts.heeded():
+            answer = asked.operator.ask(QUESTION)
+        if answer.strip().lower() not in ("y", "yes"):
+            raise Aborted("the wheels did not turn: nobody has said that the robot is on a stand")
+
+    def _turn(self, stage: Stage) -> None:
+        """Contract and delays of the servos; the first that fails is the last that moves."""
+        source = self._asked.source.changed(overrides=off_the_wall(self._config))
+        bench = source.open()
+        try:
+            with bench:
+                self._checks_in_motion(stage, bench)
+        except Aborted:
+            raise
+        except HilError as error:
+            device = str(getattr(error, "device", "bench"))
+            stage.findings.append(
+                Finding(device, "open", "failure", error.message, error.expected, error.remedy)
+            )
+        finally:
+            self.held = bench.held.to_json() if bench.held is not None else None
+        stage.end()
+
+    def _checks_in_motion(self, stage: Stage, bench: Bench) -> None:
+        for number, (promise, check) in enumerate(IN_MOTION.items()):
+            self._asked.report(MOTION, number, len(IN_MOTION) + 1)
+            self._one(stage, "servos", promise, partial(check, bench))
+            if stage.findings[-1].level == "failure":
+                return
+        found: list[Finding] = []
+        self._one(stage, "servos", "delays", lambda: _collected(found, delays_in_motion(bench)))
+        stage.findings += found
+        self._asked.report(MOTION, len(IN_MOTION) + 1, len(IN_MOTION) + 1)
+
+
+def _collected(found: list[Finding], findings: Iterator[Finding]) -> str:
+    found += findings
+    return "measured"
+
+
+def _files(source: BenchSource) -> Iterator[dict[str, str]]:
+    """What the bench was made from, each with its SHA-256: what a signature under the report speaks of."""
+    config = source.config
+    used = json.dumps(config.model_dump(mode="json", by_alias=True), sort_keys=True).encode()
+    if isinstance(source.bench, (str, Path)) and Path(source.bench).is_file():
+        yield _file("bench file", Path(source.bench))
+    yield {"what": "configuration as used", "path": config.name, "sha256": hashlib.sha256(used).hexdigest()}
+    if config.record.folder and (Path(config.record.folder) / "record.toml").is_file():
+        yield _file("record of the robot", Path(config.record.folder) / "record.toml")
+    calibration = source.describe_calibration()
+    if calibration is not None:
+        yield {"what": f"calibration, version {calibration['version']}", "path": calibration["path"],
+               "sha256": calibration["sha256"]}  # fmt: skip
+
+
+def _file(what: str, path: Path) -> dict[str, str]:
+    return {"what": what, "path": str(path), "sha256": hashlib.sha256(path.read_bytes()).hexdigest()}

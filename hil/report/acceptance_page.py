@@ -1,0 +1,50 @@
+"""The page of an acceptance: verdict, who the devices are, every check, and lines to sign; and its JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hil.report.run_page import environment
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import write_text
+
+PAGE, DATA = "accept.html", "accept.json"
+
+
+def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
+    """Write `accept.json`, and `accept.html` which names its SHA-256.
+
+    Args:
+        folder: which need not exist.
+        told: as `hil.procedure.acceptance.accept` returns it.
+
+    Returns:
+        The same with `page`, `data` and `folder`, the paths of what was written.
+
+    Raises:
+        DataError: they cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(str(folder), f"cannot be made ({error.strerror or error})") from None
+    text = json.dumps(told, indent=2, allow_nan=False) + "\n"
+    data = write_text(folder / DATA, text)
+    page = environment().get_template("acceptance.html").render(
+        told=told, rows=[_counted(stage) for stage in told["stages"]],
+        digest=hashlib.sha256(data.read_bytes()).hexdigest(), data=DATA,
+    )  # fmt: skip
+    path = write_text(folder / PAGE, page)
+    return {**told, "folder": str(folder), "page": str(path), "data": str(data)}
+
+
+def _counted(stage: Mapping[str, Any]) -> dict[str, Any]:
+    """A stage with how many of its checks came out how."""
+    levels = [finding["level"] for finding in stage["findings"]]
+    words = {"ok": "right", "warning": "warnings", "failure": "failed"}
+    counted = ", ".join(f"{levels.count(k)} {word}" for k, word in words.items() if k in levels)
+    return {**stage, "counted": counted}

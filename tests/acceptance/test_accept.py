@@ -1,0 +1,217 @@
+"""`hil accept`: what passes, what fails with device and remedy, and that no wheel turns without a word."""
+
+import hashlib
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from hil.cli import main
+from hil.config.encoders import SHIPPED_DBC
+from hil.procedure import acceptance
+from hil.procedure.acceptance import QUESTION, Acceptance, accept
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.interrupts import Interrupts
+from hil.procedure.operator import Operator
+from hil.report.acceptance_page import write_acceptance
+from hil.vocabulary.errors import Aborted
+
+SERVOS = '[servos]\nbackend = "emulated"\n'
+ENCODERS = '[encoders]\nbackend = "emulated"\ninterface = "hil"\n'
+HEAD = 'schema = 1\nname = "lab"\n[robot]\nname = "climber 2"\n'
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """A bench file of some tables."""
+
+    def write(*tables):
+        path = tmp_path / "my.toml"
+        path.write_text("\n".join((HEAD, *tables)))
+        return path
+
+    return write
+
+
+@pytest.fixture
+def hil(tmp_path, capsys):
+    """`hil accept` with `--json`: exit code and what it told."""
+
+    def run(*arguments):
+        code = main(["accept", "--json", "--out", str(tmp_path / "out"), *map(str, arguments)])
+        return code, json.loads(capsys.readouterr().out)
+
+    return run
+
+
+def stages(told):
+    return {stage["name"]: stage for stage in told["stages"]}
+
+
+def failures(told):
+    return [f for s in told["stages"] for f in s["findings"] if f["level"] == "failure"]
+
+
+class Asked(Operator):
+    """Answers in a fixed way, and remembers the questions."""
+
+    def __init__(self, answer):
+        self.answer, self.questions = answer, []
+
+    def ask(self, question):
+        self.questions.append(question)
+        if self.answer is None:
+            raise Aborted("there is no operator")
+        return self.answer
+
+
+def now():
+    return "2030-01-01T12:00:00+00:00"
+
+
+@pytest.fixture(scope="module")
+def healthy(tmp_path_factory):
+    """Folder, exit code and result of the acceptance of a bench on which nothing is wrong."""
+    folder = tmp_path_factory.mktemp("healthy")
+    path = folder / "my.toml"
+    path.write_text("\n".join((HEAD, SERVOS, ENCODERS)))
+    told, code = accept(Acceptance(BenchSource(path), now))
+    return folder, code, write_acceptance(folder, told)
+
+
+def test_a_healthy_bench_passes_and_its_page_names_what_was_accepted(healthy):
+    folder, code, told = healthy
+    assert (code, told["verdict"], failures(told)) == (0, "PASS", [])
+    motion = {(f["device"], f["check"]): f["found"] for f in stages(told)["motion"]["findings"]}
+    for axis in (("servos", "command to steering"), ("encoders", "command to steering"),
+                 ("servos", "command to wheels")):  # fmt: skip
+        assert 20.0 < float(motion[axis].split()[0]) < 150.0, axis  # 40 to 100 ms on the robot
+    promises = {f["check"] for f in stages(told)["contract"]["findings"] if f["device"] == "encoders"}
+    assert promises == set(acceptance.AT_REST)
+    page, data = Path(told["page"]).read_text(), Path(told["data"]).read_bytes()
+    for text in (
+        hashlib.sha256((folder / "my.toml").read_bytes()).hexdigest(), hashlib.sha256(data).hexdigest(),
+        "climber 2", "XH430-W210 (1010); firmware 46", "firmware 1", "signature", "accepted by",
+    ):  # fmt: skip
+        assert text in page, text
+    assert json.loads(data)["verdict"] == "PASS"
+
+
+@pytest.mark.parametrize(
+    ("tables", "options", "device", "found", "remedy"),
+    [
+        (['[tracker]\nbackend = "emulated"', '[emulation.tracker]\nfirmware = "0.2.0.926"'], (), "tracker",
+         "0.2.0.926", "pyrealsense2 2.53.1"),
+        ([ENCODERS, "[emulation.encoders]\nlayout = 7"], (), "encoders",
+         "frames of layout 7", "flash the firmware"),
+        ([f'{ENCODERS}dbc = "other.dbc"'], (), "encoders", "0x1A0", "encoders.dbc"),
+        (['[imu]\nbackend = "emulated"'], ("--fault", "imu:off"), "imu", "no BNO055 answers", "power"),
+        ([SERVOS], ("--fault", "servo.drive_BL:off"), "servos", "drive_BL", "power"),
+    ],
+    ids=["camera firmware", "node firmware", "node of another DBC", "silent IMU", "silent servo"],
+)  # fmt: skip
+def test_a_sick_device_fails_with_its_name_and_what_to_do(
+    hil, bench, tmp_path, tables, options, device, found, remedy
+):
+    text = SHIPPED_DBC.read_text().replace("BO_ 416 ", "BO_ 432 ").replace("BO_ 417 ", "BO_ 433 ")
+    (tmp_path / "other.dbc").write_text(text)
+    code, told = hil("--bench", bench(*tables), *options)
+    assert (code, told["verdict"]) == (3, "FAIL")
+    first = failures(told)[0]
+    assert first["device"] == device
+    assert found in first["found"] + first["expected"]
+    assert remedy in first["remedy"]
+    assert remedy in (tmp_path / "out" / "accept.html").read_text()
+    assert not stages(told)["motion"]["findings"]
+
+
+def test_when_no_device_answers_each_is_named_and_nothing_else_is_tried(hil, bench):
+    path = bench(SERVOS, '[imu]\nbackend = "emulated"')
+    code, told = hil("--bench", path, "--fault", "servos:off", "--fault", "imu:off")
+    assert code == 3
+    assert {f["device"] for f in failures(told)} == {"servos", "imu"}
+    assert stages(told)["contract"]["findings"] == []
+    assert "imu, servos" in stages(told)["contract"]["why"]
+    assert "mend first" in stages(told)["motion"]["why"]
+
+
+@pytest.fixture
+def looked(monkeypatch):
+    """Acceptances of which only the question and what follows it is of interest."""
+    monkeypatch.setattr(acceptance._Running, "_look", lambda self: self.stages["doctor"].end())
+
+    def nothing_wrong(self):
+        for name in ("contract", "latency"):
+            self.stages[name].end()
+
+    monkeypatch.setattr(acceptance._Running, "_contracts", nothing_wrong)
+
+
+REAL = SERVOS.replace("emulated", "real") + 'port = "/dev/serial/by-id/none"\n'
+
+
+@pytest.mark.parametrize("answer", ["no", "", "on a table", None])
+def test_without_consent_no_servo_is_even_opened(looked, bench, tmp_path, answer):
+    person = Asked(answer)
+    told, code = accept(Acceptance(BenchSource(bench(REAL)), now, operator=person))
+    assert (code, told["verdict"], person.questions) == (4, "ABORTED", [QUESTION])
+    assert stages(told)["motion"]["findings"] == []
+    page = write_acceptance(tmp_path / "out", told)["page"]
+    assert "ABORTED" in Path(page).read_text()
+
+
+@pytest.mark.parametrize(("answer", "on_stand", "asked"), [("yes", False, 1), (None, True, 0)])
+def test_with_consent_the_servos_are_opened(looked, bench, answer, on_stand, asked):
+    person = Asked(answer)
+    told, code = accept(Acceptance(BenchSource(bench(REAL)), now, on_stand=on_stand, operator=person))
+    assert len(person.questions) == asked
+    assert (code, told["verdict"]) == (1, "FAIL")
+    assert "port cannot be opened" in failures(told)[0]["found"]
+
+
+def test_the_first_promise_that_is_broken_is_the_last_that_moves(looked, bench):
+    source = BenchSource(bench(SERVOS), faults=("servo.drive_FL:stuck@1",))
+    told, code = accept(Acceptance(source, now))
+    motion = stages(told)["motion"]
+    assert code == 1
+    assert [f["level"] for f in motion["findings"]].count("failure") == 1
+    assert motion["findings"][-1]["level"] == "failure"
+    assert "drive_FL" in motion["findings"][-1]["found"]
+
+
+def test_a_signal_ends_it_with_a_page(bench, monkeypatch):
+    interrupts = Interrupts()
+    check = acceptance.judged
+
+    def struck(device, promise, body):
+        if promise == "opens again":
+            interrupts.handle(15)
+        return check(device, promise, body)
+
+    monkeypatch.setattr(acceptance, "judged", struck)
+    with interrupts.deferred():
+        told, code = accept(Acceptance(BenchSource(bench(ENCODERS)), now, interrupts=interrupts))
+    assert (code, told["verdict"]) == (4, "ABORTED")
+    assert "SIGTERM" in told["stopped"]
+    assert stages(told)["contract"]["findings"]
+
+
+def test_the_page_prints_on_few_sheets(healthy, tmp_path):
+    """Chromium lays it out on paper."""
+    chromium = shutil.which("chromium")
+    if chromium is None:
+        pytest.skip("there is no chromium")
+    paper = tmp_path / "accept.pdf"
+    common = [
+        chromium,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ]
+    printing = [*common, f"--print-to-pdf={paper}", Path(healthy[2]["page"]).as_uri()]
+    subprocess.run(printing, check=True, capture_output=True, timeout=60)
+    assert 1 <= len(re.findall(rb"/Type\s*/Page[^s]", paper.read_bytes())) <= 4
