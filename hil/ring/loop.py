@@ -130,7 +130,7 @@ class Brain:
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
         reference = self.reference
-        self.supervisor.guard(state, reference)
+        events += self.supervisor.guard(state, reference)
         setpoint = self._control(state, reference, measurements)  # 6
         setpoint = self.supervisor.limit(setpoint)  # 7
         command = self.alignment.to_servos(setpoint)

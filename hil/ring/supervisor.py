@@ -18,6 +18,7 @@ from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
 from hil.ring.doubts import WHEELS
 from hil.ring.fall_watch import FallWatch
+from hil.ring.filter_watch import FilterWatch
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
@@ -110,6 +111,7 @@ class Supervisor:
         self._samples = SampleWatch(stale_s, self.checks.gap_s)
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
+        self._filter = FilterWatch()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
 
@@ -125,6 +127,7 @@ class Supervisor:
         if self.checks.hold is not None:
             self.checks.hold.reset()
         self._fall.reset()
+        self._filter.reset()
         self._causes: dict[str, str] = {}
         self.left_out.reset()
 
@@ -209,8 +212,10 @@ class Supervisor:
                     told = f"; if it slides, look at the {' and the '.join(checks.holders)}" if slides else ""
                     self._blame("sensors_disagree", doubt.message + told)
 
-    def guard(self, state: RobotState, reference: Reference | None) -> None:
+    def guard(self, state: RobotState, reference: Reference | None) -> tuple[Event, ...]:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
+        events: list[Event] = []
+        self._filter.judge(state, events)
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = float(state.pose_body_in_wall[2])
         pose, found = state.pose_body_in_wall, {}
@@ -229,6 +234,7 @@ class Supervisor:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
         if found:
             raise _stop_for(found)
+        return tuple(events)
 
     def figures(self) -> Mapping[str, float]:
         """What the checks of this cycle measured, for the robot's state."""

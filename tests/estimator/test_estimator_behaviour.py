@@ -131,6 +131,40 @@ def test_no_sensor_is_locked_out_for_ever():
     assert np.all(np.isfinite(error))
 
 
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_poses_that_were_refused_until_the_frame_began_anew_leave_the_estimate_unsure(kind):
+    """Who is right is not known: what camera and wheels differed by is not forgotten with the old frame."""
+    scene = on_the_wall(6.0, 0.05, 0.0, 0.0, 4)
+    away = tuple(
+        replace(c, pose=c.pose - np.array([2e-4, 0.0, 0.0]) * min(max(0, k - 200), 400))
+        for k, c in enumerate(scene[3])
+    )
+    state, _ = follow(EstimatorConfig(kind=kind), scene, tracker=away)
+    sigma_m = np.sqrt(np.diag(state.covariance)[:2])
+    assert state.diagnostics["reanchored_tracker"] >= 1
+    assert np.all(sigma_m > 0.005)
+    honest, _ = follow(EstimatorConfig(kind=kind), scene)
+    assert np.all(np.sqrt(np.diag(honest.covariance)[:2]) < 0.003)
+
+
+def test_motion_capture_that_was_refused_for_long_is_believed_in_the_end():
+    config = EstimatorConfig(mocap={"use": True})
+    path, wheels, gyro, seen, start, _ = on_the_wall(4.0, 0.05, 0.0, 0.0, 3)
+    estimator = make_estimator(config, WheelGeometry.nominal(), surface="wall")
+    estimator.reset(start)
+    end_ns = start.t_ns + 4_000_000_000
+    poses = []
+    for k in range(1, 400):
+        t_ns = start.t_ns + 10_000_000 * k
+        moved = np.array([0.3, 0.0, 0.0]) if k > 150 else np.zeros(3)
+        pose = path.at(np.array([t_ns * 1e-9]))[0] + moved
+        poses.append(PoseMeasurement(Stamp(t_ns, t_ns, k), "mocap", pose, 3, True))
+    for m in cycles(start.t_ns + 10_000_000, end_ns, wheels, gyro, seen, poses):
+        state = estimator.update(m)
+    error = state.pose_body_in_wall - path.at(np.array([state.t_ns * 1e-9]))[0]
+    assert error[0] == pytest.approx(0.3, abs=0.005)
+
+
 def test_confidence_zero_and_one_are_dropped_and_two_is_trusted_less():
     scene = on_the_wall(4.0, 0.0, 0.0, 0.0, 5)
     sigma = {}

@@ -108,6 +108,15 @@ def test_servos_without_supply_to_the_end_cannot_be_held_but_those_that_come_bac
     assert judge(cell("servos", "jump", "motion"), seen(**away)).why != ()
 
 
+def test_of_several_faults_the_stop_need_not_name_the_one_that_did_nothing():
+    both = Cell("servos+imu", "off+slow", "random", 0, "own", ("servos:off@1", "imu:slow@2"))
+    stop = "SafetyStop: robot stopped (stale_servos): no complete servo read"
+    verdict = judge(both, seen(stop=stop, events=[]))
+    assert (verdict.why, verdict.told) == ((), False)
+    (why,) = judge(both, seen(stop="SafetyStop: robot stopped (x): the fan is mad", events=[])).why
+    assert why.startswith("the device is not named")
+
+
 def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
     quiet = judge(cell(), seen(events=[]))
     assert (quiet.why, quiet.told, quiet.ended) == ((), False, "went on")

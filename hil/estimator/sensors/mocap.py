@@ -6,7 +6,7 @@ import math
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
-from hil.estimator.sensors.poses import PoseRow, pack_pose, read
+from hil.estimator.sensors.poses import PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     REFUSED,
@@ -105,9 +105,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
         return False
     m.tally.in_row = 0.0
     m.tally.reanchored += 1.0
-    p[X, X] += 1.0
-    p[Y, Y] += 1.0
-    p[THETA, THETA] += 1.0
+    shake(p, 1.0, 1.0)
     return False
 
 

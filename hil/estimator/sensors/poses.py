@@ -8,6 +8,7 @@ import numpy as np
 
 from hil.estimator.records import Record
 from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD
+from hil.estimator.state import CLONE_X, THETA, X
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 from hil.vocabulary.signals import PoseMeasurement
@@ -47,3 +48,18 @@ def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> in
     var[0] = var[1] = var_m
     var[2] = var_rad
     return POSE_ROWS
+
+
+@compiled
+def shake(p: Array, var_m: float, var_rad: float) -> None:
+    """Let the pose be off by so much more: its clone with it, since wheels tell only what lies between.
+
+    Args:
+        p: (20, 20) covariance, changed in place.
+        var_m, var_rad: variances to add, m^2 along each axis and rad^2.
+    """
+    for i in range(POSE_ROWS):
+        more = var_rad if X + i == THETA else var_m
+        for j in (X + i, CLONE_X + i):
+            p[j, X + i] += more
+            p[j, CLONE_X + i] += more

@@ -12,7 +12,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
-from hil.estimator.sensors.poses import POSE_ROWS, PoseRow, pack_pose, read
+from hil.estimator.sensors.poses import POSE_ROWS, PoseRow, pack_pose, read, shake
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
     NEW_FRAME,
@@ -75,7 +75,7 @@ class Memory(Record):
         t_ns: its stamp; negative before the first.
         frame_t_ns: when the present frame began; negative before the first.
         x_m, y_m, heading_rad: in the camera's frame.
-        innovation_m: of the position.
+        innovation_m, innovation_rad: of position and heading.
         tally: of all rows.
     """
 
@@ -85,6 +85,7 @@ class Memory(Record):
     y_m: float
     heading_rad: float
     innovation_m: float
+    innovation_rad: float
     tally: Tally
 
 
@@ -168,16 +169,20 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
 @compiled
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally."""
-    m.innovation_m = math.hypot(nu[0], nu[1])
+    m.innovation_m, m.innovation_rad = math.hypot(nu[0], nu[1]), nu[ANGLE_ROW]
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
 @compiled
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
-    """A new frame after too many rejections, and with baselines when one has ended."""
+    """A new frame after too many rejections, and with baselines when one has ended.
+
+    The new frame forgets what the camera has been contradicting: the estimate may be off by as much.
+    """
     if m.tally.in_row >= limit:
         m.tally.reanchored += 1.0
         m.tally.in_row = 0.0
+        shake(p, m.innovation_m**2, m.innovation_rad**2)
         return True
     return par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s
 

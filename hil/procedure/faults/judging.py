@@ -70,7 +70,7 @@ class Verdict:
         cell: which.
         why: what is wrong; empty for a cell that passes.
         ended: `went on`, or the reason of the stop.
-        told: whether a message or an event names the device.
+        told: whether messages or events name the device; of several all of them.
         held: what the bench said of the robot.
     """
 
@@ -88,25 +88,26 @@ def lost(cell: Cell, reason: str) -> Verdict:
 
 def judge(cell: Cell, seen: Seen) -> Verdict:
     """The verdict on what was seen of a cell."""
-    told = all(_is_named(device, seen) for device in cell.device.split("+"))
+    named = [_is_named(device, seen) for device in cell.device.split("+")]
     ended = "went on"
     if seen.stop or seen.error:
         text = (seen.stop or seen.error).split("(", 1)
         ended = text[1].split(")", 1)[0] if "robot stopped" in text[0] and len(text) > 1 else "device error"
-    return Verdict(cell, tuple(_wrong(cell, seen, told)), ended, told, seen.said or _state(seen))
+    wrong = tuple(_wrong(cell, seen, any(named)))
+    return Verdict(cell, wrong, ended, all(named), seen.said or _state(seen))
 
 
 def _state(seen: Seen) -> str:
     return "" if seen.held is None else seen.held.state
 
 
-def _wrong(cell: Cell, seen: Seen, told: bool) -> Iterator[str]:
-    """Everything that is not as promised."""
+def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
+    """Everything that is not as promised; `named`: whether one of those that were struck is named."""
     if seen.foreign:
         yield f"an exception of another kind: {seen.foreign}"
     if seen.unreadable:
         yield f"the recording: {seen.unreadable}"
-    if (seen.stop or seen.error) and not told:
+    if (seen.stop or seen.error) and not named:
         yield f"the device is not named: {seen.stop or seen.error}"
     dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_share < LEAST_THRUST
     if seen.fallen and not dropped:
