@@ -90,6 +90,10 @@ def seen(**given):
         ({"unreadable": "torn"}, "the recording: torn"),
         ({"foreign": "KeyError: 3"}, "an exception of another kind: KeyError: 3"),
         ({"off_m": np.array([0.03, 0.0]), "sigma_m": np.array([0.005, 0.005])}, "30 mm beside its estimate"),
+        (
+            {"off_m": np.array([0.03, 0.0]), "said": "NOT HELD", "thrust_share": 0.0, "fallen": True},
+            "",
+        ),
         ({"off_m": np.array([0.015, 0.0]), "sigma_m": np.array([0.005, 0.005])}, ""),
     ],
 )

@@ -119,7 +119,7 @@ def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
     if seen.moved_m > FARTHEST_M and not (dropped or seen.fallen or _takes_servos(cell)):
         yield f"moved by {1e3 * seen.moved_m:.1f} mm after the stop"
     wrong = bool(np.any(seen.off_m > SIGMAS * seen.sigma_m + SLACK_M))
-    if wrong and seen.cycles and not (seen.stop or seen.error):
+    if wrong and seen.cycles and not (seen.stop or seen.error or seen.said == "NOT HELD"):
         yield (
             f"went on to its end {1e3 * float(np.hypot(*seen.off_m)):.0f} mm beside its estimate, which says "
             f"{1e3 * float(np.hypot(*seen.sigma_m)):.0f} mm"
