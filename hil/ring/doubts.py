@@ -38,6 +38,7 @@ class Doubt:
         confirmed: whether two others agree against the source.
         off: what the two told differently since they began to differ, m or rad.
         turns: whether that is a turn.
+        against: the device that says otherwise.
     """
 
     source: str
@@ -46,6 +47,12 @@ class Doubt:
     confirmed: bool = False
     off: float = 0.0
     turns: bool = False
+    against: str = ""
+
+    @property
+    def may_slide(self) -> bool:
+        """Whether it may be the wheels that say nothing of a motion, because the robot slides."""
+        return self.source == WHEELS.name or (self.against == WHEELS.name and not self.confirmed)
 
 
 class Sum:
@@ -127,7 +134,7 @@ class Sum:
         moved, unit = ("turned", "mrad") if self._turns else ("moved", "mm")
         one, other = (party.called for party in self._parties)
         sure = confirmed(self, pairs, source)
-        called = one if source == self.names[0] else other
+        called, against = (one, self.names[1]) if source == self.names[0] else (other, self.names[0])
         return Doubt(
             source,
             f"in {(t_ns - self._since_ns) / NS_PER_S:.1f} s the robot {moved} "
@@ -137,6 +144,7 @@ class Sum:
             sure,
             abs(self._first - self._second),
             self._turns,
+            against,
         )
 
     def _why(self) -> str:

@@ -16,7 +16,6 @@ import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
-from hil.ring.doubts import WHEELS
 from hil.ring.fall_watch import FallWatch
 from hil.ring.filter_watch import FilterWatch
 from hil.ring.left_out import LeftOut
@@ -208,7 +207,7 @@ class Supervisor:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)
-                    slides = self.limits.on_wall and doubt.source == WHEELS.name and checks.holders
+                    slides = self.limits.on_wall and doubt.may_slide and checks.holders
                     told = f"; if it slides, look at the {' and the '.join(checks.holders)}" if slides else ""
                     self._blame("sensors_disagree", doubt.message + told)
 

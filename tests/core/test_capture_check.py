@@ -8,8 +8,17 @@ import pytest
 from hil.ring.doubts import Doubt
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
+from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
 from hil.robot.kinematics import WheelGeometry, inverse
-from hil.vocabulary.signals import GyroMeasurement, Measurements, PoseMeasurement, Stamp, WheelMeasurement
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.signals import (
+    GyroMeasurement,
+    Inputs,
+    Measurements,
+    PoseMeasurement,
+    Stamp,
+    WheelMeasurement,
+)
 
 GEOMETRY = WheelGeometry.nominal()
 PERIOD_NS = 10_000_000
@@ -130,3 +139,36 @@ def test_who_is_left_out_is_measured_no_more_and_shakes_the_estimate():
     left_out.reset()
     assert left_out.believed(given) is given
     assert "tracker" not in left_out
+
+
+class Doubts:
+    """Says of each cycle what it was given."""
+
+    def __init__(self, *found):
+        self.found = found
+
+    def reset(self):
+        pass
+
+    def update(self, measurements):
+        return self.found
+
+
+@pytest.mark.parametrize(
+    ("given", "named"),
+    [
+        (doubt("servos"), True),
+        (replace(doubt("mocap", confirmed=False), against="servos"), True),
+        (replace(doubt("mocap"), against="servos"), False),
+        (replace(doubt("tracker", confirmed=False), against="imu"), False),
+    ],
+)
+def test_what_holds_the_robot_is_named_wherever_it_may_be_the_robot_that_slides(given, named):
+    checks = Checks(motion=Doubts(given), needs_camera=True, holders=("fan", "propellers"))
+    with pytest.raises(SafetyStop, match="it differs") as stop:
+        Supervisor(SafetyLimits(stale_s={}), checks=checks).check(Inputs(0, 0), Measurements(0, 0))
+    assert str(stop.value).endswith("it differs; if it slides, look at the fan and the propellers") is named
+
+
+def test_a_doubt_says_whom_it_is_against():
+    assert {(d.source, d.against) for _, d in doubts(UP, 0.6 * UP, 0.6 * UP)} >= {("servos", "mocap")}

@@ -1,0 +1,284 @@
+"""Mutation test of what holds the robot: does a test notice when a line of it is changed?
+
+    python benchmarks/mutation.py                         # 16 changes in each module, drawn with seed 0
+    python benchmarks/mutation.py --each 60 --seed 3 --only supervisor,goals
+    python benchmarks/mutation.py --each 0 --only alignment     # every change
+
+One change at a time: a comparison turned round, a sign, an operator, `and` for `or`, a number, `min` for `max`,
+a condition negated, a statement left out. Texts are left alone, and so are limits that are met exactly (`<` for
+`<=`). Each change runs the tests that belong to its module in a process of its own, until one fails; nothing on
+disk is altered. Prints what survived. Exit code 1 below `--least` percent.
+
+Written for this project because the well-kept tools do not fit: mutmut and cosmic-ray go through every change
+there is, which takes a day here, and cosmic-ray does so in the files that others are reading.
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import importlib.machinery
+import importlib.util
+import os
+import signal
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba  # noqa: F401  loaded once for all
+import numpy as np
+import pydantic  # noqa: F401
+import pytest
+import scipy.optimize  # noqa: F401  loaded once for all
+
+ROOT = Path(__file__).resolve().parents[1]
+LONGEST_S = 90.0
+"""After which the tests of a change hang: noticed, too."""
+_GUARDS = ("tests/core/test_alignment_and_supervisor.py", "tests/core/test_motion_check.py")
+_SENSES = ("tests/core/test_motion_check.py", "tests/core/test_capture_check.py")
+_SERVOS = tuple(f"tests/servos/test_servo_{name}.py" for name in ("goals", "driver_cycle", "outage", "silence"))
+MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
+    "supervisor": ("hil/ring/supervisor.py", (*_GUARDS, "tests/core/test_filter_watch.py")),
+    "servo_watch": ("hil/ring/servo_watch.py", ("tests/core/test_servo_watch.py", _GUARDS[0])),
+    "crosscheck": ("hil/ring/crosscheck.py", ("tests/core/test_encoder_crosscheck.py",)),
+    "motion_check": ("hil/ring/motion_check.py", _SENSES),
+    "capture_check": ("hil/ring/capture_check.py", _SENSES),
+    "doubts": ("hil/ring/doubts.py", _SENSES),
+    "left_out": ("hil/ring/left_out.py", _GUARDS),
+    "stream_watch": ("hil/ring/stream_watch.py", ("tests/core/test_stream_watch.py",)),
+    "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _GUARDS[0])),
+    "goals": ("hil/drivers/servos/goals.py", _SERVOS),
+    "outage": ("hil/drivers/servos/timeouts.py", _SERVOS),
+    "limits": ("hil/robot/motion_limits.py", ("tests/trajectories/test_trajectories.py",)),
+    "alignment": ("hil/ring/alignment.py", (_GUARDS[0],)),
+    "poses": ("hil/ring/poses.py", (_GUARDS[0],)),
+}
+"""By name: the file, and the tests that belong to it."""
+_QUIET = ("-p", "no:faulthandler", "-W", "ignore::pytest.PytestAssertRewriteWarning")
+_TURNED = {
+    ast.Lt: ast.GtE, ast.GtE: ast.Lt, ast.Gt: ast.LtE, ast.LtE: ast.Gt, ast.Eq: ast.NotEq, ast.NotEq: ast.Eq,
+    ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Add: ast.Sub, ast.Sub: ast.Add,
+    ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
+}  # fmt: skip
+_SWAPPED = {"min": "max", "max": "min", "all": "any", "any": "all"}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One altered module: its code, and what was altered where."""
+
+    tree: ast.Module
+    line: int
+    what: str
+
+
+class Alter(ast.NodeTransformer):
+    """Goes through a module and alters place number `wanted`; counts all places.
+
+    Args:
+        wanted: which place; -1 for none.
+    """
+
+    def __init__(self, wanted: int = -1) -> None:
+        self.wanted, self.count, self.line, self.what = wanted, 0, 0, ""
+
+    def _here(self, node: ast.AST, what: str) -> bool:
+        mine = self.count == self.wanted
+        if mine:
+            self.line, self.what = getattr(node, "lineno", 0), what
+        self.count += 1
+        return mine
+
+    def _left_alone(self, node: ast.AST) -> ast.AST:
+        return node
+
+    visit_JoinedStr = visit_Import = visit_ImportFrom = _left_alone
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """Its body only: neither annotations nor decorators nor the docstring."""
+        node.body = [self.visit(part) for part in node.body]
+        node.args.kw_defaults = [d if d is None else self.visit(d) for d in node.args.kw_defaults]
+        node.args.defaults = [self.visit(d) for d in node.args.defaults]
+        return node
+
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        """As `visit_FunctionDef`."""
+        node.body = [self.visit(part) for part in node.body]
+        return node
+
+    def visit_AnnAssign(self, node: ast.AnnAssign) -> ast.AST:
+        """Its value only."""
+        node.value = None if node.value is None else self.visit(node.value)
+        return node
+
+    def visit_keyword(self, node: ast.keyword) -> ast.AST:
+        """`strict` and `slots` change nothing that a test could see."""
+        return node if node.arg in ("strict", "slots", "frozen") else self.generic_visit(node)
+
+    def visit_Compare(self, node: ast.Compare) -> ast.AST:
+        """One of its comparisons turned round."""
+        self.generic_visit(node)
+        for k, operator in enumerate(node.ops):
+            if type(operator) in _TURNED and self._here(node, ast.unparse(node)):
+                node.ops[k] = _TURNED[type(operator)]()
+        return node
+
+    def _operator(self, node: ast.BinOp | ast.AugAssign | ast.BoolOp) -> ast.AST:
+        self.generic_visit(node)
+        if type(node.op) in _TURNED and self._here(node, ast.unparse(node)):
+            node.op = _TURNED[type(node.op)]()
+        return node
+
+    visit_BinOp = visit_AugAssign = visit_BoolOp = _operator
+
+    def visit_UnaryOp(self, node: ast.UnaryOp) -> ast.AST:
+        """Left out."""
+        self.generic_visit(node)
+        return node.operand if self._here(node, ast.unparse(node)) else node
+
+    def visit_Constant(self, node: ast.Constant) -> ast.AST:
+        """A number that is another one, or a truth turned round."""
+        if isinstance(node.value, bool):
+            if self._here(node, str(node.value)):
+                return ast.copy_location(ast.Constant(not node.value), node)
+        elif isinstance(node.value, int | float) and self._here(node, str(node.value)):
+            more = 2.0 * node.value if isinstance(node.value, float) and node.value else node.value + 1
+            return ast.copy_location(ast.Constant(more), node)
+        return node
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        """`min` for `max`, `all` for `any`, and `abs` left out."""
+        self.generic_visit(node)
+        if isinstance(node.func, ast.Name):
+            if node.func.id in _SWAPPED and self._here(node, ast.unparse(node)):
+                node.func.id = _SWAPPED[node.func.id]
+            elif node.func.id == "abs" and self._here(node, ast.unparse(node)):
+                return node.args[0]
+        return node
+
+    def visit_If(self, node: ast.If) -> ast.AST:
+        """Its condition negated."""
+        self.generic_visit(node)
+        if not isinstance(node.test, ast.Compare) and self._here(node, f"if {ast.unparse(node.test)}"):
+            node.test = ast.UnaryOp(ast.Not(), node.test)
+        return node
+
+    def visit_Expr(self, node: ast.Expr) -> ast.AST:
+        """A call whose value nobody takes, left out; never a docstring."""
+        if isinstance(node.value, ast.Constant):
+            return node
+        self.generic_visit(node)
+        return ast.copy_location(ast.Pass(), node) if self._here(node, ast.unparse(node)) else node
+
+    def visit_Raise(self, node: ast.Raise) -> ast.AST:
+        """Left out."""
+        return ast.copy_location(ast.Pass(), node) if self._here(node, ast.unparse(node)[:60]) else node
+
+
+def changes(source: str, each: int, rng: np.random.Generator) -> Iterator[Change]:
+    """Some of all changes of a module, in the order of its lines; all of them where `each` is 0."""
+    tree = ast.parse(source)
+    counted = Alter()
+    counted.visit(deepcopy(tree))
+    places = np.arange(counted.count)
+    if 0 < each < counted.count:
+        places = np.sort(rng.choice(places, each, replace=False))
+    for place in places.tolist():
+        alter = Alter(place)
+        changed = ast.fix_missing_locations(alter.visit(deepcopy(tree)))
+        yield Change(changed, alter.line, alter.what)
+
+
+class _Altered(importlib.machinery.SourceFileLoader):
+    """Loads a module from a tree instead of its file."""
+
+    def __init__(self, name: str, path: str, tree: ast.Module) -> None:
+        super().__init__(name, path)
+        self._tree = tree
+
+    def get_code(self, fullname: str):  # type: ignore[no-untyped-def]
+        return compile(self._tree, self.path, "exec")
+
+
+class _Finder:
+    """Finds one module, altered."""
+
+    def __init__(self, name: str, path: Path, tree: ast.Module) -> None:
+        self._name, self._path, self._tree = name, str(path), tree
+
+    def find_spec(self, name: str, path: object = None, target: object = None):  # type: ignore[no-untyped-def]
+        if name != self._name:
+            return None
+        loader = _Altered(name, self._path, self._tree)
+        return importlib.util.spec_from_file_location(name, self._path, loader=loader)
+
+
+def _tested(name: str, path: Path, tree: ast.Module, tests: Sequence[str]) -> int:
+    """Exit code of the tests with the module altered, in this process."""
+    sys.meta_path.insert(0, _Finder(name, path, tree))  # type: ignore[arg-type]
+    importlib.import_module(name)  # before pytest, whose own loader would take the file
+    with open(os.devnull, "w") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+        return int(pytest.main(["-x", "-q", "-p", "no:cacheprovider", *_QUIET, *tests]))
+
+
+def survives(name: str, path: Path, tree: ast.Module, tests: Sequence[str]) -> bool:
+    """Whether all tests pass with the module altered."""
+    child = os.fork()
+    if not child:
+        os.setsid()
+        try:
+            code = _tested(name, path, tree, tests)
+        except BaseException:
+            code = 3
+        os._exit(code)
+    end_s = time.monotonic() + LONGEST_S
+    while time.monotonic() < end_s:
+        done, status = os.waitpid(child, os.WNOHANG)
+        if done:
+            return os.waitstatus_to_exitcode(status) == 0
+        time.sleep(0.05)
+    os.killpg(child, signal.SIGKILL)
+    os.waitpid(child, 0)
+    return False
+
+
+def main() -> None:
+    """Alter, test, and print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--each", type=int, default=16, help="changes in each module; 0: all")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--only", default=",".join(MODULES), help="modules, by commas")
+    parser.add_argument("--least", type=float, default=90.0, help="percent that must be noticed")
+    options = parser.parse_args()
+    os.chdir(ROOT)
+    total = noticed = 0
+    for short in options.only.split(","):
+        file, tests = MODULES[short]
+        path, name = ROOT / file, file.removesuffix(".py").replace("/", ".")
+        source = path.read_text(encoding="utf-8")
+        if not survives(name, path, ast.parse(source), tests):
+            sys.exit(f"{short}: its tests fail as it is: {' '.join(tests)}")
+        rng, survivors, count = np.random.default_rng([options.seed, len(source)]), [], 0
+        for change in changes(source, options.each, rng):
+            count += 1
+            if survives(name, path, change.tree, tests):
+                survivors.append(change)
+        total, noticed = total + count, noticed + count - len(survivors)
+        print(f"{short:14s} {count - len(survivors):4d} of {count:4d} noticed", flush=True)
+        for change in survivors:
+            print(f"    {file}:{change.line}: {' '.join(change.what.split())[:90]}", flush=True)
+    share = 100.0 * noticed / max(total, 1)
+    print(f"{'all':14s} {noticed:4d} of {total:4d} noticed: {share:.1f} %")
+    sys.exit(0 if share >= options.least else 1)
+
+
+if __name__ == "__main__":
+    main()
