@@ -56,7 +56,8 @@ def shake(p: Array, var_m: float, var_rad: float) -> None:
 
     Args:
         p: (20, 20) covariance, changed in place.
-        var_m, var_rad: variances to add, m^2 along each axis and rad^2.
+        var_m: variance to add along each axis, m^2.
+        var_rad: the same of the heading, rad^2.
     """
     for i in range(POSE_ROWS):
         more = var_rad if X + i == THETA else var_m

@@ -1,0 +1,209 @@
+"""The supervisor asks every watch in every cycle, forgets all of them at a reset, and acts on what they say."""
+
+import numpy as np
+import pytest
+
+from hil.ring.doubts import Doubt
+from hil.ring.stream_watch import Healthy
+from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
+from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.signals import (
+    Inputs,
+    Measurements,
+    Reference,
+    RobotState,
+    ServoSample,
+    Stamp,
+    Status,
+    TrackerSample,
+    WheelSetpoint,
+)
+
+CYCLE_NS = 10_000_000
+OK = (Status.OK,) * 8
+
+
+class Asked:
+    """A watch that notes what it is asked, and says what it was given."""
+
+    figures = {"adhesion_n": 40.0}
+    heading_rad = 0.0
+
+    def __init__(self, *found):
+        self.found, self.calls, self.left = found, [], []
+
+    def reset(self):
+        self.calls.append("reset")
+
+    def judge(self, *given):
+        self.calls.append("judge")
+
+    def update(self, measurements):
+        self.calls.append("update")
+        return self.found
+
+    def leave_out(self, name):
+        self.left.append(name)
+
+
+def supervisor(limits=None, **checks):
+    return Supervisor(limits or SafetyLimits(stale_s={}), checks=Checks(**checks))
+
+
+def cycle(supervisor, k=0, measured=True, **samples):
+    t_ns = k * CYCLE_NS
+    return supervisor.check(Inputs(k, t_ns, **samples), Measurements(k, t_ns) if measured else None)
+
+
+def doubt(source, *, grave=True, confirmed=True, off=0.01):
+    return Doubt(source, "it differs", grave, confirmed, off)
+
+
+def pose(t_ns):
+    none = np.zeros(3)
+    return TrackerSample(Stamp(t_ns, t_ns, 0), none, np.zeros(4), none, none, 3)
+
+
+def servos(t_ns, angle_rad=0.0, status=OK):
+    return ServoSample(
+        Stamp(t_ns, t_ns, 0), np.full(8, angle_rad), np.zeros(8), np.zeros(8), status, (0,) * 8
+    )
+
+
+def test_every_watch_is_asked_and_reset():
+    motion, steering, hold = Asked(), Asked(), Asked()
+    watched = supervisor(motion=motion, steering=steering, hold=hold)
+    cycle(watched)
+    watched.reset()
+    assert motion.calls == ["reset", "update", "reset"]
+    assert steering.calls == hold.calls == ["reset", "judge", "reset"]
+
+
+def test_without_measurements_nobody_is_held_against_another():
+    motion, steering = Asked(), Asked()
+    cycle(supervisor(motion=motion, steering=steering), measured=False)
+    assert motion.calls == steering.calls == ["reset"]
+
+
+def test_a_doubt_is_told_and_only_a_grave_one_stops_who_needs_the_camera():
+    (event,) = cycle(supervisor(motion=Asked(doubt("tracker", grave=False)), needs_camera=True))
+    assert (event.level, event.source, event.message) == ("warning", "tracker", "it differs")
+    grave = Asked(doubt("tracker", confirmed=False))
+    with pytest.raises(SafetyStop, match="it differs") as stop:
+        cycle(supervisor(motion=grave, needs_camera=True, stops_by_steering=True))
+    assert stop.value.reason == "sensors_disagree"
+    assert cycle(supervisor(motion=grave)) == ()
+
+
+def test_who_is_left_out_is_so_until_the_reset_and_shakes_one_cycle_only():
+    floor = SafetyLimits(stale_s={}, on_wall=False)
+    motion = Asked(doubt("tracker"))
+    watched = supervisor(floor, motion=motion, needs_camera=True, stops_by_steering=True)
+    (event,) = cycle(watched)
+    assert "left out" in event.message
+    assert (motion.left, watched.left_out.shaken) == (["tracker"], (0.01, 0.0))
+    motion.found = ()
+    cycle(watched, 1)
+    assert watched.left_out.shaken == (0.0, 0.0)
+    assert "tracker" in watched.left_out
+    watched.reset()
+    assert "tracker" not in watched.left_out
+
+
+def test_who_follows_no_pose_leaves_nobody_out():
+    motion = Asked(doubt("tracker"))
+    floor = SafetyLimits(stale_s={}, on_wall=False)
+    with pytest.raises(SafetyStop):
+        cycle(supervisor(floor, motion=motion, needs_camera=True))
+    assert motion.left == []
+
+
+def blind(watched, since, until):
+    """Cycles without a pose, after one with it; the last events."""
+    cycle(watched, since, tracker=(pose(since * CYCLE_NS),))
+    events = ()
+    for k in range(since + 1, until):
+        events += cycle(watched, k)
+    return events
+
+
+def test_a_blind_camera_stops_only_who_needs_it_and_a_reset_forgets_its_silence():
+    limits = SafetyLimits(stale_s={"tracker": 0.5})
+    assert "stale" in blind(supervisor(limits), 0, 60)[-1].message
+    needing = supervisor(limits, needs_camera=True)
+    with pytest.raises(SafetyStop, match=r"no usable pose of the camera for 0\.5 s"):
+        blind(needing, 0, 60)
+    needing.reset()
+    assert cycle(needing, 100) == ()
+
+
+def test_a_camera_that_was_left_out_may_be_blind():
+    floor = SafetyLimits(stale_s={"tracker": 0.5}, on_wall=False)
+    motion = Asked(doubt("tracker"))
+    watched = supervisor(floor, motion=motion, needs_camera=True, stops_by_steering=True)
+    cycle(watched)
+    motion.found = ()
+    blind(watched, 1, 100)
+
+
+def test_a_sensor_that_sends_too_little_is_told_of_anew_after_a_reset():
+    watched = supervisor(healthy={"tracker": Healthy(100.0, 0.95, 0.07, 100.0)})
+    for _ in range(2):
+        events = ()
+        for k in range(400):
+            t_ns = k * CYCLE_NS
+            events += cycle(watched, k, tracker=(pose(t_ns),) if k < 150 or k % 2 else ())
+        assert ["good samples a second" in e.message for e in events] == [True]
+        watched.reset()
+
+
+def test_servos_that_stand_are_named_where_sensors_disagree():
+    motion = Asked()
+    watched = supervisor(motion=motion, needs_camera=True)
+    asked = WheelSetpoint(np.array([2.0, 0, 0, 0]), np.zeros(4))
+    for k in range(20):
+        watched.limit(asked)
+        cycle(watched, k, servos=(servos(k * CYCLE_NS),))
+    motion.found = (doubt("tracker", confirmed=False),)
+    with pytest.raises(SafetyStop, match="wheel FL is asked for 2.00 rad/s") as stop:
+        cycle(watched, 20, servos=(servos(20 * CYCLE_NS),))
+    assert stop.value.reason == "blocked"
+    assert "also sensors_disagree: it differs" in str(stop.value)
+
+
+def test_what_presses_the_robot_on_is_told_its_heading_and_shows_its_figures():
+    hold = Asked()
+    watched = supervisor(hold=hold)
+    assert watched.figures() == {"adhesion_n": 40.0}
+    assert supervisor().figures() == {}
+    watched.guard(RobotState(0, np.array([1.0, 2.0, 0.1]), np.zeros(3), np.eye(6)), None)
+    assert hold.heading_rad == 0.1
+
+
+@pytest.mark.parametrize(("place", "value"), [(0, np.nan), (2, np.inf)])
+def test_what_is_not_finite_is_refused_wherever_it_stands(place, value):
+    values = np.zeros(3)
+    values[place] = value
+    good = RobotState(0, np.zeros(3), np.zeros(3), np.eye(6))
+    for state, reference in (
+        (RobotState(0, values, np.zeros(3), np.eye(6)), None),
+        (RobotState(0, np.zeros(3), values, np.eye(6)), None),
+        (good, Reference(0.0, values, np.zeros(3), np.zeros(2))),
+    ):
+        with pytest.raises(SafetyStop) as stop:
+            supervisor().guard(state, reference)
+        assert stop.value.reason == "not_finite"
+    wheels = np.array([*values, 0.0])
+    for setpoint in (WheelSetpoint(wheels, np.zeros(4)), WheelSetpoint(np.zeros(4), wheels)):
+        with pytest.raises(SafetyStop) as stop:
+            supervisor().limit(setpoint)
+        assert stop.value.reason == "not_finite"
+
+
+@pytest.mark.parametrize("angle_rad", [2.1, -2.1])
+def test_a_steering_angle_beyond_the_limit_is_refused_on_both_sides(angle_rad):
+    limited = supervisor(SafetyLimits(steering_limit_rad=2.0))
+    with pytest.raises(SafetyStop) as stop:
+        limited.limit(WheelSetpoint(np.zeros(4), np.array([0.0, 0.0, angle_rad, 0.0])))
+    assert stop.value.reason == "steering_limit"
+    limited.limit(WheelSetpoint(np.zeros(4), np.full(4, 2.0)))
