@@ -90,8 +90,6 @@ class _Axis:
     def _learn(self, raw_rad: float) -> None:
         count, self.count, self.latest = self.count, self.count + 1, raw_rad
         if count < _LEARN:
-            if not count:
-                self.reference = raw_rad
             self.reference = wrap(self.reference + wrap(raw_rad - self.reference) / (count + 1))
             self.lasting = self.reference
             if self.count == _LEARN and self._known and abs(self.reference) > _ASTRAY_RAD:

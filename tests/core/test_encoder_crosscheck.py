@@ -132,3 +132,28 @@ def test_without_one_of_the_two_nothing_is_compared():
     watch, events = SteeringWatch(EncodersConfig()), []
     watch.judge(Inputs(0, 0), Measurements(0, 0), events, lambda *cause: pytest.fail(str(cause)))
     assert events == []
+
+
+def test_what_is_learnt_is_the_mean_of_the_first_five_pairs():
+    check, offs = CrossCheck(EncodersConfig()), [3.13, -3.14, 3.14, 3.15, -3.13]
+    for k, off in enumerate([9.0, *offs]):
+        result = check.update(np.full(4, off), np.zeros(4))
+        assert np.isnan(result.difference_rad[0]) == (k < len(offs))
+    assert result.difference_rad[0] == pytest.approx(0.0, abs=1e-12)
+    for _ in range(3):
+        mean = np.mean([3.13, 2 * np.pi - 3.14, 3.14, 3.15, 2 * np.pi - 3.13])
+        result = check.update(np.full(4, mean + 0.1), np.zeros(4))
+    assert result.difference_rad[0] == pytest.approx(0.1 * (1.0 - 0.8**3), abs=1e-9)
+
+
+def test_a_watch_that_was_reset_learns_anew():
+    watch, events = SteeringWatch(EncodersConfig()), []
+    for k in range(200):
+        if k == 100:
+            watch.reset()
+        stamp, angle = Stamp(k * PERIOD_NS, k * PERIOD_NS, k), np.full(4, 0.3 if k >= 100 else 0.0)
+        sample = EncoderSample(stamp, angle, (Status.OK,) * 4, (0,) * 4)
+        wheels = WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 4)
+        inputs, measured = Inputs(k, k * PERIOD_NS, encoders=(sample,)), Measurements(k, 0, wheels=(wheels,))
+        watch.judge(inputs, measured, events, lambda *cause: pytest.fail(str(cause)))
+    assert events == []

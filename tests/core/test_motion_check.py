@@ -130,6 +130,13 @@ def test_who_turns_alone_is_named(robot, source):
     assert found[0].source in (source, "tracker")
 
 
+def test_wheels_and_gyro_are_compared_without_a_camera_too():
+    check, robot = MotionCheck(GEOMETRY), Robot((0.05, 0, 0), gyro=0.15)
+    found = [d for k in range(400) for d in check.update(replace(robot.cycle(k), tracker=()))]
+    assert {d.source for d in found} <= {"imu", "servos"}
+    assert any(d.grave for d in found)
+
+
 def test_a_gyro_may_have_the_bias_of_its_data_sheet():
     assert doubts(Robot((0.05, 0, 0), gyro=math.radians(3.0)), 2000) == []
 

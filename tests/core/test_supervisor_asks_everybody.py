@@ -1,4 +1,4 @@
-"""The supervisor asks every watch in every cycle, forgets all of them at a reset, and acts on what they say."""
+"""The supervisor asks every watch in every cycle, forgets them all at a reset, and acts on what they say."""
 
 import numpy as np
 import pytest
@@ -26,10 +26,8 @@ OK = (Status.OK,) * 8
 class Asked:
     """A watch that notes what it is asked, and says what it was given."""
 
-    figures = {"adhesion_n": 40.0}
-    heading_rad = 0.0
-
     def __init__(self, *found):
+        self.figures, self.heading_rad = {"adhesion_n": 40.0}, 0.0
         self.found, self.calls, self.left = found, [], []
 
     def reset(self):
@@ -165,7 +163,7 @@ def test_servos_that_stand_are_named_where_sensors_disagree():
         watched.limit(asked)
         cycle(watched, k, servos=(servos(k * CYCLE_NS),))
     motion.found = (doubt("tracker", confirmed=False),)
-    with pytest.raises(SafetyStop, match="wheel FL is asked for 2.00 rad/s") as stop:
+    with pytest.raises(SafetyStop, match=r"wheel FL is asked for 2\.00 rad/s") as stop:
         cycle(watched, 20, servos=(servos(20 * CYCLE_NS),))
     assert stop.value.reason == "blocked"
     assert "also sensors_disagree: it differs" in str(stop.value)
