@@ -50,7 +50,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "motion_check": ("hil/ring/motion_check.py", _SENSES),
     "capture_check": ("hil/ring/capture_check.py", _SENSES),
     "doubts": ("hil/ring/doubts.py", _SENSES),
-    "left_out": ("hil/ring/left_out.py", _GUARDS),
+    "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor_asks_everybody.py")),
     "stream_watch": ("hil/ring/stream_watch.py", ("tests/core/test_stream_watch.py",)),
     "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _GUARDS[0])),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),

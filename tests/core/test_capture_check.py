@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.ring.capture_check import Seen
 from hil.ring.doubts import Doubt
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
@@ -101,6 +102,54 @@ def test_a_frame_that_is_not_valid_and_a_gap_begin_anew():
         seen = replace(seen, pose=np.add(seen.pose, [off, 0.0, 0.0]), valid=k not in range(98, 101))
         found += check.update(replace(given, mocap=(seen,)))
     assert found == []
+
+
+def test_wheels_that_slip_are_found_without_a_camera_too():
+    check, found = MotionCheck(GEOMETRY), []
+    for k in range(3, 300):
+        found += check.update(replace(cycle(k, at(UP), at(UP), at(0.6 * UP)), tracker=()))
+    assert any(d.grave for d in found)
+
+
+def test_a_reset_forgets_the_way_of_motion_capture():
+    check = MotionCheck(GEOMETRY)
+    for k in range(3, 60):
+        check.update(cycle(k, at(UP), at(UP), at(0.8 * UP)))
+    check.reset()
+    assert [d for k in range(60, 200) for d in check.update(cycle(k, at(UP), at(UP), at(UP)))] == []
+
+
+@pytest.mark.parametrize("leap_m", [(0.024, 0.0), (-0.024, 0.0), (0.0, 0.024)])
+@pytest.mark.parametrize("device", ["tracker", "mocap"])
+def test_one_leap_of_a_pose_is_put_right_and_no_way(device, leap_m):
+    """Whichever way it leaps: what counts is how far off the step is from the other's."""
+    check, found = MotionCheck(GEOMETRY), []
+    for k in range(3, 200):
+        given = cycle(k, at(UP), at(UP), at(UP))
+        (seen,) = getattr(given, device)
+        moved = replace(seen, pose=seen.pose + np.array([*leap_m, 0.0]) * (k > 100))
+        found += check.update(replace(given, **{device: (moved,)}))
+    assert found == []
+
+
+def test_what_a_camera_invents_in_the_wall_adds_up_while_the_robot_turns():
+    """In the body's axes it goes round: the sum has to go round with it."""
+    rate, drift_m_s = 1.0, np.array([0.006, 0.0])
+    speed, steering = inverse(GEOMETRY, np.array([0.0, 0.0, rate]))
+    check, found = MotionCheck(GEOMETRY, seen=Seen(lever_m=0.0, rest_m_s=0.0)), []
+    for k in range(3, 260):
+        t_ns = k * PERIOD_NS
+        t_s, late_ns = t_ns * 1e-9, t_ns - 25_000_000
+        angle = speed / GEOMETRY.radius_m * t_s
+        found += check.update(
+            Measurements(
+                k, t_ns,
+                wheels=(WheelMeasurement(Stamp(t_ns, t_ns, k), angle, speed, steering, (True,) * 4),),
+                tracker=(pose("tracker", late_ns, t_ns, drift_m_s * late_ns * 1e-9, rate * late_ns * 1e-9),),
+                mocap=(pose("mocap", late_ns, t_ns, (0.0, 0.0), rate * late_ns * 1e-9),),
+            )
+        )  # fmt: skip
+    assert {d.source for d in found if "motion capture" in d.message} == {"tracker"}
 
 
 def doubt(source, *, confirmed=True, off=0.012, turns=False):

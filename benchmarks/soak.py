@@ -1,0 +1,200 @@
+"""Hours of driving on the wall with random faults: does anything leak, drift, or stay unexplained?
+
+    python benchmarks/soak.py --minutes 20
+    python benchmarks/soak.py --minutes 120 --stretch 30 --seed 3
+
+One bench after another drives up and down in virtual time, each for a stretch, recorded. Every few seconds
+some device fails for a moment; what would truly let the robot go, and what changes a device for ever, is left out.
+After every stop the robot must be held again, and the stop must name one that has failed. A line of the table
+is one stretch: cycles, faults, stops, memory of this process when it ended (MB), open files and threads,
+processor time for a second of virtual time, cycles that did not begin on the grid. Exit code 1 for a stop that
+nobody explains, a robot that is not held, a file or thread too many, cycles off the grid, or memory that grows
+by more than `--leak` MB a virtual hour, by the slope of the second half of all stretches.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hil.bench import open_bench
+from hil.fakes.faults import parse_fault
+from hil.recording.mcap_writer import McapRecorder
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.kinds import kinds
+
+WAY_M, MINUTE_S = 0.12, 60.0
+LASTING = ("jump",)
+"""Faults that leave a device another one than before."""
+LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
+"""Devices whose faults may truly let the robot go, or leave nobody who knows how it is held."""
+EVERY_S, LONGEST_S, BACK_S = (2.0, 6.0), 1.5, 3.5
+
+
+@dataclass
+class Stretch:
+    """What was seen of one.
+
+    Attributes:
+        faults, stops, cycles, off_grid: counts.
+        wrong: what must not be.
+        reasons: of the stops.
+    """
+
+    faults: int = 0
+    stops: int = 0
+    cycles: int = 0
+    off_grid: int = 0
+    wrong: list[str] = field(default_factory=list)
+    reasons: Counter[str] = field(default_factory=Counter)
+
+
+class Trouble:
+    """Lets devices of a bench fail, one at a time."""
+
+    def __init__(self, bench: Any, rng: np.random.Generator) -> None:
+        self._bench, self._rng = bench, rng
+        supported = bench.world.faults.supported
+        self._pairs = [
+            (device, kind)
+            for device, faults in supported.items() if device not in LETS_GO
+            for kind in faults if kind not in LASTING
+        ]  # fmt: skip
+        self.recent: list[tuple[float, str]] = []
+        self.count = 0
+        self._due_s = self._now_s() + 3.0
+
+    def _now_s(self) -> float:
+        return float(self._bench.clock.now_ns() / NS_PER_S)
+
+    def stir(self) -> None:
+        """Let the next device fail when its time has come."""
+        now_s = self._now_s()
+        if now_s < self._due_s:
+            return
+        device, kind = self._pairs[int(self._rng.integers(len(self._pairs)))]
+        lasts_s = self._rng.uniform(0.05, LONGEST_S)
+        self._bench.world.faults.clear()
+        self._bench.world.faults.add(parse_fault(f"{device}:{kind}@{now_s:.3f}+{lasts_s:.3f}"))
+        self._due_s = now_s + lasts_s + self._rng.uniform(*EVERY_S)
+        self.recent = [*self.recent, (now_s, device)][-3:]
+        self.count += 1
+
+    def explains(self, message: str) -> bool:
+        """Whether a message names a device that has failed lately, or one whose motion it told wrongly."""
+        words = {w for _, device in self.recent for w in _words(device)}
+        return any(word in message.lower() for word in words)
+
+
+def _words(device: str) -> set[str]:
+    """By what messages may call a device."""
+    head = device.split(".", 1)[0].rstrip("s")
+    kind = next(
+        k for k in kinds().values() if head in (k.name.rstrip("s"), k.shown_as.rstrip("s"), *k.aliases)
+    )
+    return {kind.name, kind.noun.lower().rstrip("s"), head}
+
+
+def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
+    """One bench, driven up and down for a while."""
+    seen, rng = Stretch(), np.random.default_rng(seed)
+    with open_bench("emulated", seed=seed) as bench:
+        bench.add_sink(McapRecorder(str(folder / "soak.mcap"), bench.header(), lossless=True))
+        trouble = Trouble(bench, rng)
+        home = bench.truth().pose_body_in_wall.copy()
+        period_ns = round(NS_PER_S / bench.config.loop.rate_hz)
+        end_ns, up, last_ns = bench.clock.now_ns() + round(minutes * MINUTE_S * NS_PER_S), True, 0
+
+        def look(record: Any) -> None:
+            nonlocal last_ns
+            trouble.stir()
+            seen.cycles += 1
+            seen.off_grid += bool(last_ns) and record.deadline_ns - last_ns != period_ns
+            last_ns = record.deadline_ns
+
+        while bench.clock.now_ns() < end_ns:
+            here = bench.truth().pose_body_in_wall.copy()
+            there = home + np.array([WAY_M if up else 0.0, 0.0, 0.0])
+            up, last_ns = not up, 0
+            try:
+                bench.drive(line(here, there), start_pose=here, hold_s=0.2, on_cycle=look)
+            except HilError as stop:
+                _stopped(bench, seen, trouble, stop)
+        seen.faults = trouble.count
+    return seen
+
+
+def _stopped(bench: Any, seen: Stretch, trouble: Trouble, stop: HilError) -> None:
+    """A stop has to be explained by what failed, and the robot to be held soon after that is over."""
+    seen.stops += 1
+    seen.reasons[getattr(stop, "reason", type(stop).__name__)] += 1
+    if not trouble.explains(str(stop)):
+        seen.wrong.append(f"unexplained after {trouble.recent}: {stop}")
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + round(LONGEST_S * NS_PER_S))
+    held = bench.look(BACK_S)
+    if held.state != "HELD":
+        seen.wrong.append(f"after {trouble.recent}: {held.state}: {held.why}")
+
+
+def memory_mb() -> float:
+    """Of this process, resident."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
+
+
+def main() -> None:
+    """Drive, and print the table."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--minutes", type=float, default=10.0, help="virtual time in all")
+    parser.add_argument("--stretch", type=float, default=2.0, help="minutes of one bench")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--leak", type=float, default=20.0, help="MB per virtual hour")
+    options = parser.parse_args()
+    wrong, memory, handles, reasons = [], [], [], Counter()
+    print("stretch  cycles  faults  stops      MB  files  threads  cpu s/s  off grid")
+    for k in range(max(1, round(options.minutes / options.stretch))):
+        began_s = time.process_time()
+        with tempfile.TemporaryDirectory(prefix="hil-soak-") as folder:
+            seen = stretch(options.seed + k, options.stretch, Path(folder))
+        cpu_s = (time.process_time() - began_s) / (options.stretch * MINUTE_S)
+        memory.append(memory_mb())
+        handles.append((len(os.listdir("/proc/self/fd")), threading.active_count()))
+        reasons += seen.reasons
+        wrong += [f"stretch {k}: {text}" for text in seen.wrong]
+        wrong += [f"stretch {k}: {seen.off_grid} cycles off the grid"] if seen.off_grid else []
+        print(
+            f"{k:7d} {seen.cycles:7d} {seen.faults:7d} {seen.stops:6d} {memory[-1]:7.1f} {handles[-1][0]:6d} "
+            f"{handles[-1][1]:8d} {cpu_s:8.3f} {seen.off_grid:9d}",
+            flush=True,
+        )
+    later = memory[len(memory) // 2 :]
+    if len(later) > 2:
+        slope = float(np.polyfit(np.arange(len(later)) * options.stretch / 60.0, later, 1)[0])
+        print(f"memory grows by {slope:.1f} MB per virtual hour")
+        wrong += [f"memory grows by {slope:.1f} MB an hour"] if slope > options.leak else []
+    if any(a > b for a, b in zip(handles[-1], handles[0], strict=True)):
+        wrong.append(f"files and threads were {handles[0]} and are {handles[-1]}")
+    print("stops:", ", ".join(f"{reason} {count}" for reason, count in reasons.most_common()) or "none")
+    for text in wrong:
+        print(f"WRONG {text}")
+    sys.exit(1 if wrong else 0)
+
+
+if __name__ == "__main__":
+    main()
