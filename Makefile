@@ -1,9 +1,10 @@
 # Every target creates what it needs: a virtual environment `.venv` in the checkout with the package in it,
 # every other package in the version and with the hash that LOCK names. `make LOCK= test` takes the newest
-# versions that pyproject.toml allows instead, in `.venv-newest`.
+# versions that pyproject.toml allows instead, in `.venv-newest`; `make OLDEST=1 test` the oldest, in `.venv-oldest`.
 PYTHON ?= python3
-LOCK := requirements/ci.lock
-VENV := $(if $(LOCK),.venv,.venv-newest)
+OLDEST :=
+LOCK := $(if $(OLDEST),,requirements/ci.lock)
+VENV := $(if $(OLDEST),.venv-oldest,$(if $(LOCK),.venv,.venv-newest))
 PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check
 BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign mujoco test lint docs
@@ -29,7 +30,11 @@ $(BIN)/.installed: pyproject.toml $(LOCK)
 	@$(PYTHON) -c 'import sys; sys.exit(not (3, 10) <= sys.version_info[:2] <= (3, 13))' || \
 	{ echo "CPython 3.10 to 3.13 is needed: set PYTHON=/path/to/python3"; exit 2; }
 	$(PYTHON) -m venv $(VENV)
-ifeq ($(LOCK),)
+ifneq ($(OLDEST),)
+	$(PIP) uv
+	$(BIN)/uv pip install --quiet --python $(BIN)/python --resolution lowest-direct \
+	-e '.[$(shell echo $(EXTRAS) | tr ' ' ,)]'
+else ifeq ($(LOCK),)
 	$(PIP) -e '.[$(shell echo $(EXTRAS) | tr ' ' ,)]'
 else
 	$(PIP) --require-hashes --only-binary :all: -r $(LOCK)
@@ -104,4 +109,4 @@ lock: $(BIN)/.installed
 	pyproject.toml requirements/build.in -o $(LOCK)
 
 clean:
-	rm -rf .venv .venv-newest out build dist *.egg-info
+	rm -rf .venv .venv-newest .venv-oldest out build dist *.egg-info

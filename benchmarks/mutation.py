@@ -40,6 +40,7 @@ LONGEST_S = 90.0
 """After which the tests of a change hang: noticed, too."""
 _GUARDS = ("tests/core/test_alignment_and_supervisor.py", "tests/core/test_motion_check.py")
 _SENSES = ("tests/core/test_motion_check.py", "tests/core/test_capture_check.py")
+_STREAMS = "tests/core/test_stream_watch.py"
 _SERVOS = tuple(
     f"tests/servos/test_servo_{name}.py" for name in ("goals", "driver_cycle", "outage", "silence")
 )
@@ -51,8 +52,8 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "capture_check": ("hil/ring/capture_check.py", _SENSES),
     "doubts": ("hil/ring/doubts.py", _SENSES),
     "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor_asks_everybody.py")),
-    "stream_watch": ("hil/ring/stream_watch.py", ("tests/core/test_stream_watch.py",)),
-    "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _GUARDS[0])),
+    "stream_watch": ("hil/ring/stream_watch.py", (_STREAMS,)),
+    "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),
     "outage": ("hil/drivers/servos/timeouts.py", _SERVOS),
     "limits": ("hil/robot/motion_limits.py", ("tests/trajectories/test_trajectories.py",)),

@@ -80,6 +80,10 @@ def test_a_sensor_that_was_away_says_for_how_long(missing, told):
     assert [e.message for e in events] == told
 
 
+def test_a_sensor_that_sends_on_was_never_away():
+    assert watched("mocap", [Status.OK] * 400) == []
+
+
 def test_frozen_samples_are_a_silence_too():
     told = watched("tracker", [Status.OK, *[Status.FROZEN] * 60], {"tracker": 0.5})
     assert [e.message.split()[0] for e in told] == ["repeats", "stale"]

@@ -1,6 +1,7 @@
 """The lock holds everything that `make` installs, in versions that pyproject.toml allows, with hashes."""
 
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -79,4 +80,23 @@ def test_make_installs_from_the_lock_and_nothing_else():
         "--require-hashes --only-binary :all: -r $(LOCK)",
         "--no-deps --no-build-isolation -e .",
     ]
-    assert re.search(r"^LOCK := requirements/ci\.lock$", MAKEFILE, re.MULTILINE)
+    assert re.search(r"^LOCK := \$\(if \$\(OLDEST\),,requirements/ci\.lock\)$", MAKEFILE, re.MULTILINE)
+
+
+@pytest.mark.parametrize(
+    ("given", "folder", "by"),
+    [((), ".venv/", "--require-hashes"), (("LOCK=",), ".venv-newest/", "-e '.["),
+     (("OLDEST=1",), ".venv-oldest/", "--resolution lowest-direct")],
+)  # fmt: skip
+def test_make_takes_what_is_locked_the_newest_or_the_oldest(given, folder, by):
+    """In a folder each, so that none is taken for another."""
+    told = subprocess.run(
+        ["make", "--always-make", "--dry-run", *given, "lint"],
+        cwd=ROOT,
+        text=True,
+        capture_output=True,
+        check=True,
+    ).stdout
+    installing = told[: told.index("hil info --compile")].splitlines()
+    assert any(by in line for line in installing)
+    assert {path for line in installing for path in re.findall(r"\.venv[a-z-]*/", line)} == {folder}
