@@ -3,13 +3,14 @@
     python benchmarks/soak.py --minutes 20
     python benchmarks/soak.py --minutes 120 --stretch 30 --seed 3
 
-One bench after another drives up and down in virtual time, each for a stretch, recorded. Every few seconds
-some device fails for a moment; what would truly let the robot go, and what changes a device for ever, is left
-out. After every stop the robot must be held again, and the stop must name one that has failed. A line of the
-table is one stretch: cycles, faults, stops, memory of this process when it ended (MB), open files and threads,
-processor time for a second of virtual time, cycles that did not begin on the grid. Exit code 1 for a stop that
-nobody explains, a robot that is not held, a file or thread too many, cycles off the grid, or memory that grows
-by more than `--leak` MB a virtual hour, by the slope of the second half of all stretches.
+One bench after another drives up and down in virtual time, each for a stretch, recorded. Every few
+seconds some device fails for a moment; what would truly let the robot go, and what changes a device for
+ever, is left out. After every stop the robot must be held again, and the stop must name one that has
+failed. A line of the table is one stretch: cycles, faults, stops, memory of this process when it ended
+(MB), open files and threads, processor time for a second of virtual time, cycles that did not begin on
+the grid. Exit code 1 for a stop that nobody explains, a robot that is not held, a file or thread too
+many, cycles off the grid, or memory that grows by more than `--leak` MB a virtual hour, by the slope of
+the second half of all stretches.
 """
 
 from __future__ import annotations

@@ -38,3 +38,11 @@ def test_an_error_of_the_hardware_is_another_failure_with_another_remedy():
     with pytest.raises(DeviceError, match=r"drive_BR \(ID 3\): hardware error .*overload.*reboot") as error:
         noted(Status.HARDWARE_ERROR, LIMIT_NS + 1, alert=0x20)
     assert not isinstance(error.value, DeviceTimeoutError)
+
+
+def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
+    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    status = (Status.TIMEOUT, Status.HARDWARE_ERROR, *[Status.OK] * 6)
+    with pytest.raises(DeviceError, match=r"drive_FL \(ID 1\): timeout, drive_BL .*reboot") as error:
+        watch.note(status, [0, 0x20, *[0] * 6], LIMIT_NS + 1)
+    assert not isinstance(error.value, DeviceTimeoutError)
