@@ -14,6 +14,7 @@ from typing import Any
 import tomli_w
 from serial.tools import list_ports
 
+from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.kinds import DeviceModel, Found, Search, kinds
 
@@ -58,9 +59,8 @@ def serial_ports() -> list[str]:
 
 def stable_name(port: str) -> str:
     """`/dev/serial/by-id/...` of a port, which names the adapter by its USB serial number."""
-    folder = Path("/dev/serial/by-id")
-    if folder.is_dir():
-        for link in sorted(folder.iterdir()):
+    if BY_ID.is_dir():
+        for link in sorted(BY_ID.iterdir()):
             if str(link.resolve()) == port:
                 return str(link)
     return port

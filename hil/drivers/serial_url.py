@@ -24,6 +24,9 @@ from hil.drivers.port_users import named, programs_with
 from hil.vocabulary.errors import DeviceError
 
 RFC2217 = "rfc2217://"
+BY_ID = Path("/dev/serial/by-id")
+"""Links to serial ports by their adapters' serial numbers."""
+_NOBODY_THERE = (errno.ENOENT, errno.ENODEV, errno.ENXIO)
 
 
 def _port_errors() -> tuple[type[Exception], ...]:
@@ -99,6 +102,8 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     remedy = "check the cable and the port name; `hil discover` lists ports"
     if number == errno.EACCES:
         remedy = f"sudo usermod -aG {_group(url)} $USER, then log in again"
+    elif number in _NOBODY_THERE and "://" not in url:
+        remedy = _elsewhere(url, BY_ID)
     elif number in (errno.EBUSY, errno.EAGAIN):
         others = named(programs_with(url)) or f"sudo fuser -v {url} names it"
         remedy = f"close the other program that uses the port: {others}"
@@ -106,6 +111,20 @@ def cannot_open(device: str, url: str, error: Exception, *, expected: str) -> De
     return DeviceError(
         device, f"port cannot be opened ({detail})", port=url, expected=expected, remedy=remedy
     )
+
+
+def _elsewhere(port: str, by_id: Path) -> str:
+    """What to do about a port that is not there: a hub that was reset gives its adapters other names."""
+    if Path(port).parent == by_id:
+        return f"plug in the adapter with this serial number, or name another one; {_present(by_id)}"
+    return f"check cable and hub; {_present(by_id)}: name the port by its link, which does not change"
+
+
+def _present(by_id: Path) -> str:
+    """The adapters that are plugged in, by their links."""
+    links = sorted(by_id.glob("*")) if by_id.is_dir() else []
+    told = ", ".join(f"{link} ({link.resolve().name})" for link in links)
+    return f"plugged in now: {told}" if told else f"`hil discover` lists ports, {by_id} shows no adapter"
 
 
 def _group(port: str) -> str:

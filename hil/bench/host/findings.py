@@ -11,11 +11,11 @@ from hil.bench.host.usb import HUB_BUDGET_MA, UsbDevice, behind, plugged_in
 from hil.config.bench import BenchConfig
 from hil.config.tracker import T265Config
 from hil.drivers.port_users import PROC, named, programs_with, running
+from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.finding import Finding
 
 T265_IDS = {("8087", "0b37")}
 _USB3_MBIT = 5000.0
-_BY_ID = Path("/dev/serial/by-id")
 _GRABBERS = {
     "ModemManager": (
         "asks every new serial port for seconds whether it is a modem",
@@ -39,7 +39,7 @@ class Host:
 
     sysfs: Path = Path("/sys")
     proc: Path = PROC
-    by_id: Path = _BY_ID
+    by_id: Path = BY_ID
 
 
 def real_ports(config: BenchConfig) -> Mapping[str, str]:

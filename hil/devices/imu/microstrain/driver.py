@@ -90,6 +90,16 @@ class MicrostrainImu(Sensor[ImuSample]):
             self.close()
             raise
 
+    def reopen(self) -> None:
+        """As `open`, after the sensor was away: samples go on counting, and the first one says so."""
+        self.open()
+        self._restarted = True
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the port itself has failed."""
+        return self._opened and not self._link.is_open
+
     def close(self) -> None:
         """Let go of the port; the sensor goes on by itself. Idempotent."""
         self._identity, self._opened, self.rate_hz = {}, False, math.nan

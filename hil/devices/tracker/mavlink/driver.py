@@ -68,6 +68,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._jumps = JumpTest.of(config)
         self._stuck = StuckTest(config.stuck_after_s)
         self._stale_ns, self._fail_ns = nanoseconds(config.stale_after_s), nanoseconds(config.fail_after_s)
+        self._seq, self._last_t_ns = 0, -(1 << 62)
         self._forget()
 
     @property
@@ -98,6 +99,17 @@ class MavlinkTracker(Sensor[TrackerSample]):
             raise
         self._good_ns = self._clock.now_ns()
         self._stuck.reset(self._good_ns)
+
+    def reopen(self) -> None:
+        """As `open`, after sender or cable were away: poses go on counting, perhaps in another frame."""
+        self.open()
+        self._jumps.distrust()
+        self._reset = True
+
+    @property
+    def port_gone(self) -> bool:
+        """Whether the port itself fails, again and again; a silent network looks like a silent sender."""
+        return self._session is not None and self._session.port_gone
 
     def close(self) -> None:
         """Let go of the link. Idempotent; never raises."""
@@ -153,9 +165,8 @@ class MavlinkTracker(Sensor[TrackerSample]):
         self._clock_map.reset()
         self._jumps.reset()
         self._stuck.reset(self._clock.now_ns())
-        self._seq = self._repeated = 0
+        self._repeated = 0
         self._last_device_ns: int | None = None
-        self._last_t_ns = -(1 << 62)
         self._resets: int | None = None
         self._reset = False
         self._good_ns = self._clock.now_ns()

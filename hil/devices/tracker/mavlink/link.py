@@ -16,6 +16,7 @@ from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import DeviceError
 
 _LOOK_NS = 1_000_000
+_GONE_AFTER = 20
 _LARGEST = 4096
 _PIECES = 4096
 _WRITE_TIMEOUT_S = 0.05
@@ -91,7 +92,7 @@ class SerialLink(Link):
         self._sender: Address = (config.port, 0)
         self.peer = self._sender
         self._arrived: deque[Arrival] = deque(maxlen=_PIECES)
-        self.trouble, self.overflowed = "", 0
+        self.trouble, self.overflowed, self._failures = "", 0, 0
         try:
             self._port: Any = open_serial(
                 config.port, baud=config.baud, timeout_s=0.0, write_timeout_s=_WRITE_TIMEOUT_S
@@ -100,6 +101,11 @@ class SerialLink(Link):
         except PORT_ERRORS as error:
             raise cannot_open(device, config.port, error, expected="a sender of MAVLink") from None
         self._end = clock.schedule(self._look, clock.now_ns())
+
+    @property
+    def gone(self) -> bool:  # type: ignore[override]
+        """Whether the port has failed at every look for a while."""
+        return self._failures >= _GONE_AFTER
 
     def send(self, data: bytes, address: Address) -> None:
         """Hand bytes to the port."""
@@ -119,9 +125,10 @@ class SerialLink(Link):
     def _look(self, now_ns: int) -> int:
         try:
             data = self._port.read(_LARGEST) if self._port.in_waiting else b""
-            self.trouble = ""
+            self.trouble, self._failures = "", 0
         except PORT_ERRORS as error:
             data, self.trouble = b"", f"the port has failed ({error})"
+            self._failures += 1
         arrived_ns = self._clock.now_ns()
         if data:
             self.overflowed += len(self._arrived) == _PIECES

@@ -86,6 +86,11 @@ class Session:
         """Why nothing can arrive; empty while all is well."""
         return self._link.trouble
 
+    @property
+    def port_gone(self) -> bool:
+        """Whether the link has failed for so long that waiting is in vain."""
+        return self._link.gone
+
     def exchange(self) -> None:
         """Take what has arrived and say what is due; never waits. Anybody may send datagrams."""
         wasted = 0

@@ -27,12 +27,14 @@ class Link(Protocol):
         datagrams: whether what arrives at once belongs together.
         peer: whom to speak to before anybody has spoken; None where that is not known.
         trouble: why nothing can arrive any more; empty while all is well.
+        gone: whether that has lasted for so long that only opening it again helps.
         overflowed: arrivals lost because nobody took them.
     """
 
     datagrams: bool
     peer: Address | None
     trouble: str
+    gone: bool = False
     overflowed: int
 
     @abstractmethod
