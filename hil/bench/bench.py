@@ -15,6 +15,7 @@ from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.replug import replugged
 from hil.bench.settings import real_time
+from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
@@ -99,7 +100,7 @@ class Bench(Blueprint):
         self._stack.callback(self.rig.close)
         try:
             self.pressed = Hanging(self.config, self.rig, self.clock).hold()
-            self._sinks += by_need(self.config, self.rig)
+            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()
         except BaseException:

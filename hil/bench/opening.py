@@ -16,6 +16,7 @@ from hil.bench.drivers import make_rig, model_of
 from hil.bench.emulation import build_world, check_faults, connect_in_process, planned_faults
 from hil.bench.process import EmulatorProcess
 from hil.bench.settings import geometry_of, with_wheel_model
+from hil.bench.wheel_feed import with_wheel_sigma
 from hil.calibration.artefact import read_calibration
 from hil.calibration.versions import check_made_for
 from hil.config.bench import BenchConfig
@@ -64,6 +65,7 @@ def open_bench(
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)
     checked, fitted = _calibrated(checked, calibration)
+    checked = with_wheel_sigma(checked)
     emulated = checked.emulated()
     common: dict[str, Any] = {**fitted, "seed": seed, "sinks": sinks}
     if not emulated:

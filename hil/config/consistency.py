@@ -10,6 +10,7 @@ from hil.config.can_bus import quarrels
 from hil.config.environment import SURFACES
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
+from hil.config.tracker import T265Config
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
 from hil.vocabulary.kinds import added
 
@@ -28,6 +29,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     """Dotted path and text of every contradiction in a configuration whose tables are right by themselves."""
     yield from _of_motion(config)
     yield from _of_servos(config)
+    yield from _of_the_camera(config)
     yield from _of_the_environment(config)
     yield from _of_the_emulation(config)
     yield from _of_imperfections(config)
@@ -93,6 +95,15 @@ def _of_motion(config: BenchConfig) -> Iterator[Problem]:
             "control.steering_limit_rad",
             f"{control.steering_limit_rad:g} rad is beyond safety.steering_limit_rad = "
             f"{safety.steering_limit_rad:g}: the supervisor would stop the robot there",
+        )
+
+
+def _of_the_camera(config: BenchConfig) -> Iterator[Problem]:
+    camera = config.of(T265Config)
+    if camera is not None and camera.wheel_odometry and config.of(ServosConfig) is None:
+        yield (
+            "tracker.wheel_odometry",
+            "the bench has no [servos] whose wheels could be told to the camera; add them, or leave it out",
         )
 
 

@@ -2,8 +2,10 @@
 
 The feed carries the poses of an emulated camera between processes; its datagrams are laid out here,
 where both ends can see them. Little endian, each datagram starts with `FEED_MAGIC` and a kind byte:
-`FEED_SUBSCRIBE` and `FEED_LEAVE` (client to camera, nothing more), `FEED_INFO` (`INFO_RECORD`) and
-`FEED_POSE` (`POSE_RECORD`), in the camera's own axes and on its own clock.
+`FEED_SUBSCRIBE` and `FEED_LEAVE` (client to camera, nothing more), `FEED_SETTINGS` (client to camera: JSON,
+`options` by librealsense's names and the `wheels` calibration), `FEED_WHEELS` (client to camera:
+`WHEELS_RECORD`), `FEED_INFO` (`INFO_RECORD`) and `FEED_POSE` (`POSE_RECORD`), in the camera's own axes and on
+its own clock.
 """
 
 from __future__ import annotations
@@ -11,19 +13,21 @@ from __future__ import annotations
 import struct
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.device import Position, TrackerConfig
 from hil.config.values import Freshness, Patience, Within
 
 FEED_MAGIC = b"HP1"
-FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE = 1, 2, 3, 4
+FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE, FEED_SETTINGS, FEED_WHEELS = 1, 2, 3, 4, 5, 6
 FEED_HEAD = struct.Struct("<3sB")
 INFO_RECORD = struct.Struct("<3sB32s32s32s")
 """Magic, kind, name, serial number, firmware: UTF-8, padded with zeros."""
 POSE_RECORD = struct.Struct("<3sBQd13dB")
 """Magic, kind, frame number, timestamp ms, translation m, velocity m/s, rotation x y z w,
 angular velocity rad/s, tracker confidence."""
+WHEELS_RECORD = struct.Struct("<3sBBQ3d")
+"""Magic, kind, sensor, frame number, velocity m/s in the sensor's axes."""
 
 
 class FeedEndpoint(BaseModel):
@@ -58,6 +62,15 @@ class T265Config(TrackerConfig):
             `max_rate_rad_s` explain; anything larger is a relocalisation.
         max_speed_m_s, max_rate_rad_s: fastest motion of the robot.
         reaccept_after: consistent poses after a jump before they are trusted again.
+        mapping: whether the camera keeps a map of what it sees; what follows needs one. A robot that follows
+            a path wants none: a pose that jumps is no motion.
+        relocalisation: whether it looks for its place in that map.
+        pose_jumping: whether its poses jump where the map corrects them.
+        map_preservation: whether it keeps the map from one start to the next.
+        wheel_odometry: whether it is told the velocity of the wheels, which makes it robust on wheels. Camera
+            and wheels are then no longer independent witnesses.
+        wheel_sigma_m_s: standard uncertainty of that velocity, per axis; from the noise of the wheels
+            (`estimator.wheels`) at the highest speed when None.
         stale_after_s: poses that come later than this are marked stale.
         stuck_after_s: bit-identical poses for longer than this (20 of them) are marked frozen.
         connect_timeout_s: longest wait for the camera to be there: it is given its firmware, which takes
@@ -77,9 +90,29 @@ class T265Config(TrackerConfig):
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(20, ge=1, le=10_000)
+    mapping: bool = False
+    relocalisation: bool = False
+    pose_jumping: bool = False
+    map_preservation: bool = False
+    wheel_odometry: bool = False
+    wheel_sigma_m_s: (
+        Annotated[float, Within(1e-4, 0.1, "the robot drives 0.13 m/s, a servo reads 0.003 m/s")] | None
+    ) = None
     stale_after_s: Freshness = 0.5
     stuck_after_s: Freshness = 0.1
     connect_timeout_s: float = Field(10.0, gt=0, le=60)
     open_timeout_s: float = Field(5.0, gt=0, le=60)
     fail_after_s: Patience = 2.0
     queue_length: int = Field(1024, ge=8, le=100_000)
+
+    @model_validator(mode="after")
+    def _one_mind(self) -> T265Config:
+        """What needs the map needs mapping; an uncertainty needs somebody to be told."""
+        of_the_map = [k for k in ("relocalisation", "pose_jumping", "map_preservation") if getattr(self, k)]
+        if of_the_map and not self.mapping:
+            raise ValueError(
+                f"{' and '.join(of_the_map)} = true without a map: set mapping = true, or leave it out"
+            )
+        if self.wheel_sigma_m_s is not None and not self.wheel_odometry:
+            raise ValueError("wheel_sigma_m_s is told to nobody: set wheel_odometry = true, or leave it out")
+        return self

@@ -32,7 +32,8 @@ def test_a_jump_is_marked_until_the_new_place_is_consistent(tracker_bench, follo
 
 
 def test_spontaneous_relocalisations_are_off_by_default_and_can_be_had(tracker_bench, follow):
-    bench = tracker_bench(options=TrackerTruthOptions(relocalisations_per_s=0.5))
+    with_map = {"mapping": True, "pose_jumping": True}
+    bench = tracker_bench(options=TrackerTruthOptions(relocalisations_per_s=0.5), config=with_map)
     bench.driver.open()
     marked = kinds(follow(bench, 20.0))
     assert 40 <= marked.count(Status.JUMP) <= 400
@@ -274,6 +275,9 @@ class Mumbling:
 
     def __init__(self, camera):
         self.camera, self.frames = camera, []
+
+    def resolve(self):
+        return self.camera.pipeline().resolve()
 
     def start(self, config, callback):
         self.pipeline = self.camera.pipeline()

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from hil.config.tracker import FEED_INFO, FEED_MAGIC, INFO_RECORD, POSE_RECORD, T265Config
 from hil.drivers.tracker import T265Tracker
-from hil.drivers.tracker.feed import FeedDevice, FeedFrame
+from hil.drivers.tracker.feed import FeedDevice, FeedFrame, FeedSensor
 from hil.fakes.world import VirtualClock, World
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
@@ -42,6 +42,9 @@ class Standing:
 
 class Scripted:
     """A pipeline whose frames a test makes."""
+
+    def resolve(self):
+        return FeedSensor(lambda data: True)
 
     def start(self, config, callback):
         self.put = callback

@@ -1,12 +1,14 @@
 """The client end of an emulated camera's feed: a pipeline-shaped object on a UDP socket.
 
 It subscribes with one small datagram, renews that every second, and hands every pose to the callback
-from a thread of its own, as librealsense does. The datagrams are laid out in `hil.config.tracker`.
+from a thread of its own, as librealsense does. What the camera is told goes the same way. The datagrams are
+laid out in `hil.config.tracker`.
 """
 
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 import threading
 from collections.abc import Callable
@@ -19,9 +21,12 @@ from hil.config.tracker import (
     FEED_LEAVE,
     FEED_MAGIC,
     FEED_POSE,
+    FEED_SETTINGS,
     FEED_SUBSCRIBE,
+    FEED_WHEELS,
     INFO_RECORD,
     POSE_RECORD,
+    WHEELS_RECORD,
 )
 from hil.drivers.tracker.library import Frame
 
@@ -89,6 +94,54 @@ class FeedDevice:
         return self._info[key]
 
 
+class FeedSensor:
+    """What the camera can be told, in the shape of librealsense's sensor, options and wheel odometer."""
+
+    def __init__(self, send: Callable[[bytes], bool]) -> None:
+        self._send = send
+        self._options: dict[str, float] = {}
+        self._wheels: Any = None
+
+    def query_sensors(self) -> list[FeedSensor]:
+        """Itself: device and sensor in one."""
+        return [self]
+
+    def get_device(self) -> FeedSensor:
+        """Itself."""
+        return self
+
+    def supports(self, option: str) -> bool:
+        """The camera judges."""
+        return True
+
+    def set_option(self, option: str, value: float) -> None:
+        """Told when the stream starts."""
+        self._options[option] = value
+
+    def get_option(self, option: str) -> float:
+        """As it was set."""
+        return self._options[option]
+
+    def as_wheel_odometer(self) -> FeedSensor:
+        """Itself."""
+        return self
+
+    def load_wheel_odometery_config(self, calibration: list[int]) -> bool:
+        """Told when the stream starts."""
+        self._wheels = json.loads(bytes(calibration))
+        return True
+
+    def send_wheel_odometry(self, sensor: int, number: int, velocity: Any) -> bool:
+        """Told at once."""
+        v = velocity
+        return self._send(WHEELS_RECORD.pack(FEED_MAGIC, FEED_WHEELS, sensor, number, v.x, v.y, v.z))
+
+    def settings(self) -> bytes:
+        """The datagram that says all of it."""
+        told = {"options": self._options, "wheels": self._wheels}
+        return FEED_HEAD.pack(FEED_MAGIC, FEED_SETTINGS) + json.dumps(told).encode()
+
+
 class FeedPipeline:
     """Same use as `pyrealsense2.pipeline`: `start` with a callback, `stop`.
 
@@ -104,7 +157,12 @@ class FeedPipeline:
         self._socket: socket.socket | None = None
         self._thread: threading.Thread | None = None
         self._stopping = threading.Event()
+        self._sensor = FeedSensor(self._tell)
         self.strange = 0
+
+    def resolve(self) -> FeedSensor:
+        """What can be told before the stream starts."""
+        return self._sensor
 
     def start(self, config: Any, callback: Callable[[Frame], None]) -> FeedDevice:
         """Subscribe; raises `RuntimeError` when no camera (of the asked serial number) answers."""
@@ -115,6 +173,7 @@ class FeedPipeline:
         try:
             self._socket.connect(self._address)
             device = self._ask(self._socket)
+            self._tell(self._sensor.settings())
             if config.serial not in (None, device.get_info("serial_number")):
                 raise RuntimeError(f"the feed comes from camera {device.get_info('serial_number')}")
         except BaseException:
@@ -144,6 +203,14 @@ class FeedPipeline:
             if len(data) == INFO_RECORD.size and FEED_HEAD.unpack_from(data) == (FEED_MAGIC, FEED_INFO):
                 return FeedDevice(data)
         raise RuntimeError("no emulated camera answers at {}:{}".format(*self._address))
+
+    def _tell(self, data: bytes) -> bool:
+        if self._socket is None:
+            return False
+        try:
+            return self._socket.send(data) == len(data)
+        except OSError:
+            return False
 
     def _exchange(self, port: socket.socket) -> bytes:
         """Subscribe once; returns the next datagram, empty when there is none in time."""

@@ -15,7 +15,7 @@ from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.extras import how_to_install
 
 MODEL = "T265"
-LAST_VERSION = "2.53.1"
+LAST_VERSION, LAST_FIRMWARE = "2.53.1", "0.2.0.951"
 VENDOR_ERRORS = (RuntimeError, OSError, TypeError, AttributeError)
 """What librealsense's binding raises; all of it is translated where it happens."""
 
@@ -66,9 +66,24 @@ class StreamRequest:
         """Ask for one camera by its serial number."""
         self.serial = serial
 
+    def resolve(self, pipeline: Any) -> Any:
+        """The profile that the pipeline would start with: its device can be told what to do."""
+        return pipeline.resolve()
+
 
 class _Streams:
     pose = "pose"
+
+
+class _Options:
+    enable_mapping = "enable_mapping"
+    enable_relocalization = "enable_relocalization"
+    enable_pose_jumping = "enable_pose_jumping"
+    enable_map_preservation = "enable_map_preservation"
+
+
+class _Vector:
+    x = y = z = 0.0
 
 
 class _CameraInfo:
@@ -82,6 +97,8 @@ class PlainLibrary:
 
     config = StreamRequest
     stream = _Streams
+    option = _Options
+    vector = _Vector
     camera_info = _CameraInfo
 
 
@@ -140,6 +157,21 @@ def find_camera(
         expected=f"a T265 and pyrealsense2 {LAST_VERSION}; this is {version}",
         remedy="check the USB 3 cable and the udev rules of librealsense, or emulate the tracker",
     )
+
+
+def identity_of(device: Any, library: Any, name: str) -> dict[str, str]:
+    """Model, serial number and firmware of a camera; raises `DeviceError` for one that is no T265."""
+    info = library.camera_info
+    model, serial, firmware = (
+        str(device.get_info(key)) if device.supports(key) else "unknown"
+        for key in (info.name, info.serial_number, info.firmware_version)
+    )
+    if MODEL not in model:
+        raise DeviceError(
+            name, f"the camera is a {model}", port=serial, expected="a T265",
+            remedy="set tracker.serial to the T265's serial number",
+        )  # fmt: skip
+    return {"model": model, "serial": serial, "firmware": firmware}
 
 
 def _cameras(library: Any, context: Any) -> list[tuple[str, str]]:

@@ -22,14 +22,15 @@ from hil.drivers.jumps import JumpTest
 from hil.drivers.stuck import StuckTest
 from hil.drivers.tracker.feed import FeedPipeline
 from hil.drivers.tracker.library import (
-    MODEL,
     VENDOR_ERRORS,
     Frame,
     Pipeline,
     PlainLibrary,
     find_camera,
+    identity_of,
     realsense,
 )
+from hil.drivers.tracker.settings import WheelVelocities, tell
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
@@ -79,6 +80,7 @@ class T265Tracker(Sensor[TrackerSample]):
         self._config, self._clock = config, clock
         self._given, self._library = pipeline, library
         self._running: Pipeline | None = None
+        self._wheels: WheelVelocities | None = None
         self._identity: dict[str, str] = {}
         self._queue: deque[_Raw] = deque(maxlen=config.queue_length)
         self._clock_map = DeviceClock(nanoseconds(config.latency_s))
@@ -121,6 +123,9 @@ class T265Tracker(Sensor[TrackerSample]):
     def close(self) -> None:
         """Stop the stream. Idempotent; never raises."""
         self._identity = {}
+        wheels, self._wheels = self._wheels, None
+        if wheels is not None:
+            wheels.close()
         if self._running is not None:
             pipeline, self._running = self._running, None
             try:
@@ -152,6 +157,11 @@ class T265Tracker(Sensor[TrackerSample]):
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent((now_ns - self._good_ns) / NS_PER_S, samples)
         return tuple(samples)
+
+    def take_wheel_velocity(self, v_x_m_s: float, v_y_m_s: float) -> None:
+        """Tell the camera how the body's origin moves in the body's axes, by the wheels; never waits."""
+        if self._wheels is not None:
+            self._wheels.take(v_x_m_s, v_y_m_s)
 
     @property
     def _port(self) -> str:
@@ -188,12 +198,13 @@ class T265Tracker(Sensor[TrackerSample]):
             request.enable_stream(library.stream.pose)
             if serial is not None:
                 request.enable_device(serial)
+            there = request.resolve(pipeline).get_device()
+            in_real_time = self._clock.wall_offset() is not None
+            self._wheels = tell(there, library, self._config, self.name, beside=in_real_time)
             device = pipeline.start(request, self._take).get_device()
-            info = library.camera_info
-            model, found, firmware = (
-                str(device.get_info(key)) if device.supports(key) else "unknown"
-                for key in (info.name, info.serial_number, info.firmware_version)
-            )
+            found = identity_of(device, library, self.name)
+        except DeviceError:
+            raise
         except VENDOR_ERRORS as error:
             raise DeviceError(
                 self.name,
@@ -202,15 +213,7 @@ class T265Tracker(Sensor[TrackerSample]):
                 expected="a T265" if serial is None else f"a T265 with serial number {serial}",
                 remedy="check the USB 3 cable and that no other program uses the camera",
             ) from None
-        if MODEL not in model:
-            raise DeviceError(
-                self.name,
-                f"the camera is a {model}",
-                port=found,
-                expected="a T265",
-                remedy="set tracker.serial to the T265's serial number",
-            )
-        return {"model": model, "serial": found, "firmware": firmware, "port": self._port or "USB"}
+        return {**found, "port": self._port or "USB"}
 
     def _await_first(self) -> None:
         start_ns = self._clock.now_ns()

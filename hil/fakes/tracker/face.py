@@ -6,6 +6,7 @@ The datagrams are laid out in `hil.config.tracker`; the driver's `FeedPipeline` 
 from __future__ import annotations
 
 import contextlib
+import json
 import socket
 
 from hil.config.tracker import (
@@ -14,9 +15,12 @@ from hil.config.tracker import (
     FEED_LEAVE,
     FEED_MAGIC,
     FEED_POSE,
+    FEED_SETTINGS,
     FEED_SUBSCRIBE,
+    FEED_WHEELS,
     INFO_RECORD,
     POSE_RECORD,
+    WHEELS_RECORD,
 )
 from hil.fakes.server import Face
 from hil.fakes.tracker.frames import PoseFrame
@@ -28,6 +32,8 @@ from hil.vocabulary.errors import DeviceError
 _FORGET_NS = nanoseconds(5.0)
 _LARGEST = 2048
 _HEAD_SUBSCRIBE = FEED_HEAD.pack(FEED_MAGIC, FEED_SUBSCRIBE)
+_HEAD_SETTINGS = FEED_HEAD.pack(FEED_MAGIC, FEED_SETTINGS)
+_HEAD_WHEELS = FEED_HEAD.pack(FEED_MAGIC, FEED_WHEELS)
 _HEAD_LEAVE = FEED_HEAD.pack(FEED_MAGIC, FEED_LEAVE)
 
 
@@ -87,8 +93,24 @@ class TrackerFace(Face):
             self._forget(client)
         elif data == _HEAD_SUBSCRIBE:
             self._subscribe(client, t_ns)
-        else:
+        elif len(data) == WHEELS_RECORD.size and data.startswith(_HEAD_WHEELS):
+            sensor, number, *velocity = WHEELS_RECORD.unpack(data)[2:]
+            self._camera.wheels.send(sensor, number, (velocity[0], velocity[1], velocity[2]), t_ns)
+        elif not (data.startswith(_HEAD_SETTINGS) and self._set(data[len(_HEAD_SETTINGS) :])):
             self.strange += 1
+
+    def _set(self, told: bytes) -> bool:
+        """Take settings as JSON; whether they were settings."""
+        try:
+            given = json.loads(told)
+            options = {str(key): float(value) for key, value in given["options"].items()}
+            wheels = given["wheels"]
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
+            return False
+        if not set(options) <= set(self._camera.settings):
+            return False
+        self._camera.settings.update(options)
+        return wheels is None or self._camera.wheels.load(json.dumps(wheels).encode())
 
     def endpoint(self) -> dict[str, object]:
         """Address of the feed."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from hil.fakes.tracker.odometry import CameraPose
+from hil.fakes.tracker.wheel_input import WheelInput
 
 MODEL = "Intel RealSense T265"
 
@@ -58,6 +59,12 @@ class Camera(Protocol):
     serial: str
     model: str
     firmware: str
+    settings: dict[str, float]
+    wheels: WheelInput
+
+    @property
+    def now_ns(self) -> int:
+        """World time."""
 
     def start_stream(self, callback: FrameCallback) -> None:
         """Begin to deliver poses; raises `RuntimeError` as the library does."""
@@ -89,12 +96,58 @@ class DeviceInfo:
         return self._info[key]
 
 
+class WorldSensor:
+    """The camera's settings and wheel odometer, as `rs.sensor` and `rs.wheel_odometer` in one."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._camera = camera
+
+    def get_device(self) -> WorldSensor:
+        """Itself: profile, device and sensor in one."""
+        return self
+
+    def query_sensors(self) -> list[WorldSensor]:
+        """Itself."""
+        return [self]
+
+    def supports(self, option: str) -> bool:
+        """Whether the camera has such a setting."""
+        return option in self._camera.settings
+
+    def set_option(self, option: str, value: float) -> None:
+        """Raises `RuntimeError` as the library does for an option that the camera does not have."""
+        if option not in self._camera.settings:
+            raise RuntimeError("object doesn't support option")
+        self._camera.settings[option] = value
+
+    def get_option(self, option: str) -> float:
+        """As it is set."""
+        return self._camera.settings[option]
+
+    def as_wheel_odometer(self) -> WorldSensor:
+        """Itself."""
+        return self
+
+    def load_wheel_odometery_config(self, calibration: list[int]) -> bool:
+        """Whether it was a calibration."""
+        return self._camera.wheels.load(bytes(calibration))
+
+    def send_wheel_odometry(self, sensor: int, number: int, velocity: Any) -> bool:
+        """Whether the velocity could be one."""
+        v = velocity.x, velocity.y, velocity.z
+        return self._camera.wheels.send(sensor, number, v, self._camera.now_ns)
+
+
 class WorldPipeline:
     """Stands in for `pyrealsense2.pipeline`: poses reach the callback as world time passes."""
 
     def __init__(self, camera: Camera) -> None:
         self._camera = camera
         self._callback: FrameCallback | None = None
+
+    def resolve(self) -> WorldSensor:
+        """What can be told before the stream starts."""
+        return WorldSensor(self._camera)
 
     def start(self, config: Any, callback: FrameCallback) -> DeviceInfo:
         """Begin to stream; raises `RuntimeError` as the library does when no camera fits."""

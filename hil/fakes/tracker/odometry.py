@@ -14,7 +14,14 @@ import numpy as np
 
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
-from hil.vocabulary.geometry import quat_from_rotvec, quat_from_yaw, quat_multiply, quat_rotate
+from hil.vocabulary.geometry import (
+    Array,
+    quat_conjugate,
+    quat_from_rotvec,
+    quat_from_yaw,
+    quat_multiply,
+    quat_rotate,
+)
 
 _BLOCK = 512
 _DRAWS = 16
@@ -97,8 +104,31 @@ class VisualOdometry:
         if self._started:
             self._last = self._last[0] - x_m, self._last[1] - y_m
 
-    def observe(self, body: BodyMotion, dt_s: float, scale: float = 1.0) -> CameraPose:
-        """The camera's pose for the body's true motion, `dt_s` after the last one."""
+    def rate_rad_s(self, omega_rad_s: float) -> Array:
+        """The camera's rate of turn in its own axes (3,)."""
+        return self._in_camera([0.0, 0.0, omega_rad_s])
+
+    def _in_camera(self, in_body: list[float]) -> Array:
+        return np.array(camera_axes(*quat_rotate(quat_conjugate(self._mount_wxyz), in_body)))
+
+    def _in_wall(self, in_camera: Array, theta_rad: float) -> tuple[float, float]:
+        """A vector in the camera's axes along wall x and y."""
+        right, up, back = in_camera
+        x, y, _ = quat_rotate(self._mount_wxyz, [-back, -right, up])
+        c, s = math.cos(theta_rad), math.sin(theta_rad)
+        return c * x - s * y, s * x + c * y
+
+    def observe(
+        self, body: BodyMotion, dt_s: float, scale: float = 1.0, by_wheels: tuple[Array, float] | None = None
+    ) -> CameraPose:
+        """The camera's pose for the body's true motion, `dt_s` after the last one.
+
+        Args:
+            body: its true motion.
+            dt_s: since the last pose.
+            scale: factor on what is seen.
+            by_wheels: velocity in the camera's axes as the wheels tell it; its weight beside what is seen.
+        """
         x, y, theta, vx, vy, omega, _, _, tilt = body
         c, s = math.cos(theta), math.sin(theta)
         mx, my, _ = self._mount_m
@@ -108,7 +138,12 @@ class VisualOdometry:
         if not self._started:
             self._start(theta, tilt, in_wall)
         noise = self._noise()
-        self._move(in_wall, math.hypot(*speed), dt_s, scale, noise)
+        told = None
+        if by_wheels is not None:
+            velocity, weight = by_wheels
+            u, v = self._in_wall(velocity, theta)
+            told = u * dt_s, v * dt_s, weight
+        self._move(in_wall, math.hypot(*speed), dt_s, scale, noise, told)
         return self._pose(theta, speed, omega, noise)
 
     def _noise(self) -> list[float]:
@@ -135,14 +170,20 @@ class VisualOdometry:
         self._started = True
 
     def _move(
-        self, in_wall: tuple[float, float], speed_m_s: float, dt_s: float, scale: float, noise: list[float]
-    ) -> None:
-        """Integrate the step as the odometry sees it: scaled, turned by its heading error, walking."""
+        self, in_wall: tuple[float, float], speed_m_s: float, dt_s: float, scale: float, noise: list[float],
+        told: tuple[float, float, float] | None,
+    ) -> None:  # fmt: skip
+        """Integrate the step as the odometry sees it: scaled, turned by its heading error, walking.
+
+        What the wheels have told (step along wall x and y, weight) pulls the step towards itself.
+        """
         options, root = self._options, math.sqrt(dt_s)
         self._yaw_rad += self._yaw_rate_rad_s * dt_s + options.yaw_walk_rad_sqrt_s * root * noise[0]
         scale *= self.scale
         du, dv = scale * (in_wall[0] - self._last[0]), scale * (in_wall[1] - self._last[1])
         self._last = in_wall
+        if told is not None:
+            du, dv = du + told[2] * (told[0] - du), dv + told[2] * (told[1] - dv)
         ax, ay = self._along_x, self._along_y
         dx, dy, dz = ax[0] * du + ay[0] * dv, ax[1] * du + ay[1] * dv, ax[2] * du + ay[2] * dv
         c, s = math.cos(self._yaw_rad), math.sin(self._yaw_rad)

@@ -10,7 +10,7 @@ import importlib
 from typing import Any
 
 from hil.fakes.tracker.frames import PoseFrame
-from hil.fakes.tracker.t265 import RATE_HZ, T265
+from hil.fakes.tracker.t265 import RATE_HZ, SETTINGS, T265
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.extras import how_to_install
 
@@ -53,6 +53,10 @@ class SoftwareT265:
         stream.type, stream.index, stream.uid = rs.stream.pose, 0, _STREAM_UID
         stream.fps, stream.fmt = round(RATE_HZ), rs.format.six_dof
         self._profile = rs.pose_stream_profile(self._sensor.add_pose_stream(stream))
+        switch = rs.option_range()
+        switch.min, switch.max, switch.step, switch.default = 0.0, 1.0, 1.0, 1.0
+        for name in SETTINGS:
+            self._sensor.add_option(getattr(rs.option, name), switch, True)
         self._context = rs.context()
         self._announced: list[Any] = []
         self._context.set_devices_changed_callback(
@@ -60,6 +64,10 @@ class SoftwareT265:
         )
         self._device.add_to(self._context)
         camera.start_stream(self._inject)
+
+    def option(self, name: str) -> float:
+        """What the library has last been told of one of the camera's settings."""
+        return float(self._sensor.get_option(getattr(self.library.option, name)))
 
     def pipeline(self) -> Any:
         """A `pyrealsense2.pipeline` that finds this camera."""

@@ -13,14 +13,19 @@ from hil.fakes.tracker.faulty import SUPPORTED_FAULTS, TrackerFaults
 from hil.fakes.tracker.frames import MODEL, FrameCallback, PoseFrame, WorldPipeline
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.tracker.options import TrackerTruthOptions
+from hil.fakes.tracker.wheel_input import WheelInput
 from hil.fakes.world import NEVER_NS, Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.geometry import Array
 
 __all__ = ["SUPPORTED_FAULTS", "T265"]
 
 RATE_HZ = 200.0
 _NS_PER_MS = 1e6
 _FIRST_NUMBER = 1
+_JUMPS, _PRESERVATION = "enable_pose_jumping", "enable_map_preservation"
+SETTINGS = ("enable_mapping", "enable_relocalization", _JUMPS, _PRESERVATION)
+"""What the camera can be told of its map, by librealsense's names; all on when it is plugged in."""
 
 
 class T265(Scheduled):
@@ -63,6 +68,8 @@ class T265(Scheduled):
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
         self._faults = TrackerFaults(world.faults, name, self._rng)
         self._callbacks: list[FrameCallback] = []
+        self.settings = dict.fromkeys(SETTINGS, 1.0)
+        self.wheels = WheelInput()
         self._travelling: deque[tuple[int, PoseFrame]] = deque()
         self._exposure_ns = NEVER_NS
         self._arrived_ns = 0
@@ -145,7 +152,8 @@ class T265(Scheduled):
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
         if faults is not None:
             self.odometry.drift(*faults.drift_m(t_ns, dt_s))
-        pose = self.odometry.observe(body, dt_s, 1.0 if faults is None else faults.scale(t_ns))
+        scale = 1.0 if faults is None else faults.scale(t_ns)
+        pose = self.odometry.observe(body, dt_s, scale, self._by_wheels(body, t_ns))
         self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
         if lost < options.drop_probability or (faults is not None and faults.silent(t_ns)):
@@ -163,9 +171,15 @@ class T265(Scheduled):
         for one in (frame,) if faults is None else faults.spoil(frame, t_ns):
             self._travelling.append((self._arrived_ns, one))
 
+    def _by_wheels(self, body: BodyMotion, t_ns: int) -> tuple[Array, float] | None:
+        """Velocity in the camera's axes as the wheels tell it, and its weight; None where they do not."""
+        if not self.wheels.taken:
+            return None
+        return self.wheels.velocity(t_ns, self.odometry.rate_rad_s(body.omega_rad_s))
+
     def _relocalise(self, t_ns: int, dt_s: float) -> None:
         rate = self._options.relocalisations_per_s
-        if rate > 0.0 and self._rng.random() < rate * dt_s:
+        if rate > 0.0 and self.settings[_JUMPS] and self._rng.random() < rate * dt_s:
             self.odometry.jump(self._options.relocalisation_m)
         distance_m = 0.0 if self._faults.idle else self._faults.jump_m(t_ns)
         if distance_m:
