@@ -60,7 +60,7 @@ class CalibrationFile(BaseModel):
     Attributes:
         verdict: of the validation run on the bench; empty for a calibration that had none.
         made_for: servos that it was made with, None for recordings of unknown origin.
-        tyres: for `creep` only.
+        tyres: for `creep`, and for `dry-friction`; without, wheels are loaded alike.
         driven_m: how far its recordings drove in each direction (`hil.calibration.driven`), empty in files
             of earlier versions.
     """
@@ -196,7 +196,7 @@ def calibration_file(
         "made_for": made_for,
         "driven_m": result.driven.to_json(),
     }
-    if result.setting.model == "creep":
+    if result.setting.model in ("creep", "dry-friction"):
         tree["tyres"] = result.geometry.tyres()
     return CalibrationFile.model_validate(tree)
 

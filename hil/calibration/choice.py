@@ -75,18 +75,22 @@ class Choice:
 
 
 def candidates(setting: Setting, nominal: WheelGeometry) -> tuple[Candidate, ...]:
-    """The forward models; creep also with equal loads, and with tyres of other stiffness sideways.
+    """The forward models; with loads by statics and with equal ones, creep also on tyres of other stiffness.
 
     Args:
         setting: how to fit, whatever its forward model.
         nominal: the robot on paper, with its loads by statics and its tyre ratio.
     """
     creep = replace(setting, model="creep", choose_model=False)
+    dry = replace(creep, model="dry-friction")
+    by_statics, ratio = tuple(float(v) for v in nominal.load), nominal.creep_ratio
     found = {
         "exact": Candidate("exact", replace(creep, model="exact"), nominal),
-        "dry-friction": Candidate("dry friction", replace(creep, model="dry-friction"), nominal),
+        "dry-friction": Candidate("dry friction", dry, nominal.with_tyres(_EQUAL, ratio)),
     }
-    by_statics, ratio = tuple(float(v) for v in nominal.load), nominal.creep_ratio
+    if by_statics != _EQUAL:
+        name = "dry friction, loads by statics"
+        found[name] = Candidate(name, dry, nominal)
     known = "equal loads" if by_statics == _EQUAL else "loads by statics"
     for loads, words, ratios in ((by_statics, known, (ratio, 1.0, 0.4)), (_EQUAL, "equal loads", (1.0,))):
         for tyres in ratios:

@@ -63,7 +63,7 @@ def _other_motions(problem: Problem, z: Array) -> Iterator[Array]:
     wheel_rad = problem.blocks.wheel_rad.reshape(-1, 8)
     p, u = projection(z[0:4], z[4:8]), rolled(z, wheel_rad)
     for other in ("exact", "dry-friction"):
-        if other != law:
+        if other != law or (law == "dry-friction" and np.ptp(tyres.load) > 0.0):
             yield _moved(other, p, u, tyres)
     for ratio in _TYRE_RATIOS:
         yield _moved("creep", p, u, replace(tyres, creep_ratio=ratio))
@@ -73,7 +73,7 @@ def _other_motions(problem: Problem, z: Array) -> Iterator[Array]:
 
 
 def _moved(law: str, p: Array, u: Array, tyres: WheelGeometry, weighed: bool = False) -> Array:
-    """Body motion (n, 3) under a law; where `weighed`, loads count for laws that a fit uses without them."""
+    """Body motion (n, 3) under a law; only where `weighed` do loads count for laws other than creep."""
     load = tyres.load if weighed or law == "creep" else np.ones(4)
     if law == "creep":
         return creep_motion(p, u, load, tyres.creep_ratio)

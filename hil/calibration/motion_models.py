@@ -112,10 +112,16 @@ class CreepModel(MotionModel):
 
 
 class DryFrictionModel(MotionModel):
-    """Least dissipation; warm-started, since a fit asks for neighbouring z one after the other."""
+    """Least dissipation; warm-started, since a fit asks for neighbouring z one after the other.
 
-    def __init__(self, wheel_rad: Array, power: float = 1.0) -> None:
-        self._q, self._power = wheel_rad, power
+    Args:
+        wheel_rad: (n, 8) wheel vectors of the blocks, rad.
+        load: (4,) relative normal loads; given, not fitted.
+        power: exponent of the law.
+    """
+
+    def __init__(self, wheel_rad: Array, load: Array, power: float = 1.0) -> None:
+        self._q, self._load, self._power = wheel_rad, load, power
         self._moving = np.any(wheel_rad != 0.0, axis=1)
         self._last: tuple[Array, Array] | None = None
 
@@ -127,40 +133,45 @@ class DryFrictionModel(MotionModel):
 
     def _solve(self, z: Array) -> tuple[Array, Array, Array, Array]:
         u = rolled(z, self._q[self._moving])
-        p, scale, share = projection(z[0:4], z[4:8]), displacement_scale(u), np.ones(4)
+        p, scale = projection(z[0:4], z[4:8]), displacement_scale(u)
         last = self._last
         if last is not None and np.array_equal(last[0], z):
             b = last[1]
         elif last is not None and np.max(np.abs(last[0] - z)) < _NEAR:
-            b = polish_dissipation(p, u, last[1], scale, share, power=self._power)
+            b = polish_dissipation(p, u, last[1], scale, self._load, power=self._power)
         else:
-            b = least_dissipation(p, u, power=self._power)
+            b = least_dissipation(p, u, self._load, power=self._power)
         self._last = (z.copy(), b)
         return b, u, p, scale
 
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
         """Implicit derivative: H db = -(dG/dz) dz at the stationary point G(b, z) = 0."""
         b, u, p, scale = self._solve(z)
-        share = np.ones(4)
         e = (b @ p.T - u).reshape(-1, 4, 2)
         size = np.sqrt(np.einsum("nij,nij->ni", e, e))
-        _, hessian = dissipation_derivatives(p, u, b, scale, share, self._power)
-        pull = _pull(z, b, u.reshape(-1, 4, 2), e, size, scale, self._power)
+        _, hessian = dissipation_derivatives(p, u, b, scale, self._load, self._power)
+        weight = contact_weight(size, scale, self._load, self._power)
+        curvature = contact_curvature(e, size, scale, self._load, self._power)
+        pull = _pull(z, b, u.reshape(-1, 4, 2), e * weight[..., None], curvature)
         motion, jacobian = np.zeros((len(self._q), 3)), np.zeros((len(self._q), 3, len(z)))
         motion[self._moving] = b
         jacobian[self._moving] = -np.matmul(inverse3(hessian), pull)
         return motion, jacobian
 
 
-def _pull(z: Array, b: Array, u: Array, e: Array, size: Array, scale: Array, power: float) -> Array:
+def _pull(z: Array, b: Array, u: Array, force: Array, curvature: Array) -> Array:
     """Derivative (n, 3, len(z)) of the dissipation's gradient by z at fixed motion b.
 
     The smoothing scale is treated as fixed: its influence on the minimiser is of second order.
+
+    Args:
+        z: parameter vector.
+        b: (n, 3) body motion.
+        u: (n, 4, 2) wheel vectors.
+        force: (n, 4, 2) of each contact.
+        curvature: (n, 4, 2, 2) its derivative by the slip.
     """
-    share = np.ones(4)
-    curvature = contact_curvature(e, size, scale, share, power)
-    force = e * contact_weight(size, scale, share, power)[..., None]
-    omega, zero = np.broadcast_to(b[:, 2:3], size.shape), np.zeros_like(size)
+    omega, zero = np.broadcast_to(b[:, 2:3], force.shape[:2]), np.zeros(force.shape[:2])
     slips = [
         np.stack([zero, omega], axis=-1),
         np.stack([-omega, zero], axis=-1),
@@ -198,11 +209,12 @@ def make_model(name: str, wheel_rad: Array, tyres: WheelGeometry, power: float =
     Args:
         name: forward model.
         wheel_rad: (n, 8) raw wheel vectors.
-        tyres: loads and creep ratio that `creep` asks for; its wheel parameters do not count.
+        tyres: loads, which `dry-friction` and `creep` ask for, and creep ratio; its wheel parameters do not
+            count.
         power: exponent of the dry-friction law.
     """
     if name == "dry-friction":
-        return DryFrictionModel(wheel_rad, power)
+        return DryFrictionModel(wheel_rad, tyres.load, power)
     if name == "creep":
         return CreepModel(wheel_rad, tyres.load, tyres.creep_ratio)
     return LinearModel(name, wheel_rad)

@@ -27,14 +27,15 @@ class Contacts(Record):
 
     Attributes:
         radius_m, steering_zero_rad, x_m, y_m: calibrated geometry of each wheel.
-        along, across: relative creep stiffness lengthwise and sideways.
+        load, across: normal load relative to the mean, which is also the relative creep stiffness lengthwise;
+            that sideways.
     """
 
     radius_m: Four
     steering_zero_rad: Four
     x_m: Four
     y_m: Four
-    along: Four
+    load: Four
     across: Four
 
 
@@ -43,7 +44,7 @@ def contact_values(geometry: WheelGeometry) -> dict[str, Array]:
     g = geometry
     return {
         "radius_m": g.radius_m, "steering_zero_rad": g.steering_zero_rad, "x_m": g.x_m, "y_m": g.y_m,
-        "along": g.load, "across": g.creep_ratio * g.load,
+        "load": g.load, "across": g.creep_ratio * g.load,
     }  # fmt: skip
 
 
@@ -83,7 +84,7 @@ def friction_weights(u: Array, wheels: Contacts) -> Array:
             ex = b[0] - wheels.y_m[i] * b[2] - u[2 * i]
             ey = b[1] + wheels.x_m[i] * b[2] - u[2 * i + 1]
             size = math.sqrt(ex * ex + ey * ey) / scale + FRICTION_EPSILON
-            weight[i] = math.exp((power - 2.0) * math.log(size))
+            weight[i] = wheels.load[i] * math.exp((power - 2.0) * math.log(size))
     return weight
 
 
@@ -119,7 +120,7 @@ def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
         size = math.sqrt(nx * nx + ny * ny)
         rolled = max(size / mean, LEAST_ROLLED)
         across = wheels.across[i] / rolled
-        bend = (wheels.along[i] / rolled - across) / max(size * size, 1e-30)
+        bend = (wheels.load[i] / rolled - across) / max(size * size, 1e-30)
         wxx, wxy, wyy = across + bend * nx * nx, bend * nx * ny, across + bend * ny * ny
         tx, ty = wxy * x - wxx * y, wyy * x - wxy * y
         fx, fy = wxx * u[2 * i] + wxy * u[2 * i + 1], wxy * u[2 * i] + wyy * u[2 * i + 1]

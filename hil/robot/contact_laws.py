@@ -3,7 +3,8 @@
 No set of four wheels agrees exactly on a body motion b: P b = u (`hil.robot.kinematics`) has eight rows and
 three unknowns, and what is left over is slip e_i = u_i - P_i b. Two laws:
 
-* dry friction: each contact resists with a constant force; least dissipation, b = argmin sum_i |e_i|.
+* dry friction: each contact resists with a force that grows with its load N_i and not with slip; least
+  dissipation, b = argmin sum_i N_i |e_i|.
   Explains large contradictions, and the authors' recordings, best (`docs/calibration.md`).
 * creep: a rolling tyre that is pushed drifts in proportion, force = C N_i e_i / |u_i|, with C smaller
   sideways than lengthwise (normal loads N_i). Small contradictions, as

@@ -48,8 +48,8 @@ class WheelGeometry:
         x_m, y_m: contact points in the body frame.
         radius_m: effective rolling radii.
         steering_zero_rad: subtract it from a measured steering angle to get the wheel's heading.
-        load: normal loads relative to their mean; only the model `creep` asks for them.
-        creep_ratio: how stiff the tyres are sideways, as a share of lengthwise; asked for likewise.
+        load: normal loads relative to their mean; `dry-friction` and `creep` ask for them.
+        creep_ratio: how stiff the tyres are sideways, as a share of lengthwise; only `creep` asks for it.
     """
 
     x_m: Array
@@ -172,7 +172,7 @@ def twist_of_vectors(geometry: WheelGeometry, u: Array, model: str = "exact") ->
     if model == "creep":
         motion = creep_motion(p, flat, geometry.load, geometry.creep_ratio)
     else:
-        motion = least_dissipation(p, flat)
+        motion = least_dissipation(p, flat, geometry.load)
     return motion.reshape(*u.shape[:-1], 3)
 
 

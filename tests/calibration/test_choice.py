@@ -1,11 +1,15 @@
 """The forward model is chosen by recordings that the fit did not see, and the choice says how clear it is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hil.calibration import choice as choice_module
+from hil.calibration.artefact import calibration_file
 from hil.calibration.calibrate import calibrate
 from hil.calibration.choice import Candidate, Choice, candidates, choose
+from hil.calibration.nominal import Nominal
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
 from hil.robot.contact_laws import creep_motion
@@ -27,6 +31,33 @@ def test_dry_contact_is_read_by_the_model_of_dry_friction():
     choice = found("coulomb")
     assert choice.best.setting.model == "dry-friction", choice.held_out_m
     assert choice.held_out_m["dry friction"] < 0.8 * choice.held_out_m["exact"]
+
+
+def loaded_robot(load):
+    """A robot on dry contact whose wheels are off its drawing and bear these loads, as its drawing says."""
+    drawn = hidden_robot(4, contact="coulomb")
+    return replace(drawn, load=load, nominal=Nominal(WheelGeometry.nominal().with_tyres(load, 1.0)))
+
+
+def test_dry_friction_weighs_wheels_by_their_loads_where_that_reads_left_out_recordings():
+    """Motion was made with loads of 0.5 to 1.5: with them known it comes back, with equal ones not."""
+    robot = loaded_robot(np.array([0.5, 1.4, 1.5, 0.6]))
+    recordings = make_set(robot, 4, BRIEF, repetitions=2, run_to_run=0.0, slip_share=0.0)
+    choice = choose(recordings, candidates(SETTING, robot.nominal.geometry), seed=0)
+    assert choice.best.name == "dry friction, loads by statics", choice.held_out_m
+    assert np.array_equal(choice.best.nominal.load, robot.load)
+    assert choice.held_out_m[choice.best.name] < 0.6 * choice.held_out_m["dry friction"]
+
+
+def test_loads_of_dry_friction_go_with_the_calibration():
+    robot = loaded_robot(np.array([0.5, 1.4, 1.5, 0.6]))
+    recordings = make_set(robot, 4, BRIEF[:1], repetitions=1)
+    asked = make_setting("recommended", model="dry-friction")
+    result = calibrate(recordings, asked, MonotonicClock(), nominal=robot.nominal, validate=False)
+    file = calibration_file(result, created="2026-01-01", software={})
+    assert np.array_equal(file.geometry.load, robot.load)
+    old = file.model_copy(update={"tyres": None})
+    assert np.array_equal(old.geometry.load, np.ones(4)), "files of earlier versions weigh wheels alike"
 
 
 def test_where_contact_is_viscous_dry_friction_is_not_taken():

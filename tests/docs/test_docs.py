@@ -98,6 +98,7 @@ OF_A_USER = {
     "my-gap/my_gap_chip.py",
     "my-gap/bench.toml",
     "my-gap/test_contract.py",
+    "docs/index.html",  # of the site, once `make site` has built it
 }
 FILE = re.compile(
     r"(?<![\w/.:<-])([\w-]+/[\w./-]*\.(?:md|py|toml|json|csv|dbc|png|svg|html|mcap|lock|yml|sh))\b"

@@ -32,6 +32,19 @@ def test_least_dissipation_is_a_minimum_and_ignores_one_contradicting_wheel():
         assert np.all(law._dissipation(p, u, other, scale, share, 1.0) >= best - 1e-12)
 
 
+def test_of_two_wheels_that_contradict_each_other_dry_friction_follows_the_loaded_one():
+    """The front left wheel rolls 2 % too far, the one behind on the right 2 % too short."""
+    u = CAD.projection() @ np.array([0.01, 0.0, 0.0])
+    u[0], u[4] = 1.02 * u[0], 0.98 * u[4]
+
+    def ahead(load):
+        return twist_of_vectors(CAD.with_tyres(load, 1.0), u, "dry-friction")[0]
+
+    assert ahead((1.0, 1.0, 1.0, 1.0)) == pytest.approx(0.01, abs=1e-9)
+    assert ahead((1.7, 0.9, 0.5, 0.9)) > 0.01005
+    assert ahead((0.5, 0.9, 1.7, 0.9)) < 0.00995
+
+
 @given(st.floats(0.1, 10.0), st.integers(0, 100))
 @settings(max_examples=30)
 def test_dry_friction_is_homogeneous(factor, seed):
@@ -123,5 +136,5 @@ def test_filter_kernels_follow_the_same_laws(geometry):
     for u in contradicting(np.random.default_rng(7)):
         want = law.creep_motion(p, u[None], geometry.load, geometry.creep_ratio)[0]
         np.testing.assert_allclose(creep_twist(u, u, wheels), want, rtol=1e-6, atol=1e-12)
-        want = law.least_dissipation(p, u[None])[0]
+        want = law.least_dissipation(p, u[None], geometry.load)[0]
         np.testing.assert_allclose(friction_twist(u, u, wheels), want, rtol=0.02, atol=1e-5)
