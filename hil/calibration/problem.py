@@ -17,7 +17,7 @@ import numpy as np
 from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import MotionModel, make_model
 from hil.robot.kinematics import WheelGeometry
-from hil.robot.odometry import integrate_with_jacobian
+from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
 
 PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
@@ -142,8 +142,8 @@ class Problem:
     def errors_of(self, motion: Array) -> Array:
         """Pose errors (R, N, 3) of a body motion (R N, 3) of all blocks."""
         r, n, _ = self.blocks.wheel_rad.shape
-        poses = _integrate_all(self.blocks.start, motion.reshape(r, n, 3))
-        return np.asarray(poses - self.blocks.truth, dtype=np.float64)
+        poses = integrate(self.blocks.start, motion.reshape(r, n, 3))
+        return np.asarray(poses[:, 1:] - self.blocks.truth, dtype=np.float64)
 
     def gram(self, z: Array, others: Array) -> Array:
         """Weighted products (m + k + 1, m + k + 1) of derivatives by z, k further columns and the errors.
@@ -163,15 +163,10 @@ class Problem:
         self._count[0] += 1
         r, n, _ = self.blocks.wheel_rad.shape
         motion, jacobian = self._model.motion_jacobian(z)
-        motion, jacobian = motion.reshape(r, n, 3), jacobian.reshape(r, n, 3, -1)
-        errors, slopes = np.zeros((r, n, 3)), np.zeros((r, n, 3, len(z)))
-        for k, count in enumerate(self.blocks.counts):
-            poses, slope = integrate_with_jacobian(
-                self.blocks.start[k], motion[k, :count], jacobian[k, :count]
-            )
-            errors[k, :count] = poses[1:] - self.blocks.truth[k, :count]
-            slopes[k, :count] = slope[1:]
-        return errors, slopes
+        poses, slopes = integrate_with_jacobian(
+            self.blocks.start, motion.reshape(r, n, 3), jacobian.reshape(r, n, 3, -1)
+        )
+        return poses[:, 1:] - self.blocks.truth, slopes
 
     def normal_terms(self, z: Array) -> tuple[Array, Array, Array]:
         """Per recording and unweighted: cost (R,), J'e (R, m) and J'J (R, m, m), without the prior."""
@@ -239,17 +234,6 @@ def prior_std(of: Array, setting: Setting) -> Array:
     """Prior standard deviation (m,) of parameters with the `sizes` (m,)."""
     share = np.repeat([setting.prior_length, setting.prior_radius, setting.prior_offset_rad], [8, 4, 4])
     return np.asarray(share[: len(of)] * of, dtype=np.float64)
-
-
-def _integrate_all(start: Array, motion: Array) -> Array:
-    """Poses (R, N, 3) after each block of body motions (R, N, 3); the batch form of `integrate`."""
-    theta = start[:, None, 2] + np.cumsum(motion[..., 2], axis=1)
-    half = 0.5 * motion[..., 2]
-    heading, chord = theta - half, np.sinc(half / np.pi)
-    c, s = np.cos(heading) * chord, np.sin(heading) * chord
-    x = start[:, None, 0] + np.cumsum(c * motion[..., 0] - s * motion[..., 1], axis=1)
-    y = start[:, None, 1] + np.cumsum(s * motion[..., 0] + c * motion[..., 1], axis=1)
-    return np.stack([x, y, theta], axis=-1)
 
 
 def make_setting(

@@ -16,59 +16,61 @@ INTEGRATORS = ("exponential", "euler")
 
 
 def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "exponential") -> Array:
-    """Poses (n + 1, 3) from body displacements (n, 3) per step, the start included.
+    """Poses (..., n + 1, 3) from body displacements (..., n, 3) per step, the start included.
 
     Args:
-        start_pose: (3,) m, m, rad.
-        motion_body: (n, 3) twist times step time, in the frame of the step's start.
+        start_pose: (..., 3) m, m, rad.
+        motion_body: (..., n, 3) twist times step time, in the frame of the step's start.
         integrator: `exponential` is exact for a constant twist within the step, `euler` is the
             paper's forward Euler.
     """
     start = np.asarray(start_pose, dtype=np.float64)
-    theta = start[2] + np.concatenate([[0.0], np.cumsum(motion_body[:, 2])])
-    heading, chord = theta[:-1], np.ones(len(motion_body))
+    dx, dy, turn = motion_body[..., 0], motion_body[..., 1], motion_body[..., 2]
+    out = np.empty((*motion_body.shape[:-2], motion_body.shape[-2] + 1, 3))
+    out[..., 0, :] = start
+    out[..., 1:, 2] = start[..., 2:3] + np.cumsum(turn, axis=-1)
     if integrator == "exponential":
-        half = 0.5 * motion_body[:, 2]
-        heading, chord = heading + half, np.sinc(half / np.pi)
-    elif integrator != "euler":
+        half = 0.5 * turn
+        heading, chord = out[..., :-1, 2] + half, np.sinc(half / np.pi)
+        c, s = np.cos(heading) * chord, np.sin(heading) * chord
+    elif integrator == "euler":
+        c, s = np.cos(out[..., :-1, 2]), np.sin(out[..., :-1, 2])
+    else:
         raise UsageError(f"integrator {integrator!r}", expected="one of " + ", ".join(INTEGRATORS))
-    c, s = np.cos(heading) * chord, np.sin(heading) * chord
-    out = np.empty((len(motion_body) + 1, 3))
-    out[0] = start
-    out[1:, 0] = start[0] + np.cumsum(c * motion_body[:, 0] - s * motion_body[:, 1])
-    out[1:, 1] = start[1] + np.cumsum(s * motion_body[:, 0] + c * motion_body[:, 1])
-    out[1:, 2] = theta[1:]
+    out[..., 1:, 0] = start[..., 0:1] + np.cumsum(c * dx - s * dy, axis=-1)
+    out[..., 1:, 1] = start[..., 1:2] + np.cumsum(s * dx + c * dy, axis=-1)
     return out
 
 
 def integrate_with_jacobian(
     start_pose: ArrayLike, motion_body: Array, motion_jacobian: Array
 ) -> tuple[Array, Array]:
-    """Poses (n + 1, 3) by SE(2) exponential and their derivatives (n + 1, 3, m) by m parameters.
+    """Poses (..., n + 1, 3) by SE(2) exponential and their derivatives (..., n, 3, m) by m parameters.
+
+    The start has none and is left out of the derivatives.
 
     Args:
-        start_pose: (3,), taken as independent of the parameters.
-        motion_body: (n, 3) displacement per step.
-        motion_jacobian: (n, 3, m).
+        start_pose: (..., 3), taken as independent of the parameters.
+        motion_body: (..., n, 3) displacement per step.
+        motion_jacobian: (..., n, 3, m).
     """
     poses = integrate(start_pose, motion_body)
-    half = 0.5 * motion_body[:, 2]
-    sinc = np.sinc(half / np.pi)
+    half = 0.5 * motion_body[..., 2]
     small = np.abs(half) < 1e-4
     safe = np.where(small, 1.0, half)
     slope = np.where(small, -half / 3.0, (np.cos(safe) - np.sin(safe) / safe) / safe)
-    heading = poses[:-1, 2] + half
-    c, s = np.cos(heading)[:, None], np.sin(heading)[:, None]
-    dx, dy = motion_body[:, :1], motion_body[:, 1:2]
-    jx, jy, jt = motion_jacobian[:, 0], motion_jacobian[:, 1], motion_jacobian[:, 2]
-    theta_after = np.cumsum(jt, axis=0)
-    turn = theta_after - 0.5 * jt
+    heading = poses[..., :-1, 2] + half
+    c, s = np.cos(heading), np.sin(heading)
+    dx, dy, k = motion_body[..., 0], motion_body[..., 1], np.sinc(half / np.pi)
     forward, left = c * dx - s * dy, s * dx + c * dy
-    k, dk = sinc[:, None], 0.5 * slope[:, None] * jt
-    out = np.zeros((len(poses), 3, motion_jacobian.shape[2]))
-    out[1:, 0] = np.cumsum(k * (c * jx - s * jy - left * turn) + dk * forward, axis=0)
-    out[1:, 1] = np.cumsum(k * (s * jx + c * jy + forward * turn) + dk * left, axis=0)
-    out[1:, 2] = theta_after
+    jx, jy, jt = motion_jacobian[..., 0, :], motion_jacobian[..., 1, :], motion_jacobian[..., 2, :]
+    out = np.empty(motion_jacobian.shape)
+    theta = np.cumsum(jt, axis=-2, out=out[..., 2, :])
+    kc, ks = (k * c)[..., None], (k * s)[..., None]
+    by_turn, by_half = (k * left)[..., None], (0.5 * (k * left + slope * forward))[..., None]
+    np.cumsum(kc * jx - ks * jy - by_turn * theta + by_half * jt, axis=-2, out=out[..., 0, :])
+    by_turn, by_half = (k * forward)[..., None], (0.5 * (slope * left - k * forward))[..., None]
+    np.cumsum(ks * jx + kc * jy + by_turn * theta + by_half * jt, axis=-2, out=out[..., 1, :])
     return poses, out
 
 

@@ -124,7 +124,20 @@ def test_integration_jacobian_matches_differences():
     for j in range(2):
         up = o.integrate(start, motion + 1e-6 * slope[:, :, j])
         down = o.integrate(start, motion - 1e-6 * slope[:, :, j])
-        np.testing.assert_allclose(jacobian[:, :, j], (up - down) / 2e-6, atol=1e-7)
+        np.testing.assert_allclose(jacobian[:, :, j], ((up - down) / 2e-6)[1:], atol=1e-7)
+
+
+def test_several_paths_are_integrated_as_each_by_itself():
+    rng = np.random.default_rng(8)
+    motion, slope = 0.05 * rng.standard_normal((4, 20, 3)), rng.standard_normal((4, 20, 3, 2))
+    start = rng.standard_normal((4, 3))
+    poses, jacobian = o.integrate_with_jacobian(start, motion, slope)
+    for k in range(4):
+        own = o.integrate_with_jacobian(start[k], motion[k], slope[k])
+        np.testing.assert_allclose(poses[k], own[0], atol=1e-13)
+        np.testing.assert_allclose(jacobian[k], own[1], atol=1e-13)
+        euler = o.integrate(start[k], motion[k], "euler")
+        np.testing.assert_allclose(o.integrate(start, motion, "euler")[k], euler, atol=1e-13)
 
 
 @pytest.mark.parametrize("model", ["exact", "paper"])
