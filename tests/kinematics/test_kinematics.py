@@ -132,12 +132,12 @@ def test_several_paths_are_integrated_as_each_by_itself():
     motion, slope = 0.05 * rng.standard_normal((4, 20, 3)), rng.standard_normal((4, 20, 3, 2))
     start = rng.standard_normal((4, 3))
     poses, jacobian = o.integrate_with_jacobian(start, motion, slope)
-    for k in range(4):
-        own = o.integrate_with_jacobian(start[k], motion[k], slope[k])
-        np.testing.assert_allclose(poses[k], own[0], atol=1e-13)
-        np.testing.assert_allclose(jacobian[k], own[1], atol=1e-13)
-        euler = o.integrate(start[k], motion[k], "euler")
-        np.testing.assert_allclose(o.integrate(start, motion, "euler")[k], euler, atol=1e-13)
+    for one in range(4):
+        own = o.integrate_with_jacobian(start[one], motion[one], slope[one])
+        np.testing.assert_allclose(poses[one], own[0], atol=1e-13)
+        np.testing.assert_allclose(jacobian[one], own[1], atol=1e-13)
+        euler = o.integrate(start[one], motion[one], "euler")
+        np.testing.assert_allclose(o.integrate(start, motion, "euler")[one], euler, atol=1e-13)
 
 
 @pytest.mark.parametrize("model", ["exact", "paper"])
