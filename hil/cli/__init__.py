@@ -66,6 +66,7 @@ class LazyGroup(SuggestingGroup):
             return None
         command = importlib.import_module(_module(cmd_name)).command
         assert isinstance(command, click.Command)
+        command.name = cmd_name  # their functions are all called `command`
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

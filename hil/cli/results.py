@@ -111,7 +111,8 @@ def _print(kept: Kept) -> None:
     when = f"{kept.when.astimezone():%Y-%m-%d %H:%M}"
     line = printable(f"{when}  {{}}  {kept.what:22} {on:28} {kept.name}")
     click.echo(line.replace("{}", mark, 1).rstrip())
-    said = "; ".join(_key_rows(kept)) or kept.why
+    problem = kept.result.get("error")
+    said = problem["message"] if problem else "; ".join(_key_rows(kept)) or kept.why
     if said:
         click.echo(printable(f"{'':18}{said}"))
 

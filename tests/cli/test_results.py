@@ -46,6 +46,15 @@ def test_the_list_says_what_ran_where_with_which_verdict_and_figures(place, caps
     assert [(r["name"], r["measurements"]) for r in told["results"]] == [("idle/one", {"width": 5.0})]
 
 
+def test_of_a_run_that_broke_off_the_list_says_why(place, capsys):
+    (place / "idle.py").write_text(
+        SCRIPT.replace('ctx.measure("width", 5.0)', 'raise RuntimeError("no lamp")')
+    )
+    assert main(["run", "idle.py", "--out", "out/idle/two"]) == 2
+    capsys.readouterr()
+    assert "no lamp" in call(capsys, "list", "--verdict", "error")[1]
+
+
 def test_a_search_finds_by_any_word_and_says_when_nothing_fits(place, capsys):
     assert "idle/one" in call(capsys, "search", "WIDTH")[1]
     assert "fits" in call(capsys, "search", "width", "nowhere")[1]
