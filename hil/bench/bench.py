@@ -19,6 +19,7 @@ from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
+from hil.recording.clocks import ptp_offsets
 from hil.recording.frames import describe_clock
 from hil.recording.runs import HELD, RUN, RunStart
 from hil.ring.loop import Brain, ControlLoop, LoopStatistics
@@ -163,7 +164,9 @@ class Bench(Blueprint):
 
     def header(self) -> dict[str, object]:
         """As of a blueprint, and where its clock stands against the time of day, now."""
-        return {**super().header(), "clock": describe_clock(self.clock.wall_offset())}
+        wall = self.clock.wall_offset()
+        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets()]
+        return {**super().header(), "clock": describe_clock(wall, ptp)}
 
     def has(self, name: str) -> bool:
         """Whether the bench has a device of this kind."""

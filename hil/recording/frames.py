@@ -8,7 +8,7 @@ cycle of each run with a good pose, so that what the camera drifts stays visible
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,11 +32,14 @@ class Frame(NamedTuple):
     quaternion_wxyz: tuple[float, ...]
 
 
-def describe_clock(offset: WallOffset | None) -> dict[str, object]:
-    """What a header says about the clock of the stamps; `offset` is None for virtual time."""
+def describe_clock(offset: WallOffset | None, ptp: Sequence[Mapping[str, object]] = ()) -> dict[str, object]:
+    """What a header says about the clock of the stamps; `offset` is None for virtual time.
+
+    `ptp` holds the offsets of hardware clocks, where there are any.
+    """
     if offset is None:
         return {"kind": VIRTUAL}
-    return {"kind": MONOTONIC, **offset._asdict()}
+    return {"kind": MONOTONIC, **offset._asdict(), **({"ptp": list(ptp)} if ptp else {})}
 
 
 def recorded_offset(header: Mapping[str, Any]) -> WallOffset | None:

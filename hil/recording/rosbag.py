@@ -19,6 +19,7 @@ Stamps are those of the message headers; a header without a stamp falls back to 
 from __future__ import annotations
 
 import hashlib
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Literal
@@ -29,10 +30,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
 from hil.recording.bag_check import check_bag
+from hil.recording.frame_check import broken_frames
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DataError, HilError
 from hil.vocabulary.geometry import yaw_of_quat
 from hil.vocabulary.reading import read_toml
+
+LOG = logging.getLogger(__name__)
 
 _JOINTS = "sensor_msgs/msg/JointState"
 _POSES = (
@@ -116,6 +120,8 @@ def read_bag(path: str | Path, topics: TopicMap, nominal: Nominal | None = None)
         else:
             index = _joints(file, topics.wheels, message)
             wheel_rows.append((t_s, _wheel_row(file, topics.wheels, index, message)))
+    for problem in broken_frames(file):
+        LOG.warning("%s: %s", file, problem)
     return build_recording(
         file.stem,
         _log(wheel_rows, 12),

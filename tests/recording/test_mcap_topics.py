@@ -11,6 +11,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
 from hil.cli import main
+from hil.recording.frame_check import broken_frames
 from hil.robot.kinematics import NOMINAL_RADIUS_M
 
 MAPPING = """
@@ -192,3 +193,29 @@ def test_a_damaged_database_is_named(tmp_path, topics, capsys):
         said = capsys.readouterr().err
         assert f"{file}: is not a readable rosbag2 recording" in said
         assert "sqlite3 FILE .recover" in said
+
+
+def test_a_bag_with_a_broken_frame_tree_is_read_and_named(bag, caplog):
+    folder, topics = bag
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kinds = store.types
+    header, time_kind = kinds["std_msgs/msg/Header"], kinds["builtin_interfaces/msg/Time"]
+    vector, quaternion = kinds["geometry_msgs/msg/Vector3"], kinds["geometry_msgs/msg/Quaternion"]
+    place = kinds["geometry_msgs/msg/Transform"](vector(0.0, 0.0, 0.0), quaternion(0.0, 0.0, 0.0, 1.0))
+    links = [("map", "base_link"), ("odom", "wheel")]
+    frames = [
+        kinds["geometry_msgs/msg/TransformStamped"](header(time_kind(0, 0), parent), child, place)
+        for parent, child in links
+    ]
+    message = kinds["tf2_msgs/msg/TFMessage"](frames)
+    with Writer(folder.parent / "tf", version=9) as writer:
+        connection = writer.add_connection("/tf_static", "tf2_msgs/msg/TFMessage", typestore=store)
+        writer.write(connection, 0, store.serialize_cdr(message, "tf2_msgs/msg/TFMessage"))
+    assert broken_frames(folder) == ()  # without transforms nothing is said
+    (problem,) = broken_frames(folder.parent / "tf")
+    assert problem == "2 trees that nothing connects (map, odom): record the transform between them"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("hil.recording.rosbag.broken_frames", lambda path: broken_frames(folder.parent / "tf"))
+        code, _ = hil("evaluate", folder, "--topics", topics)
+    assert code == 0
+    assert f"{folder}: {problem}" in caplog.text
