@@ -1,11 +1,15 @@
-"""Runs pyserial's own suite on `hil://peers` with an echo behind it; prints what became of each test as JSON.
+"""Runs pyserial's own suite with an echo behind a port; prints what became of each test as JSON.
 
-Usage: python run_pyserial.py FOLDER_OF_ITS_SOURCE
+Usage: python run_pyserial.py FOLDER_OF_ITS_SOURCE [pty]
+
+The port is `hil://peers`, in virtual time, or a terminal as `hil emulate` serves it.
 """
 
+import contextlib
 import importlib
 import json
 import sys
+import threading
 import unittest
 from pathlib import Path
 
@@ -13,8 +17,11 @@ from run_python_can import Still
 
 from hil.fakes.faults import FaultPlan
 from hil.fakes.serial_line import SerialLine
+from hil.fakes.serial_pty import SerialPty
+from hil.fakes.server import EmulationServer
 from hil.fakes.wire import Reply, SerialChip
 from hil.fakes.world import World
+from hil.vocabulary.clock import MonotonicClock
 
 MODULES = ("test", "test_advanced", "test_cancel", "test_context", "test_high_load", "test_iolib",
            "test_readline", "test_settings_dict", "test_timeout_class", "test_url", "test_util")  # fmt: skip
@@ -37,17 +44,37 @@ def cases(suite):
         yield from cases(one) if isinstance(one, unittest.TestSuite) else (one,)
 
 
+@contextlib.contextmanager
+def in_virtual_time(module):
+    module.PORT = "hil://peers"
+    line = SerialLine(World(Still(), seed=0, faults=FaultPlan([])), Echo(), latency_s=0.0).open()
+    yield
+    line.close()
+
+
+@contextlib.contextmanager
+def at_the_wire(module):
+    world = World(Still(), seed=0, faults=FaultPlan([]))
+    face = SerialPty(SerialLine(world, Echo(), latency_s=0.0))
+    server = EmulationServer(world, MonotonicClock(), {"peers": face})
+    module.PORT = face.endpoint()["port"]
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    yield
+    server.stop()
+    thread.join()
+
+
 def main():
+    serving = at_the_wire if sys.argv[2:] == ["pty"] else in_virtual_time
     sys.path.insert(0, str(Path(sys.argv[1]) / "test"))
     result, names = unittest.TestResult(), []
     for name in MODULES:
         module = importlib.import_module(name)
-        module.PORT = "hil://peers"
         for test in cases(unittest.defaultTestLoader.loadTestsFromModule(module)):
-            line = SerialLine(World(Still(), seed=0, faults=FaultPlan([])), Echo(), latency_s=0.0).open()
             names.append(test.id())
-            test.run(result)
-            line.close()
+            with serving(module):
+                test.run(result)
     bad = {test.id(): text.strip().splitlines()[-1] for test, text in result.failures + result.errors}
     print(json.dumps({"run": names, "bad": bad, "skipped": {t.id(): why for t, why in result.skipped}}))
 

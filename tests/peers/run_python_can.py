@@ -1,15 +1,27 @@
-"""Runs python-can's back-to-back suite on interface `hil`; prints what became of each test as JSON.
+"""Runs python-can's back-to-back suite; prints what became of each test as JSON.
 
-Usage: python run_python_can.py FOLDER_OF_ITS_SOURCE
+Usage: python run_python_can.py FOLDER_OF_ITS_SOURCE [multicast]
+
+Both ends are on interface `hil`, in virtual time, or in the multicast group of a bus that is served as
+`hil emulate` does it.
 """
 
+import contextlib
+import functools
 import json
+import os
 import sys
+import threading
 import unittest
+import unittest.mock
 
-from hil.fakes.can_wire import CanChannel
+import can
+
+from hil.fakes.can_wire import CanChannel, CanFace
 from hil.fakes.faults import FaultPlan
+from hil.fakes.server import EmulationServer
 from hil.fakes.world import World
+from hil.vocabulary.clock import MonotonicClock
 
 
 class Still:
@@ -25,16 +37,45 @@ def main():
     sys.path.insert(0, sys.argv[1])
     from test import back2back_test as suite
 
-    class OnHil(suite.Back2BackTestCase):
-        INTERFACE_1 = INTERFACE_2 = "hil"
-        CHANNEL_1 = CHANNEL_2 = "peers"
+    world = World(Still(), seed=0, faults=FaultPlan([]))
+    channel = CanChannel(world, "peers")
+    with contextlib.ExitStack() as stack:
+        if sys.argv[2:] == ["multicast"]:
+            where = serve(stack, world, channel)
+        else:
+            stack.callback(channel.open().close)
+            where = {"interface": "hil", "channel": "peers"}
+        run(suite, where)
 
-    channel = CanChannel(World(Still(), seed=0, faults=FaultPlan([])), "peers").open()
+
+def serve(stack, world, channel):
+    """Where the bus is, which is served until the stack is unwound."""
+    face = CanFace(channel, address=f"239.74.164.{2 + os.getpid() % 250}", listens=True)
+    server = EmulationServer(world, MonotonicClock(), {"peers": face})
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    stack.callback(thread.join)
+    stack.callback(server.stop)
+    told = face.endpoint()
+    return {key: told[key] for key in ("interface", "channel", "port")}
+
+
+def run(suite, where):
+    more = {key: value for key, value in where.items() if key not in ("interface", "channel")}
+
+    class OnHil(suite.Back2BackTestCase):
+        INTERFACE_1 = INTERFACE_2 = where["interface"]
+        CHANNEL_1 = CHANNEL_2 = where["channel"]
+
+        def setUp(self):
+            opened = functools.partial(can.Bus, **more)
+            with unittest.mock.patch.object(suite.can, "Bus", opened):
+                super().setUp()
+
     result = unittest.TestResult()
     tests = unittest.defaultTestLoader.loadTestsFromTestCase(OnHil)
     names = [test._testMethodName for test in tests]
     tests.run(result)
-    channel.close()
     bad = {
         test._testMethodName: text.strip().splitlines()[-1] for test, text in result.failures + result.errors
     }
