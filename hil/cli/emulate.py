@@ -63,7 +63,8 @@ def command(
     first line on stderr says so, the last one whether it is held, and how far it is from where it began.
 
     Motion capture is served at [mocap] command_port and data_port where the bench file names them, else
-    at free ports; it streams to [mocap] multicast, or to each client. Nothing leaves this host.
+    at free ports; it streams to [mocap] multicast, or to each client. With --standard-ports clients of
+    Motive's multicast group are served beside them. Nothing leaves this host.
     """
     from hil.bench import open_emulation
     from hil.bench.on_its_wall import OnItsWall

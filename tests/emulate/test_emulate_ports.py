@@ -78,10 +78,11 @@ def test_without_ports_in_the_bench_file_they_are_free_ones(emulate, bench_file)
     assert first["command_port"] != second["command_port"]
 
 
-def test_a_client_that_knows_only_the_standard_connects(emulate, motive_ports):
+def test_a_client_that_knows_only_the_standard_connects_by_either_transport(emulate, motive_ports):
     where = emulate("--only", "mocap", "--standard-ports")["mocap"]
     assert (where["command_port"], where["data_port"]) == motive_ports
-    assert len(frames_of(NatNetClient(use_multicast=False))) >= 20
+    for multicast in (False, True):
+        assert len(frames_of(NatNetClient(use_multicast=multicast))) >= 20
 
 
 def test_multicast_never_leaves_the_host():

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from hil.devices.emulated import EmulatedDevice, Setting
 
 _MOTIVE_PORTS = {"command_port": 1510, "data_port": 1511}
+_MOTIVE_GROUP = "239.255.42.99"
 
 
 def _driver(config: MocapConfig, clock: Clock, datagrams: Any = None) -> Sensor[MocapSample]:
@@ -39,6 +40,8 @@ def _emulate(setting: Setting) -> EmulatedDevice:
         setting.world, options=setting.options(MocapTruthOptions), up_axis=config.up_axis,
         command_port=config.command_port, data_port=config.data_port, multicast=config.multicast, **body,
     )  # fmt: skip
+    if setting.standard_ports:
+        server.offered_group = _MOTIVE_GROUP
     chosen = {key: getattr(config, key) for key in _MOTIVE_PORTS if key in config.model_fields_set}
     ports = _MOTIVE_PORTS if setting.standard_ports else chosen
     return Wired(

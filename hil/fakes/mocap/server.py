@@ -62,6 +62,7 @@ class NatNetServer(Scheduled):
 
     Attributes:
         malformed: requests that were no NatNet packets.
+        offered_group: multicast group that frames go to besides, where they go to each client; None for none.
     """
 
     def __init__(
@@ -93,6 +94,7 @@ class NatNetServer(Scheduled):
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
         self._network = WorldNetwork(self)
         self._outlets: list[Outlet] = [self._network]
+        self.offered_group: str | None = None
         self._clients: dict[Address, Client] = {}
         self._arrived_ns = 0
         self._last: tuple[int, tuple[SeenBody, ...], encode.FrameTimes] | None = None
@@ -177,10 +179,10 @@ class NatNetServer(Scheduled):
     def _stream(self, ready_ns: int, t_ns: int) -> None:
         self._arrived_ns = ready_ns
         packets: dict[tuple[int, int], bytes] = {}
-        if self.multicast is not None:
+        if (group := self.multicast or self.offered_group) is not None:
             packet = self._frame(self._version, packets)
             for outlet in self._outlets:
-                self._send(packet, (self.multicast, self.data_port), outlet, ready_ns, t_ns)
+                self._send(packet, (group, self.data_port), outlet, ready_ns, t_ns)
         for address, client in tuple(self._clients.items()):
             if t_ns - client.heard_ns > _FORGET_NS:
                 del self._clients[address]
