@@ -11,9 +11,9 @@ from hil.procedure.scripts import load_procedure
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 HARDWARE = (ROOT / "docs" / "hardware.md").read_text(encoding="utf-8")
-SECTION = re.search(r"^## 6\. Procedures, in this order\n(.*?)^## ", HARDWARE, re.DOTALL | re.MULTILINE)[1]
-FLOOR, WALL = (re.findall(r"^hil run (\w+)", block, re.MULTILINE) for block in re.findall(
-    r"^```sh\n(.*?)^```", SECTION, re.DOTALL | re.MULTILINE))  # fmt: skip
+SECTION = re.search(r"^## 7\. Procedures, in this order\n(.*?)^## ", HARDWARE, re.DOTALL | re.MULTILINE)[1]
+BLOCKS = re.findall(r"^```sh\n(.*?)^```", SECTION, re.DOTALL | re.MULTILINE)
+FLOOR, WALL = filter(None, (re.findall(r"^hil run (\w+)", block, re.MULTILINE) for block in BLOCKS))
 
 
 def test_the_order_names_every_procedure_that_finds_something_out_once():
