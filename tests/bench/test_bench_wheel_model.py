@@ -21,7 +21,7 @@ TYRES = {"load": [0.5, 1.4, 1.5, 0.6], "creep_ratio": 0.8}
 
 @pytest.fixture
 def calibration(tmp_path):
-    def write(model, name="calibration.toml"):
+    def write(model, name="calibration.toml", loaded=False):
         nominal = WheelGeometry.nominal()
         wheels = {
             "x_w_m": nominal.x_m.tolist(), "y_w_m": nominal.y_m.tolist(), "r_m": nominal.radius_m.tolist()
@@ -32,7 +32,7 @@ def calibration(tmp_path):
             "std": {}, "twist_correction": np.eye(3).tolist(), "cost_before": 2.0, "cost_after": 1.0,
             "recordings": {},
         }  # fmt: skip
-        if model == "creep":
+        if model == "creep" or loaded:
             tree["tyres"] = TYRES
         save_calibration(tmp_path / name, CalibrationFile.model_validate(tree))
         return tmp_path / name
@@ -97,9 +97,10 @@ def test_replay_with_another_calibration_takes_its_model(calibration, tmp_path):
     assert chosen.config.estimator.wheels.model == "paper"
 
 
-def test_loads_and_tyres_of_a_creep_calibration_reach_the_estimator_and_the_recording(calibration, tmp_path):
+@pytest.mark.parametrize("model", ["creep", "dry-friction"])
+def test_loads_and_tyres_of_a_calibration_reach_the_estimator_and_the_recording(calibration, tmp_path, model):
     path = tmp_path / "rest.mcap"
-    bench = hil.open_bench("emulated_floor", calibration=calibration("creep"))
+    bench = hil.open_bench("emulated_floor", calibration=calibration(model, loaded=True))
     bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
     with bench:
         bench.observe(0.1, feedback="odometry")
@@ -107,6 +108,12 @@ def test_loads_and_tyres_of_a_creep_calibration_reach_the_estimator_and_the_reco
     for geometry in (bench.geometry, again.geometry):
         assert geometry.load.tolist() == TYRES["load"]
         assert geometry.creep_ratio == TYRES["creep_ratio"]
+
+
+def test_a_dry_friction_calibration_of_an_earlier_version_weighs_wheels_alike(calibration):
+    """It was fitted so; loads by statics would read its wheels in another way."""
+    with hil.open_bench("emulated_floor", calibration=calibration("dry-friction")) as bench:
+        assert bench.geometry.load.tolist() == [1.0] * 4
 
 
 def test_without_a_calibration_loads_follow_from_the_robot_as_configured():
