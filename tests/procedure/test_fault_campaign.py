@@ -11,6 +11,7 @@ from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.procedure.faults import MOMENTS, Cell, Verdict, cells_of, matrix_page, random_cells
 from hil.procedure.faults.judging import Seen, judge
+from hil.procedure.faults.quiet import why_quiet
 from hil.vocabulary.errors import HilError, UsageError
 
 SUPPORTED = {
@@ -135,6 +136,20 @@ def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
     assert "| `mocap` | `off` | **FAILED** 1/1 |" in page
     assert "| `mocap:off motion seed 0 own` | it / fell |" in page
     assert "3 cells, 1 failed, 1 passed without a word" in page
+    assert "| `imu` | `wrong` | motion | nobody notices |" in page
+    assert "Without a word" not in matrix_page([stopped, fell], "hil faults")
+
+
+@pytest.mark.parametrize(
+    ("device", "fault", "why"),
+    [
+        ("encoder.FL", "corrupt", "refused by their check"), ("thrust", "stuck", "sends nothing back"),
+        ("mocap", "slow", "longer run"), ("imu", "slow", "nobody notices"),
+        ("servo.steer_FL", "slow", "within their time"), ("tracker", "wrong", "nobody notices"),
+    ],
+)  # fmt: skip
+def test_of_every_silence_the_page_says_why(device, fault, why):
+    assert why in why_quiet(device, fault)
 
 
 def run(*arguments):

@@ -144,7 +144,7 @@ def _that_let_go(cell: Cell) -> list[str]:
 
 def _is_named(device: str, seen: Seen) -> bool:
     """Whether an event, the stop or the last word is about a device, or about what it does to the robot."""
-    kind = _kind_of(device)
+    kind = kind_of(device)
     if any(source == kind.name for source, _ in seen.events):
         return True
     said = " ".join((*(m for _, m in seen.events), seen.stop, seen.error, seen.why)).lower()
@@ -152,7 +152,7 @@ def _is_named(device: str, seen: Seen) -> bool:
     return any(word in said or word.rstrip("s") in said for word in words)
 
 
-def _kind_of(device: str) -> DeviceKind:
+def kind_of(device: str) -> DeviceKind:
     """The kind of a device by its fault name; the robot itself is named by what presses it on."""
     known = kinds()
     head = device.split(".", 1)[0]

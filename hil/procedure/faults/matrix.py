@@ -7,6 +7,7 @@ from pathlib import Path
 
 from hil.procedure.faults.cells import MOMENTS
 from hil.procedure.faults.judging import Verdict
+from hil.procedure.faults.quiet import quiet_table
 from hil.vocabulary.files import write_text
 
 _HEAD = """# Reliability
@@ -22,7 +23,7 @@ A cell passes when the robot is held within the limits (5 mm after its stop; wha
 less than 0.5 mm), when a stop names the device, when servos that come back are held again, when the recording
 can be read, and when a run that ends well is wrong by less than three of its sigmas plus 5 mm. How it ended:
 `on` the run went on, `stop` the robot was stopped, `none` the bench did not open. A star: the device is not
-named anywhere, the run went on as if nothing had been. Of eight servos and four encoders one of each kind
+named anywhere, the run went on as if nothing had been; the last table says why. Of eight servos and four encoders one of each kind
 stands for the others.
 
 What the bench does not protect from: a fan whose power ends, a wall that gives way, a computer that dies
@@ -49,6 +50,9 @@ def matrix_page(verdicts: Sequence[Verdict], command: str) -> str:
     if failed:
         parts.append("\n## Failed\n\n| cell | why |\n|---|---|\n")
         parts += [f"| `{v.cell.name}` | {_plain('; '.join(v.why))} |\n" for v in failed]
+    if quiet_lines := quiet_table(verdicts):
+        parts.append("\n## Without a word\n\n| device | fault | moments | why |\n|---|---|---|---|\n")
+        parts += quiet_lines
     return "".join(parts)
 
 
