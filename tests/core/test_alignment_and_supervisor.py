@@ -112,6 +112,20 @@ def test_a_camera_that_started_again_has_another_frame_and_tells_the_same_motion
     np.testing.assert_allclose(end - begin, [*back[:2], 0.02 * 7], atol=1e-9)
 
 
+def test_a_reset_forgets_where_the_camera_began():
+    alignment = Alignment(AlignmentParameters())
+    one = np.array([1.0, 0.0, 0.0, 0.0])
+
+    def seen(k):
+        sample = TrackerSample(Stamp(k, k, k), np.array([k, 0.0, 0.0]), one, np.zeros(3), np.zeros(3), 3)
+        (measured,) = alignment.measure(Inputs(k, k, tracker=(sample,))).tracker
+        return measured.pose.tolist()
+
+    assert [seen(1), seen(3)] == [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
+    alignment.reset()
+    assert [seen(4), seen(5)] == [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
+
+
 @pytest.mark.parametrize("heading", [0.0, 0.2, -1.0, 3.0])
 def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
     mount = Mount(rotation_wxyz=tuple(quat_from_rotvec([0.3, 0.2, -1.0])))

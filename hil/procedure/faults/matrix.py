@@ -23,8 +23,8 @@ A cell passes when the robot is held within the limits (5 mm after its stop; wha
 less than 0.5 mm), when a stop names the device, when servos that come back are held again, when the recording
 can be read, and when a run that ends well is wrong by less than three of its sigmas plus 5 mm. How it ended:
 `on` the run went on, `stop` the robot was stopped, `none` the bench did not open. A star: the device is not
-named anywhere, the run went on as if nothing had been; the last table says why. Of eight servos and four encoders one of each kind
-stands for the others.
+named anywhere, the run went on as if nothing had been; the last table says why. Of eight servos and four
+encoders one of each kind stands for the others.
 
 What the bench does not protect from: a fan whose power ends, a wall that gives way, a computer that dies
 while servos restart. Independent fall protection stays the lab's.
