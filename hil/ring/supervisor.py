@@ -154,7 +154,7 @@ class Supervisor:
         events: list[Event] = []
         self._causes = {}
         self.left_out.begin()
-        self._fall.judge(inputs, self._blame)
+        self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
         self._servos.judge(inputs, events, self._blame)
@@ -190,6 +190,15 @@ class Supervisor:
         known = self._causes.get(reason)
         self._causes[reason] = message if known is None else f"{known}; {message}"
 
+    def _blame_hold(self, reason: str, message: str) -> None:
+        """The robot has come off or slides: whatever holds it may be the cause."""
+        self._blame(reason, message + self._look_at_holders("look"))
+
+    def _look_at_holders(self, begin: str) -> str:
+        """The advice to look at what holds the robot; empty where nothing does that is known of."""
+        holders = " and the ".join(self.checks.holders)
+        return f"; {begin} at the {holders}" if holders and self.limits.on_wall else ""
+
     def _compare(self, inputs: Inputs, measurements: Measurements, events: list[Event]) -> None:
         """Hold sensors against each other."""
         checks = self.checks
@@ -207,8 +216,7 @@ class Supervisor:
                     standing = self._servos.standing(inputs.t_ns)
                     if standing and "blocked" not in self._causes:
                         self._blame("blocked", standing)
-                    slides = self.limits.on_wall and doubt.may_slide and checks.holders
-                    told = f"; if it slides, look at the {' and the '.join(checks.holders)}" if slides else ""
+                    told = self._look_at_holders("if it slides, look") if doubt.may_slide else ""
                     self._blame("sensors_disagree", doubt.message + told)
 
     def guard(self, state: RobotState, reference: Reference | None) -> tuple[Event, ...]:

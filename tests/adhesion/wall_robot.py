@@ -1,6 +1,7 @@
 """The emulated robot on its wall, at the wire, which tells the truth about itself when it is asked.
 
-First line on stdout: the endpoints. Then an answer for each line on stdin; it ends when stdin is closed.
+First line on stdout: the endpoints. Then an answer for each line on stdin, by the chips' own registers and
+with the fastest that wheels and steering turned since the last; it ends when stdin is closed.
 """
 
 import json
@@ -11,23 +12,41 @@ from contextlib import suppress
 
 from hil.bench import open_emulation
 from hil.config.loading import load_bench
+from hil.fakes.servos.bus import ServoBus
 
 
 def main():
     with suppress(OSError):
         os.nice(-10)  # hardware does not wait for a busy host
     server = open_emulation(load_bench("emulated"), seed=int(sys.argv[1]))
+    (bus,) = [part for part in server.world._parts if isinstance(part, ServoBus)]
     tell(server.endpoints())
+    fastest = [0.0, 0.0]
     while True:
         server.step()
+        rates = [abs(float(rate)) for rate in server.world.plant.joints()[1]]
+        fastest = [max(fastest[0], *rates[:4]), max(fastest[1], *rates[4:])]
         if select.select([sys.stdin], [], [], 0)[0]:
             if not sys.stdin.readline():
                 break
             server.world.sync_plant()
             truth = server.world.plant.truth()
             pose = [float(v) for v in truth.pose_body_in_wall]
-            tell({"fallen": bool(truth.fallen), "pose": pose, "adhesion_n": float(truth.adhesion_n)})
+            tell(
+                {
+                    "fallen": bool(truth.fallen), "pose": pose, "adhesion_n": float(truth.adhesion_n),
+                    "torque": [bool(servo.table.get("torque_enable")) for servo in bus.servos],
+                    "turning": [told_to_turn(servo) for servo in bus.servos[:4]],
+                    "wheels_rad_s": fastest[0], "steering_rad_s": fastest[1],
+                }
+            )  # fmt: skip
+            fastest = [0.0, 0.0]
     server.close()
+
+
+def told_to_turn(servo):
+    """Whether a goal turns the wheel, and the bus watchdog has not tripped."""
+    return bool(servo.table.get("goal_velocity")) and not servo.axis.tripped
 
 
 def tell(said):

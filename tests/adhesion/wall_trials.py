@@ -45,6 +45,10 @@ class Robot:
         self._process.stdin.flush()
         return json.loads(self._process.stdout.readline())
 
+    def kill(self):
+        """Let the robot be gone, with all its devices."""
+        self._process.kill()
+
     def bench_file(self, folder):
         """A bench file in which all its devices are real."""
         config, tables = load_bench("emulated"), {}

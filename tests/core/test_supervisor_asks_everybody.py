@@ -116,6 +116,18 @@ def test_who_follows_no_pose_leaves_nobody_out():
     assert motion.left == []
 
 
+def test_a_slide_names_what_holds_the_robot():
+    fast = TrackerSample(Stamp(0, 0, 0), np.zeros(3), np.zeros(4), np.array([0.0, 0.6, 0.0]), np.zeros(3), 3)
+    for holders, end in (
+        (("fan", "propellers"), "no hold; look at the fan and the propellers"),
+        ((), "no hold"),
+    ):
+        with pytest.raises(SafetyStop) as stop:
+            cycle(supervisor(holders=holders), tracker=(fast,) * 3)
+        assert stop.value.reason == "sliding"
+        assert str(stop.value).endswith(end)
+
+
 def blind(watched, since, until):
     """Cycles without a pose, after one with it; the last events."""
     cycle(watched, since, tracker=(pose(since * CYCLE_NS),))

@@ -55,14 +55,12 @@ def _drive(cell: Cell, name: str, path: Path) -> Seen:
 
 def _follow_forces(bench: Bench, seen: Seen) -> Callable[[], None]:
     """Keep the least force that truly holds the robot from now on; gives what ends that."""
-    at_first = bench.truth()
-    assert at_first is not None
 
     def look(t_ns: int) -> int:
         truth = bench.truth()
         if truth is not None:
             seen.adhesion_n = min(seen.adhesion_n, truth.adhesion_n)
-            seen.thrust_share = min(seen.thrust_share, truth.thrust_n / max(at_first.thrust_n, 1e-9))
+            seen.thrust_n = min(seen.thrust_n, truth.thrust_n)
         return t_ns + _LOOK_NS
 
     return bench.clock.schedule(look, bench.clock.now_ns())

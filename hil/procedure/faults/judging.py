@@ -21,8 +21,8 @@ LEAST_ADHESION_N = 21.0
 _LETS_GO = ("off", "brownout", "reset", "unplug", "baud_mismatch", "drop", "corrupt", "truncate", "garbage",
             "intermittent", "slow")  # fmt: skip
 """Faults of servos that take supply or bus, wholly or for a while, or answer when nobody listens any more."""
-LEAST_THRUST = 0.5
-"""Share of the propellers' thrust without which the robot hangs by its fan alone, and slides."""
+LEAST_THRUST_N = 13.0
+"""Of 22: with less of the propellers' thrust it slides, whatever its fan does."""
 
 
 @dataclass
@@ -40,7 +40,7 @@ class Seen:
         said, why: what the bench said of the robot after looking after it.
         moved_m, crept_m: true way from the stop until then, and in the next moments.
         fallen: the true robot.
-        adhesion_n, thrust_share: least that truly held it at any time.
+        adhesion_n, thrust_n: least that truly held it at any time.
         held: the bench's last word.
     """
 
@@ -58,7 +58,7 @@ class Seen:
     crept_m: float = 0.0
     fallen: bool = False
     adhesion_n: float = 1e3
-    thrust_share: float = 1.0
+    thrust_n: float = 1e3
     held: Held | None = None
 
 
@@ -109,7 +109,7 @@ def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
         yield f"the recording: {seen.unreadable}"
     if (seen.stop or seen.error) and not named:
         yield f"the device is not named: {seen.stop or seen.error}"
-    dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_share < LEAST_THRUST
+    dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_n < LEAST_THRUST_N
     if seen.fallen and not dropped:
         yield "the robot fell although fan and propellers held it"
     if seen.said == "HELD" and seen.crept_m > STILL_M:
