@@ -63,6 +63,24 @@ def test_an_axis_that_is_far_off_from_the_start_is_told_where_zeros_are_known(ze
     for _ in range(20):
         result = check.update([off_rad, 0.0, 0.0, 0.0], [0.0] * 4)
     assert result.horn_slip == (told, False, False, False)
+    assert result.now_rad[0] == pytest.approx(off_rad if told else 0.0, abs=1e-9)
+
+
+def test_what_has_slipped_is_counted_from_what_was_learnt():
+    check = CrossCheck(EncodersConfig())
+    for k in range(60):
+        result = check.update(np.full(4, 2.0 if k < 20 else 2.3), np.zeros(4))
+    assert result.now_rad[0] == pytest.approx(0.3, abs=1e-9)
+    assert result.difference_rad[0] == pytest.approx(0.3, abs=1e-3)
+
+
+@pytest.mark.parametrize(("step_rad", "compared"), [(0.015, True), (0.02, False)])
+def test_an_axis_that_still_turns_is_not_compared(step_rad, compared):
+    """The two are not sampled at the same instant."""
+    check = CrossCheck(EncodersConfig())
+    for k in range(20):
+        result = check.update(np.full(4, k * step_rad), np.full(4, k * step_rad))
+    assert np.isfinite(result.difference_rad[0]) == compared
 
 
 def test_nothing_is_claimed_before_it_is_known_or_from_missing_data():
@@ -121,6 +139,11 @@ def test_more_than_the_threshold_is_told_and_twice_as_much_stops(off_rad, told, 
     events, stops = watched(off_rad, cycles=400)
     assert len(events) == told
     assert bool(stops) is stopped
+
+
+def test_a_quarter_of_a_second_is_enough_to_learn():
+    told, _ = watched(0.05, slips=((28, 10**6),))
+    assert [e.message.count("+0.050 rad") for _, e in told] == [1]
 
 
 def test_a_slip_that_comes_again_is_told_again():
