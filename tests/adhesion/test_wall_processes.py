@@ -1,7 +1,8 @@
 """What becomes of a robot on its wall when a process or its computer fails, by its chips' own registers.
 
 The robot is emulated in a process of its own; a bench drives it in real time and meets with what processes
-meet with. A busy computer may end a drive: the robot has to be held all the same.
+meet with. A busy computer may end a drive: the robot has to be held all the same. Something else presses it
+on its wall: what becomes of the fan is seen in `test_wall_killed.py` and `test_keeper_killed.py`.
 """
 
 import json
@@ -16,26 +17,19 @@ from math import dist
 from pathlib import Path
 
 import pytest
-from kills import end_keeper, wait_until
-from wall_trials import Commands, bench_driving, robot_on_the_wall
-
-from hil.bench.adhesion import keeper_spec
-from hil.config.loading import load_bench
+from kills import wait_until
+from wall_trials import ENVIRONMENT, bench_driving, robot_on_the_wall
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]
-MOST_S = 0.2
-RESTS_S = 0.4
+RESTS_S = 0.5
 JERK_RAD_S, JERK_M = 0.5, 0.005
 
 
 @pytest.fixture
-def robot(tmp_path, monkeypatch):
+def robot(tmp_path):
     """(the emulated robot on its wall, a bench file in which it is real)."""
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    with robot_on_the_wall(seed=1) as robot:
-        path = robot.bench_file(tmp_path)
-        yield robot, path
-        end_keeper(keeper_spec(load_bench(str(path))))
+    with robot_on_the_wall(seed=1, fan=False) as robot:
+        yield robot, robot.bench_file(tmp_path)
 
 
 def under_way(robot):
@@ -64,7 +58,7 @@ def assert_held(robot, before, *, since_s=RESTS_S):
 def assert_taken_over_without_a_jerk(robot, path, held):
     """Another bench opens, switches torque on where it is missing, and looks at the robot."""
     robot.truth()
-    with bench_driving(path):
+    with bench_driving(path, "patient"):
         taken = robot.truth()
     assert taken["wheels_rad_s"] < JERK_RAD_S
     assert taken["steering_rad_s"] < JERK_RAD_S
@@ -73,7 +67,7 @@ def assert_taken_over_without_a_jerk(robot, path, held):
 
 def test_a_bench_that_is_killed_leaves_it_held_and_the_next_takes_it_over(robot):
     robot, path = robot
-    with bench_driving(path) as process:
+    with bench_driving(path, "patient") as process:
         before = under_way(robot)
         process.kill()
         held = assert_held(robot, before)
@@ -81,22 +75,21 @@ def test_a_bench_that_is_killed_leaves_it_held_and_the_next_takes_it_over(robot)
 
 
 def test_a_bench_that_is_stopped_and_goes_on_lets_nothing_go(robot):
-    """SIGSTOP: the servos' watchdogs stop the wheels, and the keeper's commands never miss."""
+    """SIGSTOP: the servos' watchdogs stop the wheels."""
     robot, path = robot
-    with Commands(path) as commands, bench_driving(path) as process:
+    with bench_driving(path, "patient") as process:
         before = under_way(robot)
         os.kill(process.pid, signal.SIGSTOP)
-        assert commands.longest_gap_s(1.0) <= MOST_S
         held = assert_held(robot, before)
         os.kill(process.pid, signal.SIGCONT)
-        assert commands.longest_gap_s(1.0) <= MOST_S
+        time.sleep(1.0)
         assert not robot.truth()["fallen"]
         assert dist(robot.truth()["pose"][:2], held["pose"][:2]) < 0.06
 
 
 def test_a_bench_without_memory_leaves_it_held(robot):
     robot, path = robot
-    with bench_driving(path) as process:
+    with bench_driving(path, "patient") as process:
         before = under_way(robot)
         pages = int(Path(f"/proc/{process.pid}/statm").read_text().split()[0])
         used = pages * resource.getpagesize()
@@ -111,11 +104,11 @@ def test_a_bench_without_memory_leaves_it_held(robot):
 def test_busy_cores_drop_nobody(robot):
     robot, path = robot
     burn = [sys.executable, "-c", "while True: pass"]
-    with Commands(path) as commands, bench_driving(path) as process:
+    with bench_driving(path, "patient") as process:
         under_way(robot)
         burning = [subprocess.Popen(burn) for _ in range(2 * os.cpu_count())]
         try:
-            assert commands.longest_gap_s(3.0) <= MOST_S
+            time.sleep(3.0)
         finally:
             for one in burning:
                 one.kill()
@@ -128,10 +121,10 @@ def test_busy_cores_drop_nobody(robot):
 
 def test_the_time_of_day_may_leap(robot):
     robot, path = robot
-    with Commands(path) as commands, bench_driving(path) as process:
+    with bench_driving(path, "patient") as process:
         before = under_way(robot)
         os.kill(process.pid, signal.SIGUSR1)
-        assert commands.longest_gap_s(2.0) <= MOST_S
+        time.sleep(2.0)
         assert process.poll() is None
         after = under_way(robot)
         assert not after["fallen"]
@@ -153,7 +146,7 @@ def test_a_terminal_that_is_closed_ends_a_session_with_the_robot_held(robot, tmp
     ]
     child, terminal = pty.fork()
     if not child:
-        os.execve(sys.executable, command, {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)})
+        os.execve(sys.executable, command, ENVIRONMENT)
     wait_until(
         lambda: (tmp_path / "run.mcap").exists() and (tmp_path / "run.mcap").stat().st_size > 50_000, "cycles"
     )
@@ -164,17 +157,17 @@ def test_a_terminal_that_is_closed_ends_a_session_with_the_robot_held(robot, tmp
     assert_held(robot, before)
 
 
-def test_a_robot_that_is_gone_is_said_to_be_not_held(tmp_path, monkeypatch):
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-    with robot_on_the_wall(seed=1) as robot:
+def test_a_robot_that_is_gone_is_said_to_be_not_held(tmp_path):
+    with robot_on_the_wall(seed=1, fan=False) as robot:
         path = robot.bench_file(tmp_path)
         command = [sys.executable, "-m", "hil.cli", "live", "--bench", str(path), "--no-record", "--json"]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        with subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=ENVIRONMENT
+        ) as process:
             while "at the start HELD" not in process.stderr.readline():
                 assert process.poll() is None
             time.sleep(0.5)
             robot.kill()
             out, err = process.communicate(timeout=120)
-        end_keeper(keeper_spec(load_bench(str(path))))
     assert process.returncode in (3, 4), err
     assert json.loads(out)["held"]["state"] == "NOT HELD"

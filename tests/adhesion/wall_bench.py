@@ -12,8 +12,11 @@ import numpy as np
 from hil.bench import open_bench
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import HilError
+from tests import patience
 
 PATIENT = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02, "imu.reply_timeout_s": 0.04}
+if "patient" in sys.argv:
+    PATIENT |= patience.PATIENT
 """A busy computer is no silent device."""
 ATTEMPTS = 20
 STEP_S = 3600.0

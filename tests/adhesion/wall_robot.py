@@ -13,12 +13,14 @@ from contextlib import suppress
 from hil.bench import open_emulation
 from hil.config.loading import load_bench
 from hil.fakes.servos.bus import ServoBus
+from tests.patience import FANLESS
 
 
 def main():
     with suppress(OSError):
         os.nice(-10)  # hardware does not wait for a busy host
-    server = open_emulation(load_bench("emulated"), seed=int(sys.argv[1]))
+    config = load_bench("emulated", overrides=FANLESS if "fanless" in sys.argv else {})
+    server = open_emulation(config, seed=int(sys.argv[1]))
     (bus,) = [part for part in server.world._parts if isinstance(part, ServoBus)]
     tell(server.endpoints())
     fastest = [0.0, 0.0]

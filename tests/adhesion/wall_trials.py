@@ -20,8 +20,10 @@ from kills import both, keeper_pid, wait_until
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
 from hil.vocabulary.kinds import Connection, kinds
+from tests.patience import FANLESS
 
 FOLDER = Path(__file__).parent
+ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(FOLDER.parents[1]), *sys.path])}
 _SET_COMMANDS = range(5)
 
 
@@ -36,8 +38,8 @@ class WallKill:
 class Robot:
     """The emulated robot: where its devices are, and the truth about it."""
 
-    def __init__(self, process):
-        self._process = process
+    def __init__(self, process, absent):
+        self._process, self._absent = process, absent
         self.endpoints = json.loads(process.stdout.readline())
 
     def truth(self):
@@ -51,7 +53,7 @@ class Robot:
 
     def bench_file(self, folder):
         """A bench file in which all its devices are real."""
-        config, tables = load_bench("emulated"), {}
+        config, tables = load_bench("emulated", overrides=self._absent), {}
         for name, table in config.devices().items():
             kind = kinds()[name]
             model, endpoint = kind.model(table.model), self.endpoints[kind.shown_as]
@@ -71,20 +73,25 @@ class Robot:
 
 
 @contextmanager
-def robot_on_the_wall(seed):
-    """An emulated robot in a process of its own."""
-    command = [sys.executable, str(FOLDER / "wall_robot.py"), str(seed)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield Robot(process)
+def robot_on_the_wall(seed, *, fan=True):
+    """An emulated robot in a process of its own; without a fan of its own something else presses it on."""
+    command = [sys.executable, str(FOLDER / "wall_robot.py"), str(seed), *(() if fan else ("fanless",))]
+    with subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT
+    ) as process:
+        yield Robot(process, {} if fan else FANLESS)
         process.stdin.close()
 
 
 @contextmanager
-def bench_driving(path):
-    """A bench that drives on the wall, in a process of its own."""
-    command = [sys.executable, str(FOLDER / "wall_bench.py"), str(path)]
+def bench_driving(path, *options):
+    """A bench that drives on the wall, in a process of its own; `patient` with a busy computer."""
+    command = [sys.executable, str(FOLDER / "wall_bench.py"), str(path), *options]
     log = path.with_name("bench.log")
-    with log.open("w") as said, subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said) as process:
+    with (
+        log.open("w") as said,
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=said, env=ENVIRONMENT) as process,
+    ):
         try:
             assert process.stdout.readline() == b"driving\n", log.read_text()
             yield process

@@ -29,10 +29,10 @@ def encoders(stamp, status):
 MAKERS = {"tracker": tracker, "imu": imu, "mocap": mocap, "encoders": encoders}
 
 
-def watched(device, statuses, stale_s=None):
-    """Events of a device that sends one sample per cycle; None is no sample."""
+def watched(device, statuses, stale_s=None, begin=0):
+    """Events of a device that sends one sample per cycle from cycle `begin` on; None is no sample."""
     watch, events = SampleWatch(stale_s or {}), []
-    for k, status in enumerate(statuses):
+    for k, status in enumerate(statuses, begin):
         stamp = Stamp(k * PERIOD_NS, k * PERIOD_NS, k)
         samples = () if status is None else (MAKERS[device](stamp, status),)
         watch.judge(Inputs(k, k * PERIOD_NS, **{device: samples}), events)
@@ -76,8 +76,18 @@ def test_a_silence_is_told_when_it_has_lasted_and_so_is_its_end():
 @pytest.mark.parametrize(("missing", "told"), [(90, []), (150, ["answers again, after 1.51 s"])])
 def test_a_sensor_that_was_away_says_for_how_long(missing, told):
     """Also one whose silence stops nothing."""
-    events = watched("mocap", [Status.OK, *[None] * missing, Status.OK])
-    assert [e.message for e in events] == told
+    for begin in (0, 300):
+        events = watched("mocap", [Status.OK, *[None] * missing, Status.OK], begin=begin)
+        assert [e.message for e in events] == told
+
+
+def test_times_are_counted_from_the_last_sample_and_not_from_the_start():
+    told = watched("imu", [Status.OK, *[None] * 60, Status.OK], {"imu": 0.5}, begin=300)
+    assert [e.message for e in told] == ["stale for 0.510 s", "answers again, after 0.61 s"]
+    watch = SampleWatch({})
+    assert watch.away_s("mocap", 5 * PERIOD_NS) == 0.0
+    watch.judge(Inputs(300, 300 * PERIOD_NS, mocap=(mocap(Stamp(0, 0, 0), Status.OK),)), [])
+    assert watch.away_s("mocap", 350 * PERIOD_NS) == pytest.approx(0.5)
 
 
 def test_a_sensor_that_sends_on_was_never_away():
