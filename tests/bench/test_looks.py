@@ -1,0 +1,99 @@
+"""What the doctor says of samples that no emulated device sends by itself: looks, on samples made here."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hil.bench.drivers import model_of
+from hil.bench.promises import broken_promises
+from hil.config.load_cells import LineCellsConfig
+from hil.config.loading import load_bench
+from hil.devices.looks import Watched
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import AdhesionSample
+from tests.recording.mcap_cases import driving_record
+
+INPUTS = driving_record(0).inputs
+
+
+class Clock:
+    """Stands at a second; sleeping takes none."""
+
+    def now_ns(self):
+        return 1_000_000_000
+
+    def sleep_until_ns(self, t_ns):
+        """At once."""
+
+
+def watched(name, samples, device=None, table=None):
+    config = load_bench("emulated")
+    table = config.devices().get(name) if table is None else table
+    return Watched(kinds()[name], table, device, tuple(samples), 1.0, Clock(), 100.0)
+
+
+def wrong(findings):
+    return {f.check: f for f in findings if f.level != "ok"}
+
+
+def look(name, samples, device=None, table=None):
+    return wrong(kinds()[name].look(watched(name, samples, device, table)))
+
+
+def test_gravity_that_is_none_is_told_with_the_axis_remap():
+    still = [replace(INPUTS.imu[0], gravity_m_s2=np.array([0.0, 0.0, 4.0]))]
+    assert look("imu", still)["gravity"].remedy == "check the axis remap"
+
+
+def test_motion_capture_that_is_late_is_told():
+    frames = [replace(INPUTS.mocap[0], latency_s=0.2)]
+    assert look("mocap", frames)["latency"].remedy == "use a wired network"
+
+
+def test_a_camera_without_texture_is_told():
+    poses = [replace(INPUTS.tracker[0], confidence=1)]
+    assert "texture" in look("tracker", poses)["confidence"].remedy
+
+
+def test_a_camera_of_other_firmware_is_told():
+    device = SimpleNamespace(identity=lambda: {"firmware": "0.2.0.100"})
+    found = wrong(model_of(load_bench("emulated"), "tracker").look(watched("tracker", [], device)))
+    assert 'tracker.firmware = ["0.2.0.100"]' in found["firmware"].remedy
+
+
+def test_hot_servos_are_told():
+    health = replace(driving_record(0).inputs.health[0], temperature_c=np.full(8, 85.0))
+    servos = SimpleNamespace(
+        read=lambda: (), read_health=lambda: (health,), model=SimpleNamespace(low_supply_v=11.0)
+    )
+    assert (
+        look("servos", INPUTS.servos, servos)["temperature"].remedy == "let the servos cool; look for a jam"
+    )
+
+
+def test_noisy_cells_are_told():
+    first = INPUTS.load_cells[0]
+    samples = [replace(first, force_n=np.array([force_n, force_n])) for force_n in (10.0, 40.0)]
+    table = LineCellsConfig(backend="emulated", port="hil://x")
+    assert "screen the cells' cables" in look("load_cells", samples, table=table)["noise"].remedy
+
+
+@pytest.mark.parametrize(("fet_c", "level"), [(150.0, "failure"), (np.nan, "warning")])
+def test_a_hot_fan_and_one_that_does_not_report_are_told(fet_c, level):
+    stamp = INPUTS.imu[0].stamp
+    sample = AdhesionSample(stamp, 20_000.0, 0.5, 10.0, 5.0, 24.0, fet_c, 30.0)
+    table = kinds()["adhesion"].model("vesc").config(backend="emulated")
+    found = look("adhesion", [sample], table=table)["power stage"]
+    assert (found.level, found.remedy) == (level, "let it cool down; switch on status message 4")
+
+
+def test_a_package_that_breaks_its_promises_is_told_each_with_what_to_do():
+    first = INPUTS.tracker[0]
+    late = replace(first.stamp, t_ns=10**12, host_ns=10**12 - 10**9)
+    bad = replace(first, stamp=late, position_m=np.full(3, np.nan))
+    found = wrong(broken_promises(watched("tracker", [bad]), [0.02, 0.02]))
+    assert {name: bool(f.remedy) for name, f in found.items()} == dict.fromkeys(
+        ("numbers", "stamps", "reads"), True
+    )
