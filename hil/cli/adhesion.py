@@ -41,7 +41,10 @@ def command() -> None:
               help="Seconds that it may take to get there.")  # fmt: skip
 @_JSON
 def switch_on(bench: str, force_n: float | None, duty: float | None, wait_s: float, as_json: bool) -> int:
-    """Start the fan, or give a running one another set-point, along a ramp; it stays on."""
+    """Start the fan, or give a running one another set-point, along a ramp; it stays on.
+
+    Example: hil adhesion on --bench my.toml
+    """
     from hil.bench import adhesion
 
     if force_n is not None and duty is not None:
@@ -65,6 +68,8 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
     """Let the fan, and propellers that have a keeper, come to rest along a ramp.
 
     Refused unless --tethered is given, or IMU and load cells both say that the robot does not hang by it.
+
+    Example: hil adhesion off --bench my.toml --tethered
     """
     from hil.bench import adhesion
 
@@ -91,7 +96,10 @@ def switch_off(bench: str, tethered: bool, as_json: bool) -> int:
 @_BENCH
 @_JSON
 def show_status(bench: str, as_json: bool) -> int:
-    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps the fan."""
+    """How fan and propellers run, and who keeps them; ends with 3 where nobody keeps the fan.
+
+    Example: hil adhesion status --bench my.toml
+    """
     from hil.bench import adhesion
 
     specs = adhesion.kept_specs(_config(bench))
@@ -132,7 +140,10 @@ def _show(spec: Spec, status: Status | None) -> None:
 @click.option("--duration", "duration_s", type=FiniteRange(0.0, min_open=True),
               help="Seconds [default: until interrupted].")  # fmt: skip
 def watch(bench: str, every_s: float, duration_s: float | None) -> int:
-    """A line about fan and propellers, again and again. They do not mind when this ends."""
+    """A line about fan and propellers, again and again. They do not mind when this ends.
+
+    Example: hil adhesion watch --bench my.toml
+    """
     from hil.bench import adhesion
 
     specs = adhesion.kept_specs(_config(bench))
@@ -155,6 +166,8 @@ def keep(bench: str, propellers: bool) -> int:
     """Be the fan's keeper, in the foreground: for a service of the robot's computer.
 
     Takes over a fan that runs, else waits until somebody asks for it. Heeds no signal that can be caught.
+
+    Example: hil adhesion keep --bench my.toml
     """
     from hil.bench import adhesion
 

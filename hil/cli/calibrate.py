@@ -48,7 +48,10 @@ def command(
     bounds: float | None, seed: int, no_validation: bool, bench: str | None, out: Path | None,
     topics: Path | None, plots: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Calibrate the odometry on recordings with ground truth."""
+    """Calibrate the odometry on recordings with ground truth.
+
+    Example: hil calibrate recordings/ --out calibration.toml
+    """
     from hil.calibration.calibrate import calibrate
     from hil.calibration.problem import make_setting
     from hil.recording.sources import read_recordings

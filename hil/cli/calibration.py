@@ -31,7 +31,10 @@ def command() -> None:
 @_FILE
 @_JSON
 def list_versions(file: Path, as_json: bool) -> int:
-    """Every version kept beside FILE, and which one is in place."""
+    """Every version kept beside FILE, and which one is in place.
+
+    Example: hil calibration list calibration.toml
+    """
     from hil.calibration.versions import Shelf
     from hil.vocabulary.errors import ConfigError
 
@@ -60,7 +63,10 @@ def list_versions(file: Path, as_json: bool) -> int:
 def apply_version(
     file: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool
 ) -> int:
-    """Put a version in place as FILE; refused unless its validation passed."""
+    """Put a version in place as FILE; refused unless its validation passed.
+
+    Example: hil calibration apply calibration.toml --version 3
+    """
     from hil.calibration.artefact import read_calibration
     from hil.calibration.versions import Shelf, check_made_for
     from hil.vocabulary.errors import UsageError
@@ -83,7 +89,10 @@ def apply_version(
 @_BENCH
 @_JSON
 def rollback(file: Path, version: int | None, bench: str | None, as_json: bool) -> int:
-    """Put an earlier version back in place as FILE."""
+    """Put an earlier version back in place as FILE.
+
+    Example: hil calibration rollback calibration.toml
+    """
     from hil.calibration.versions import Shelf
 
     return _done(Shelf(file).rollback(version, _config(bench)), file, as_json)

@@ -60,7 +60,10 @@ def command(
     settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
     workers: int, scheduler: str, out: Path | None, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
-    """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table."""
+    """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table.
+
+    Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
+    """
     from hil.procedure.campaign import expand, parse_axis, parse_seeds
     from hil.procedure.scripts import load_procedure
 

@@ -39,7 +39,10 @@ def command(
     settings: tuple[str, ...], faults: tuple[str, ...], start_pose: str | None, answers: Path | None,
     as_json: bool,
 ) -> int:  # fmt: skip
-    """All procedures in order, each using what the others found, up to lines on the wall."""
+    """All procedures in order, each using what the others found, up to lines on the wall.
+
+    Example: hil commission --quick
+    """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.commission import Commission, commission
     from hil.procedure.commission.state import NAME

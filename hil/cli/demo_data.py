@@ -43,7 +43,10 @@ def command(
     folder: Path, seed: int, repetitions: int, plant: str | None, motions: str | None, contact: str | None,
     corrupt: str | None, faults: tuple[str, ...], bench: str | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json)."""
+    """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json).
+
+    Example: hil demo-data data --repetitions 2
+    """
     from hil.vocabulary.errors import UsageError
     from hil.vocabulary.files import check_folder, staged, write_text
 

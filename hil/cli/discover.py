@@ -34,7 +34,10 @@ def command(
     ports: tuple[str, ...], buses: tuple[str, ...], mocap: str | None, places: tuple[str, ...],
     out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Ask everything that could be a device; ends with 3 when nothing answers."""
+    """Ask everything that could be a device; ends with 3 when nothing answers.
+
+    Example: hil discover --out my.toml
+    """
     from hil.bench.discover import discover
     from hil.vocabulary.clock import MonotonicClock
     from hil.vocabulary.errors import UsageError

@@ -38,6 +38,8 @@ def command(
 
     Ends with 0 when nothing failed (warnings are allowed), else with 3. --fix opens no device: it prints
     udev rules for the adapters that are plugged in (latency timer, access, no suspend, no ModemManager).
+
+    Example: hil doctor --bench my.toml
     """
     from itertools import chain
 

@@ -65,6 +65,8 @@ def command(
     Motion capture is served at [mocap] command_port and data_port where the bench file names them, else
     at free ports; it streams to [mocap] multicast, or to each client. With --standard-ports clients of
     Motive's multicast group are served beside them. Nothing leaves this host.
+
+    Example: hil emulate --only servos,imu --out endpoints.json
     """
     from hil.bench import open_emulation
     from hil.bench.on_its_wall import OnItsWall

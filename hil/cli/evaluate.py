@@ -42,7 +42,10 @@ def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,
     deploy: str, bench: str | None, topics: Path | None, plots: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files."""
+    """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
+
+    Example: hil evaluate recordings/ --calibration calibration.toml
+    """
     from hil.calibration.evaluation import evaluate
     from hil.recording.sources import read_recordings
     from hil.vocabulary.errors import UsageError

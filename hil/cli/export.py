@@ -23,6 +23,8 @@ def command(
 
     RECORDING is one of ours, or a bag of another robot with --topics: wheels and ground truth, no estimate.
     The newest sample of every device that another package adds is in columns of its name.
+
+    Example: hil export recording.mcap --format csv
     """
     from hil.recording.export import write_table
     from hil.recording.mcap_reader import read_cycles

@@ -58,7 +58,10 @@ def command(
     quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
     workers: int, out: Path, as_json: bool,
 ) -> int:  # fmt: skip
-    """Every fault of every emulated device, at four moments of a climb, judged, into one matrix."""
+    """Every fault of every emulated device, at four moments of a climb, judged, into one matrix.
+
+    Example: hil faults --quick
+    """
     from hil.procedure.campaign import spread
     from hil.procedure.faults import lost, run_cell, write_page
 

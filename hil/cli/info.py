@@ -54,6 +54,8 @@ def command(compiling: bool, as_json: bool) -> int:
 
     With --compile the machine code of estimators, smoother and emulated wall is made now (about a minute,
     once for each version) instead of at the start of the first run.
+
+    Example: hil info --json
     """
     if compiling:
         _compile()

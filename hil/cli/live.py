@@ -103,6 +103,8 @@ def command(
     that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
     exit code 4; further signals do not shorten that. While the bench opens, it is opened first.
+
+    Example: hil live --bench emulated --duration 20 --rerun spawn
     """
     from hil.bench import open_bench
     from hil.config.loading import load_bench

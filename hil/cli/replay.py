@@ -66,6 +66,8 @@ def command(
 
     RECORDING is one of ours (.mcap), a bag of another robot with --topics, half of a public CSV pair,
     or plain CSV. A damaged recording gives what it has and ends with exit code 2.
+
+    Example: hil replay recording.mcap --page replay.html
     """
     from hil.replay.recordings import open_recording
     from hil.vocabulary.files import check_file

@@ -18,6 +18,8 @@ def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:
     """Write the report of a results folder; with several folders, compare their runs.
 
     Two folders of campaigns are compared case by case, with the same seeds and settings as pairs.
+
+    Example: hil report out/bring_up/first out/bring_up/second
     """
     from hil.report.compare_campaigns import is_campaign
     from hil.report.compare_page import compare, comparison_text, write_compare_page

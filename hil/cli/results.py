@@ -52,7 +52,10 @@ def command() -> None:
 @_filters
 @_JSON
 def list_results(where: Path, as_json: bool, **asked: Any) -> int:
-    """What ran, when, on which bench, with which verdict; the latest first."""
+    """What ran, when, on which bench, with which verdict; the latest first.
+
+    Example: hil results list --verdict FAIL --since 2026-01-31
+    """
     return _tell(where, as_json, asked, ())
 
 
@@ -150,6 +153,8 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     """Print the page of RUN, and show it. RUN is a name from the list, a part of one, or `last`.
 
     The page of a run is written if it is missing.
+
+    Example: hil results open bring_up
     """
     import os
     import sys
@@ -246,6 +251,8 @@ def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
     """Delete results for good. Says what would be lost, and asks.
 
     Only what `hil` has written is deleted, no run that is still going on, nothing behind a link.
+
+    Example: hil results delete bring_up/20260131-101500-000
     """
     from hil.report.history.choice import named
     from hil.report.history.found import find_results

@@ -29,7 +29,10 @@ def command() -> None:
 @click.option("--page", type=click.Path(path_type=Path), help="Write an HTML page, too.")
 @_JSON
 def show(record: Path, version: int | None, page: Path | None, as_json: bool) -> int:
-    """What is known of the robot, how well, since when, and what is out of date."""
+    """What is known of the robot, how well, since when, and what is out of date.
+
+    Example: hil robot show robot --page robot.html
+    """
     from hil.config.record import RobotRecord
     from hil.report.commission_page import write_robot_page
     from hil.report.robot_table import part_rows
@@ -72,7 +75,10 @@ def _line(row: dict[str, Any]) -> str:
 @click.argument("second", type=int, required=False)
 @_JSON
 def diff(record: Path, first: int | None, second: int | None, as_json: bool) -> int:
-    """What two versions know differently [default: the one in place and the one before it]."""
+    """What two versions know differently [default: the one in place and the one before it].
+
+    Example: hil robot diff robot 2 3
+    """
     from hil.report.robot_table import differences
 
     old, new = _two(record, first, second)
@@ -111,7 +117,10 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 @click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
 @_JSON
 def apply(record: Path, version: int | None, source: Path | None, bench: str | None, as_json: bool) -> int:
-    """Put a version in place, or take parts from older files as a new version."""
+    """Put a version in place, or take parts from older files as a new version.
+
+    Example: hil robot apply robot --from calibration.toml --bench my.toml
+    """
     from hil.bench.absorbing import absorb
     from hil.config.loading import load_bench
     from hil.config.record import RobotRecord
@@ -136,7 +145,10 @@ def apply(record: Path, version: int | None, source: Path | None, bench: str | N
 @click.option("--version", type=int, help="Version to go back to [default: the one before].")
 @_JSON
 def rollback(record: Path, version: int | None, as_json: bool) -> int:
-    """Put an earlier version back in place, also when the one in place is damaged."""
+    """Put an earlier version back in place, also when the one in place is damaged.
+
+    Example: hil robot rollback robot
+    """
     from hil.config.record import RobotRecord
 
     return _done(RobotRecord(record).rollback(version), as_json)
@@ -147,7 +159,10 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
 @click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
 def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
-    """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states."""
+    """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states.
+
+    Example: hil robot urdf --bench my.toml --out robot.urdf
+    """
     from hil.bench import plan_bench
     from hil.recording.urdf import urdf as described
     from hil.vocabulary.files import write_text

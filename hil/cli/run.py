@@ -49,7 +49,10 @@ def command(
     faults: tuple[str, ...], calibration: Path | None, out: Path | None, resume: bool, dry: bool,
     quick: bool, answers: Path | None, on_failure: OnFailure, as_json: bool,
 ) -> int:  # fmt: skip
-    """Run a procedure: a path to a Python file, or the name of a shipped one."""
+    """Run a procedure: a path to a Python file, or the name of a shipped one.
+
+    Example: hil run bring_up --quick --set watch_s=2
+    """
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
     from hil.procedure.journal import NAME as JOURNAL

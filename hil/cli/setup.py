@@ -27,6 +27,8 @@ def command(
     """Set up one servo; the only command that writes EEPROM. Connect one new servo at a time.
 
     Return Delay Time is set to 0 unless given, torque is off while writing, and everything is read back.
+
+    Example: hil setup --port /dev/ttyUSB0 --id 1 --new-id 11
     """
     from hil.bench import set_up
     from hil.vocabulary.clock import MonotonicClock

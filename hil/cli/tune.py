@@ -48,7 +48,10 @@ def command(
     recordings: tuple[Path, ...], check: tuple[Path, ...], names: tuple[str, ...], evaluations: int,
     bench: str | None, calibration: Path | None, out: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
-    """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS."""
+    """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
+
+    Example: hil tune out/wall_tracking/first
+    """
     from hil.estimator.tuning import score, tune
 
     if out is not None:
