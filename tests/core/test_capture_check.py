@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hil.ring.capture_check import Seen
-from hil.ring.doubts import Doubt
+from hil.ring.doubts import CAMERA, WHEELS, Doubt, Relocalisation, Sum
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
 from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
@@ -221,3 +221,17 @@ def test_what_holds_the_robot_is_named_wherever_it_may_be_the_robot_that_slides(
 
 def test_a_doubt_says_whom_it_is_against():
     assert {(d.source, d.against) for _, d in doubts(UP, 0.6 * UP, 0.6 * UP)} >= {("servos", "mocap")}
+
+
+@pytest.mark.parametrize(("axis", "share"), [(1.0, 0.1), (1j, 0.05)])
+def test_shares_of_the_way_are_taken_off_alike_on_both_sides(axis, share):
+    for off in (0.3, -0.3):
+        total = Sum(CAMERA, WHEELS, 1.0, 2.0)
+        total.add(0, 1.0 + off * axis, 1.0, 0.0, way=(0.1, 0.05))
+        assert total.size == pytest.approx(0.3 - share)
+
+
+def test_half_a_second_after_a_leap_another_may_be_put_right():
+    leap = Relocalisation()
+    told = [leap.jumped(round(t_s * 1e9), 0.1, 0.0) for t_s in (1.0, 1.4, 1.95)]
+    assert told == [True, False, True]
