@@ -150,6 +150,7 @@ def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
 )  # fmt: skip
 def test_of_every_silence_the_page_says_why(device, fault, why):
     assert why in why_quiet(device, fault)
+    assert "the run was over" in why_quiet(device, fault, ["stop"])
 
 
 def run(*arguments):

@@ -13,6 +13,7 @@ UNNOTICED = "nobody notices"
 _ANY = "*"
 _LATER = "a stream is judged second by second: told within two seconds of a longer run"
 _LOST = "single messages are lost or refused by their check, and the next ones say the same"
+_AT_THE_END = "struck where the way ends: the run was over before it could be judged"
 _WHY: Mapping[tuple[str, str], str] = {
     (_ANY, "duplicate"): "what comes twice counts once",
     (_ANY, "drop"): _LOST,
@@ -28,13 +29,14 @@ _WHY: Mapping[tuple[str, str], str] = {
     ("adhesion", "delayed"): "reports of a moment ago say the same of a fan that turns steadily",
     ("load_cells", "delayed"): "a force of a moment ago is the same for a fan that turns steadily",
     ("servos", "slow"): "answers come later, and within their time",
-    ("thrust", "off"): "too late in the run to be felt",
     ("thrust", _ANY): "this controller sends nothing back, and the robot is held all the same",
 }  # fmt: skip
 
 
-def why_quiet(device: str, fault: str) -> str:
-    """What there is to say of a fault of which nobody has said a word."""
+def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
+    """What there is to say of a fault of which nobody has said a word, at these moments."""
+    if list(moments) == ["stop"]:
+        return _AT_THE_END
     kind = kind_of(device).name
     keys = ((kind, fault), (kind, _ANY), (_ANY, fault))
     return next((_WHY[key] for key in keys if key in _WHY), UNNOTICED)
@@ -48,6 +50,6 @@ def quiet_table(verdicts: Sequence[Verdict]) -> list[str]:
         moments = found.setdefault((cell.device, cell.fault), [])
         moments += [cell.moment] if cell.moment not in moments else []
     return [
-        f"| `{device}` | `{fault}` | {', '.join(moments)} | {why_quiet(device, fault)} |\n"
+        f"| `{device}` | `{fault}` | {', '.join(moments)} | {why_quiet(device, fault, moments)} |\n"
         for (device, fault), moments in found.items()
     ]
