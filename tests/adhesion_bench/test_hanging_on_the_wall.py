@@ -147,7 +147,7 @@ def test_a_bus_that_is_gone_stops_the_robot_and_says_what_the_time_out_does():
 
 def test_the_fan_is_started_and_waited_for_before_torque_comes_on():
     with hil.open_bench("emulated", seed=1, overrides=COLD) as bench:
-        assert bench.world.plant._by_hand is False, "the servos have torque now"
+        assert bench.world.plant.by_hand is False, "the servos have torque now"
         assert 1.0 < bench.clock.now_ns() / 1e9 < 8.0
         needed_n = adhesion_limits(bench.config).limit_n(thrust_wanted_n(bench.config), 0.0)
         assert bench.truth().adhesion_n > needed_n
@@ -167,7 +167,7 @@ def test_no_torque_and_no_motion_before_the_force_is_there(fault):
         bench.__enter__()
     told = str(caught.value)
     assert "N are the least on this surface" in told or "adhesion" in told
-    assert bench.world.plant._by_hand, "nobody gave the servos torque"
+    assert bench.world.plant.by_hand, "nobody gave the servos torque"
 
 
 def test_the_state_carries_force_margin_and_what_each_wheel_uses():
@@ -257,7 +257,7 @@ def test_cells_and_speed_that_disagree_before_the_start_leave_the_servos_without
     with pytest.raises(SafetyStop, match="by the fan's speed") as caught:
         bench.__enter__()
     assert caught.value.reason == "adhesion_disagree"
-    assert bench.world.plant._by_hand
+    assert bench.world.plant.by_hand
 
 
 def test_torque_is_not_released_on_the_wall_when_a_program_asks_for_it():
@@ -279,7 +279,7 @@ def test_cells_that_are_not_there_are_named_and_nothing_is_switched(model):
     with pytest.raises(DeviceError, match=r"load_cells at .*no conversion for 1.0 s.*supply") as caught:
         bench.__enter__()
     assert caught.value.exit_code == 3
-    assert bench.world.plant._by_hand, "nobody gave the servos torque"
+    assert bench.world.plant.by_hand, "nobody gave the servos torque"
 
 
 def test_a_negative_push_is_refused_and_the_propellers_go_on():

@@ -246,7 +246,7 @@ def test_propellers_that_do_not_come_up_leave_the_servos_without_torque():
     with pytest.raises(SafetyStop, match=r"pushed up with \d+.\d N of 22.3") as caught:
         bench.__enter__()
     assert caught.value.reason == "adhesion"
-    assert bench.world.plant._by_hand
+    assert bench.world.plant.by_hand
 
 
 def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
