@@ -33,6 +33,8 @@ def command(
     right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
     and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
     promise was broken, 4 if wheels were not allowed to turn or something ended it. A page there always is.
+
+    Example: hil accept --bench my.toml
     """
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource

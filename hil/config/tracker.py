@@ -67,7 +67,7 @@ class T265Config(TrackerConfig):
         relocalisation: whether it looks for its place in that map.
         pose_jumping: whether its poses jump where the map corrects them.
         map_preservation: whether it keeps the map from one start to the next.
-        wheel_odometry: whether it is told the velocity of the wheels, which makes it robust on wheels. Camera
+        wheel_odometry: whether it gets the velocity of the wheels, which makes it robust on wheels. Camera
             and wheels are then no longer independent witnesses.
         wheel_sigma_m_s: standard uncertainty of that velocity, per axis; from the noise of the wheels
             (`estimator.wheels`) at the highest speed when None.

@@ -28,7 +28,7 @@ class TrackerTruthOptions:
         boot_s: silence after a reset.
         mount_position_m, mount_rotation_wxyz: camera (robot axes) in the body as it truly is; as the
             bench configures it when None.
-        firmware: version that it tells.
+        firmware: version that it reports.
     """
 
     scale_sigma: float = 0.005
