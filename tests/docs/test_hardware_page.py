@@ -17,7 +17,9 @@ import tomli_w
 from shown_commands import problem
 
 from hil.cli import main
+from hil.config.loading import load_bench
 from hil.fakes.can_wire import DEFAULT_PORT
+from hil.procedure.scripts import load_procedure
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml
 
@@ -94,6 +96,9 @@ def rule(line, robot):
     words = shlex.split(line.split(" | ")[0])[1:]
     if words[0] in ("run", "commission"):
         tail = ["--dry-run"] if words[0] == "run" else ["--help"]
+        if words[0] == "run" and load_bench(load_procedure(words[1]).bench).environment.kind == "floor":
+            for key in ("surface=floor", "tilt_rad=0"):  # as the page says before these lines
+                tail += ["--set", f"bench.environment.{key}"]
         return [*words, *tail], {0}
     if words[0] == "discover":
         ports = [part for port in robot["ports"] for part in ("--port", port)]
