@@ -32,7 +32,7 @@ def command(
     Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
     right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
     and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
-    promise was broken, 4 if wheels were not allowed to turn or something ended it. A page there always is.
+    promise was broken, 4 if wheels were not allowed to turn or something ended it; each time with a page.
 
     Example: hil accept --bench my.toml
     """
