@@ -169,6 +169,7 @@ def described(robot, path):
 
 @pytest.mark.long
 @pytest.mark.real_time
+@pytest.mark.timeout(900)  # accept asks every device for everything, in real time
 def test_the_page_can_be_walked(robot, monkeypatch, capsys):
     """In its order: what one line leaves, the next one needs."""
     monkeypatch.chdir(robot["folder"])
