@@ -67,6 +67,8 @@ _TURNED = {
     ast.Is: ast.IsNot, ast.IsNot: ast.Is, ast.In: ast.NotIn, ast.NotIn: ast.In, ast.Add: ast.Sub,
     ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.And: ast.Or, ast.Or: ast.And,
 }  # fmt: skip
+_COUNT = 100
+"""Whole numbers below it are taken for counts: one more is another thing."""
 _SWAPPED = {"min": "max", "max": "min", "all": "any", "any": "all"}
 
 
@@ -149,7 +151,8 @@ class Alter(ast.NodeTransformer):
             if self._here(node, str(node.value)):
                 return ast.copy_location(ast.Constant(not node.value), node)
         elif isinstance(node.value, int | float) and self._here(node, str(node.value)):
-            more = 2.0 * node.value if isinstance(node.value, float) and node.value else node.value + 1
+            fine = isinstance(node.value, int) and abs(node.value) < _COUNT
+            more = node.value + 1 if fine or not node.value else 2 * node.value
             return ast.copy_location(ast.Constant(more), node)
         return node
 

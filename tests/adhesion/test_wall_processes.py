@@ -143,11 +143,14 @@ def test_a_terminal_that_is_closed_ends_a_session_with_the_robot_held(robot, tmp
     child, terminal = pty.fork()
     if not child:
         os.execve(sys.executable, command, ENVIRONMENT)
-    end_s = time.monotonic() + LONGEST_S
+    end_s, said = time.monotonic() + LONGEST_S, b""
     while not (run.exists() and run.stat().st_size > 50_000):
-        assert time.monotonic() < end_s
+        assert time.monotonic() < end_s, said
         if select.select([terminal], [], [], 0.1)[0]:
-            os.read(terminal, 4096)
+            try:
+                said += os.read(terminal, 4096)
+            except OSError:  # it has ended
+                pytest.fail(said.decode())
     before = robot.truth()
     os.close(terminal)
     _, status = os.waitpid(child, 0)

@@ -20,7 +20,7 @@ from kills import both, keeper_pid, wait_until
 from hil.bench.adhesion import keeper_spec
 from hil.config.loading import load_bench
 from hil.vocabulary.kinds import Connection, kinds
-from tests.patience import FANLESS
+from tests.patience import FANLESS, PATIENT
 
 FOLDER = Path(__file__).parent
 ENVIRONMENT = {**os.environ, "PYTHONPATH": os.pathsep.join([str(FOLDER.parents[1]), *sys.path])}
@@ -38,8 +38,8 @@ class WallKill:
 class Robot:
     """The emulated robot: where its devices are, and the truth about it."""
 
-    def __init__(self, process, absent):
-        self._process, self._absent = process, absent
+    def __init__(self, process, overrides):
+        self._process, self._overrides = process, overrides
         self.endpoints = json.loads(process.stdout.readline())
 
     def truth(self):
@@ -53,7 +53,7 @@ class Robot:
 
     def bench_file(self, folder):
         """A bench file in which all its devices are real."""
-        config, tables = load_bench("emulated", overrides=self._absent), {}
+        config, tables = load_bench("emulated", overrides=self._overrides), {}
         for name, table in config.devices().items():
             kind = kinds()[name]
             model, endpoint = kind.model(table.model), self.endpoints[kind.shown_as]
@@ -74,12 +74,12 @@ class Robot:
 
 @contextmanager
 def robot_on_the_wall(seed, *, fan=True):
-    """An emulated robot in a process of its own; without a fan of its own something else presses it on."""
+    """An emulated robot in a process of its own; without a fan something else presses it on, patiently."""
     command = [sys.executable, str(FOLDER / "wall_robot.py"), str(seed), *(() if fan else ("fanless",))]
     with subprocess.Popen(
         command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=ENVIRONMENT
     ) as process:
-        yield Robot(process, {} if fan else FANLESS)
+        yield Robot(process, {} if fan else {**FANLESS, **PATIENT})
         process.stdin.close()
 
 
