@@ -228,6 +228,13 @@ def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path, monkeyp
     assert "--no-record" in said
 
 
+def test_a_disk_that_takes_no_files_is_named_before_anything_is_opened(capsys):
+    assert main(["live", "--duration", "0.1", "--record", "/sys/run.mcap"]) == 2
+    said = capsys.readouterr().err
+    assert "/sys/run.mcap: cannot be written" in said
+    assert "at the start" not in said
+
+
 @pytest.mark.parametrize(("policy", "code"), [("stop", 4), ("go-on", 0)])
 def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
     """The thread that writes finds no room while the robot is driven; nobody else's files are touched."""
