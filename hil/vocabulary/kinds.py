@@ -210,6 +210,8 @@ class DeviceKind:
             its own table or None); the monitor draws them instead of those that `[robot]` promises.
         witness: how it notices that the robot moves; None if it cannot.
         look: findings of `hil doctor`, of a `hil.devices.looks.Watched`; its samples are counted when None.
+        passes: by fault, why it may pass without a word: which data do not change, or that nobody notices;
+            `*` for every other fault.
         package: name and version of the package that it comes from; filled in when it is loaded.
     """
 
@@ -235,6 +237,7 @@ class DeviceKind:
     forces: Callable[[Inputs, Any, Any], Iterator[Force]] = lambda inputs, robot, own: iter(())
     witness: Witness | None = None
     look: Callable[[Any], Iterable[Finding]] | None = None
+    passes: Mapping[str, str] = field(default_factory=dict)
     package: str = "hil"
 
     def model(self, name: str) -> DeviceModel:

@@ -67,4 +67,8 @@ KIND = DeviceKind(
         Plot("Adhesion", "Fan's temperatures (C)", "adhesion/temperature_c"),
     ),
     look=look,
+    passes={
+        "slow": "reports come less often, and often enough for `safety.adhesion_stale_s`",
+        "delayed": "reports of a moment ago say the same of a fan that turns steadily",
+    },
 )

@@ -46,4 +46,5 @@ KIND = DeviceKind(
     figures=_figures,
     plots=(Plot("Adhesion", "Load cells (N)", "adhesion/cells_n"),),
     look=look,
+    passes={"delayed": "a force of a moment ago is the same for a fan that turns steadily"},
 )

@@ -62,4 +62,5 @@ KIND = DeviceKind(
     ),
     witness=Witness(still=0.01, value=_positions),  # rad: a servo holds its place within three counts, 0.005
     look=look,
+    passes={"slow": "answers come later, and within their time"},
 )

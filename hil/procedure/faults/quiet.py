@@ -10,36 +10,22 @@ from collections.abc import Mapping, Sequence
 from hil.procedure.faults.judging import Verdict, kind_of
 
 UNNOTICED = "nobody notices"
-_ANY = "*"
-_LATER = "a stream is judged second by second: told within two seconds of a longer run"
-_LOST = "single messages are lost or refused by their check, and the next ones say the same"
 _AT_THE_END = "struck where the way ends: the run was over before it could be judged"
-_WHY: Mapping[tuple[str, str], str] = {
-    (_ANY, "duplicate"): "what comes twice counts once",
-    (_ANY, "drop"): _LOST,
-    (_ANY, "truncate"): _LOST,
-    (_ANY, "corrupt"): _LOST,
-    (_ANY, "slow"): _LATER,
-    ("mocap", "intermittent"): _LATER,
-    ("mocap", "delayed"): _LATER,
-    ("imu", "jump"): "its own heading is not used: gyro and gravity are",
-    ("imu", "slow"): f"{UNNOTICED}: values of a moment ago come as often as new ones would",
-    ("imu", "delayed"): f"{UNNOTICED} on a straight way: values of 0.1 s ago carry fresh stamps",
-    ("adhesion", "slow"): "reports come less often, and often enough for `safety.adhesion_stale_s`",
-    ("adhesion", "delayed"): "reports of a moment ago say the same of a fan that turns steadily",
-    ("load_cells", "delayed"): "a force of a moment ago is the same for a fan that turns steadily",
-    ("servos", "slow"): "answers come later, and within their time",
-    ("thrust", _ANY): "this controller sends nothing back, and the robot is held all the same",
+_LOST = "single messages are lost or refused by their check, and the next ones say the same"
+_OF_ANY: Mapping[str, str] = {
+    "duplicate": "what comes twice counts once",
+    "drop": _LOST, "truncate": _LOST, "corrupt": _LOST,
+    "slow": "a stream is judged second by second: told within two seconds of a longer run",
 }  # fmt: skip
+"""By fault, of a device whose kind says nothing of it (`DeviceKind.passes`)."""
 
 
 def why_quiet(device: str, fault: str, moments: Sequence[str] = ("motion",)) -> str:
     """What there is to say of a fault of which nobody has said a word, at these moments."""
     if list(moments) == ["stop"]:
         return _AT_THE_END
-    kind = kind_of(device).name
-    keys = ((kind, fault), (kind, _ANY), (_ANY, fault))
-    return next((_WHY[key] for key in keys if key in _WHY), UNNOTICED)
+    passes = kind_of(device).passes
+    return passes.get(fault) or passes.get("*") or _OF_ANY.get(fault, UNNOTICED)
 
 
 def quiet_table(verdicts: Sequence[Verdict]) -> list[str]:
