@@ -38,6 +38,8 @@ from hil.vocabulary.errors import HilError
 from hil.vocabulary.kinds import kinds
 
 WAY_M, MINUTE_S = 0.12, 60.0
+LEAST_MINUTES = 5.0
+"""Of the second half: with fewer its slope says nothing."""
 LASTING = ("jump",)
 """Faults that leave a device another one than before."""
 LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
@@ -185,7 +187,7 @@ def main() -> None:
             flush=True,
         )
     later = memory[len(memory) // 2 :]
-    if len(later) > 2:
+    if len(later) * options.stretch >= LEAST_MINUTES:
         slope = float(np.polyfit(np.arange(len(later)) * options.stretch / 60.0, later, 1)[0])
         print(f"memory grows by {slope:.1f} MB per virtual hour")
         wrong += [f"memory grows by {slope:.1f} MB an hour"] if slope > options.leak else []
