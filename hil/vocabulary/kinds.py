@@ -237,7 +237,7 @@ class DeviceKind:
     forces: Callable[[Inputs, Any, Any], Iterator[Force]] = lambda inputs, robot, own: iter(())
     witness: Witness | None = None
     look: Callable[[Any], Iterable[Finding]] | None = None
-    passes: Mapping[str, str] = field(default_factory=dict)
+    passes: Mapping[str, str] = field(default_factory=dict, hash=False)
     package: str = "hil"
 
     def model(self, name: str) -> DeviceModel:
