@@ -18,7 +18,8 @@ WRONG = {
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
     "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE],
     "faults": ["--bench", GONE], "info": ["--magic"],
-    "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "run": ["latency", "--bench", GONE],
+    "live": ["--bench", GONE], "replay": [GONE], "report": [GONE], "results": ["list", "nowhere"],
+    "run": ["latency", "--bench", GONE],
     "setup": ["--port", "/dev/no-such-port", "--id", "999"], "tune": ["nowhere"],
 }  # fmt: skip
 
@@ -62,21 +63,23 @@ def test_other_ends_give_their_exit_code(monkeypatch, capsys, raised, code):
 
 
 def test_an_emulator_that_fails_later_adds_no_second_object(monkeypatch, capsys):
-    class Server:
-        def endpoints(self):
-            return {"imu": {"port": "x"}}
+    opened = benches.open_emulation
 
-        def run(self, ready=None):
+    def fails_later(*args, **kwargs):
+        server = opened(*args, **kwargs)
+
+        def run(ready=None):
+            server.close()
             raise DeviceError("imu", "gone")
 
-        def stop(self):
-            """Never called."""
+        monkeypatch.setattr(server, "run", run)
+        return server
 
-    monkeypatch.setattr(benches, "open_emulation", lambda *args, **kwargs: Server())
+    monkeypatch.setattr(benches, "open_emulation", fails_later)
     monkeypatch.setattr("signal.signal", lambda *args: None)
     monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda priority: None)
-    assert main(["emulate", "--json"]) == 3
-    assert one_object(capsys) == {"imu": {"port": "x"}}
+    assert main(["emulate", "--bench", "emulated_floor", "--only", "imu", "--json"]) == 3
+    assert list(one_object(capsys)) == ["imu"]
 
 
 def test_without_it_stdout_stays_empty(capsys):
