@@ -5,13 +5,13 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import ALONE, REAL_TIME, THINNED
+from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED
 from tests.slowest import durations, table
 
 TESTS = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.parametrize("begin", [*REAL_TIME, *ALONE, *THINNED])
+@pytest.mark.parametrize("begin", [*REAL_TIME, *ALONE, *THINNED, *WIRED])
 def test_every_entry_means_a_test_that_is_there(begin):
     path, _, name = begin.partition("::")
     assert (TESTS / path).exists()
