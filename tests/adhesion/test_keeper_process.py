@@ -240,8 +240,8 @@ def test_an_emulator_that_ends_takes_keeper_and_understudy_along_in_two_plain_li
         emulator.wait()
         connection.settimeout(10.0)
         assert connection.recv(1) == b""
-    assert eventually(lambda: "so is the understudy" in written(log))
     gone = f"{spec.bus} was emulated and is gone; so is the"
+    assert eventually(lambda: all(f"{gone} {who}" in written(log) for who in ("keeper", "understudy")))
     last = [line.partition(" ")[2].partition(" ")[2] for line in written(log).splitlines()[-2:]]
     assert sorted(last) == [f"{gone} keeper", f"{gone} understudy, process {second}"]
     assert is_unkept(spec)
