@@ -24,6 +24,7 @@ ALONE = (
     "bench/test_bench_assembly.py::test_the_same_drive_at_the_wire_in_real_time",
     "bench/test_doctor_discover_setup.py::test_discover_finds_everything",
     "bench/test_doctor_discover_setup.py::test_the_emulated_bench_is_healthy",
+    "bench/test_replug_drivers.py",
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
     "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",

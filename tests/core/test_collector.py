@@ -23,9 +23,11 @@ def driven(records):
 
 
 def test_records_of_one_bench_after_the_other_do_not_pile_up(monkeypatch):
+    gc.collect()
     blocks, before = sys.getallocatedblocks, sys.getallocatedblocks()
     monkeypatch.setattr(sys, "getallocatedblocks", lambda: blocks() - before)
     monkeypatch.setattr(collector, "_MANY", 100_000)
+    monkeypatch.setattr(collector, "_kept", 0)
     benches = [driven(30_000) for _ in range(16)]
     assert sum(bench() is not None for bench in benches) <= 6
     assert gc.isenabled()
