@@ -12,12 +12,13 @@ import pytest
 from hypothesis import settings
 
 from hil.recording import mcap_file
-from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED
+from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED, files
 
 settings.register_profile("hil", deadline=None, max_examples=50)
 settings.register_profile("thorough", deadline=None, max_examples=500)
 settings.load_profile("hil")
 gc.set_threshold(50_000, 20, 20)  # thousands of tests keep much alive in which there is no garbage
+_IN_REAL_TIME = files(*REAL_TIME, *WIRED)
 ROOT = Path(__file__).resolve().parents[1]
 
 
@@ -43,7 +44,7 @@ def pytest_collection_modifyitems(items):
         elif (
             f"{path}::{name}".startswith(REAL_TIME) or "wire" in parameters or "emulator" in item.fixturenames
         ):
-            if not path.startswith((*WIRED, *(place.partition("::")[0] for place in REAL_TIME))):
+            if not f"tests/{path}".startswith(_IN_REAL_TIME):
                 raise pytest.UsageError(f"{path} talks in real time: name it in WIRED of tests/lanes.py")
             item.add_marker(pytest.mark.real_time)
 

@@ -15,20 +15,13 @@ import tempfile
 import time
 from pathlib import Path
 
-from lanes import ALONE, REAL_TIME, WIRED
+from lanes import ALONE, REAL_TIME, WIRED, files
 
 SIDE_BY_SIDE = ("-n", "2", "--dist", "worksteal")
 VIRTUAL = ("virtual", *SIDE_BY_SIDE, "-m", "not long and not real_time and not alone")
-
-
-def _files(*places):
-    """The files that tests are in, by how their names begin."""
-    return sorted({"tests/" + place.partition("::")[0] for place in places})
-
-
 ON_A_CLOCK = (
-    ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *_files(*REAL_TIME, *WIRED)),
-    ("alone", "-m", "not long and alone", *_files(*ALONE)),
+    ("real_time", *SIDE_BY_SIDE, "-m", "not long and real_time", *files(*REAL_TIME, *WIRED)),
+    ("alone", "-m", "not long and alone", *files(*ALONE)),
 )
 _LOOK_S = 0.5
 

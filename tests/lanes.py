@@ -41,6 +41,12 @@ ALONE = (
 """Tests that judge how punctual this computer is, need a port of the host that others may want, or see
 whether one that they gave back is free."""
 
+
+def files(*places):
+    """The files that tests are in, by how their names begin."""
+    return tuple(sorted({"tests/" + place.partition("::")[0] for place in places}))
+
+
 THINNED = {
     "adhesion_bench/test_hanging_on_the_wall.py::test_who_lies": 3,
     "bench/test_doctor_discover_setup.py::test_a_sick_device": 2,

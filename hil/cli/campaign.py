@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
 
 SCHEMA = 1
-PLAN, TABLE, CSV, PAGE, ROWS = "plan.json", "campaign.json", "campaign.csv", "campaign.html", "rows"
+PLAN, CSV, PAGE, ROWS = "plan.json", "campaign.csv", "campaign.html", "rows"
 
 
 @click.command()
@@ -95,9 +95,11 @@ def _absolute(given: str | Path) -> str:
 
     A procedure chosen from several in a file (`mine.py:name`) keeps its name.
     """
-    file, mark, name = str(given).partition(".py:")
-    path = Path(file + ".py" if mark else file)
-    return f"{path.absolute()}{':' if mark else ''}{name}" if path.is_file() else str(given)
+    from hil.procedure.scripts import file_and_name
+
+    file, name = file_and_name(str(given))
+    path = Path(file)
+    return ":".join(filter(None, (str(path.absolute()), name))) if path.is_file() else str(given)
 
 
 def _optional(given: str | Path | None) -> str | None:
@@ -209,6 +211,7 @@ def _write(
 ) -> dict[str, Any]:
     from hil.procedure.campaign import summarise, write_campaign_page, write_csv
     from hil.procedure.campaign.table import count
+    from hil.report.result_file import CAMPAIGN_TABLE
 
     code = exit_code(rows)
     tree: dict[str, Any] = {
@@ -225,7 +228,7 @@ def _write(
         "page": str(out / PAGE),
         "rows": [{**row.to_json(), "command": setup.command(row.case)} for row in rows],
     }
-    write_text(out / TABLE, json.dumps(tree, indent=1, allow_nan=False) + "\n")
+    write_text(out / CAMPAIGN_TABLE, json.dumps(tree, indent=1, allow_nan=False) + "\n")
     write_csv(out / CSV, rows)
     write_campaign_page(out / PAGE, tree, rows)
     return tree

@@ -61,7 +61,11 @@ class Setup:
         """Parameters and bench overrides of one case."""
         from hil.procedure.parameters import split_settings
 
-        return split_settings((*self.settings, *(f"{k}={v}" for k, v in case.settings if k != "fault")))
+        return split_settings(self.all_settings(case))
+
+    def all_settings(self, case: Case) -> tuple[str, ...]:
+        """Settings of one case, as `key=value`."""
+        return (*self.settings, *(f"{key}={value}" for key, value in case.settings if key != "fault"))
 
     def all_faults(self, case: Case) -> tuple[str, ...]:
         """Faults of one case: specs, and files of timelines."""
@@ -69,9 +73,8 @@ class Setup:
 
     def command(self, case: Case) -> str:
         """The line that runs one case again, by itself."""
-        varied = [f"{key}={value}" for key, value in case.settings if key != "fault"]
         options = [("bench", self.bench), ("emulate", self.emulate), ("calibration", self.calibration)]
-        options += [("set", text) for text in (*self.settings, *varied)]
+        options += [("set", text) for text in self.all_settings(case)]
         options += [("fault", text) for text in self.all_faults(case)]
         options += [("answers", self.answers), ("seed", str(case.seed))]
         given = [part for name, text in options if text for part in (f"--{name}", text)]
@@ -111,10 +114,11 @@ def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
 
     from hil.config.loading import bench_files, find_bench, path_keys
     from hil.procedure.campaign import names, parcel
+    from hil.procedure.scripts import file_and_name
     from hil.vocabulary.reading import put_dotted
 
     texts = [setup.calibration, setup.answers]
-    if Path(script := setup.script.partition(".py:")[0] + ".py" * (".py:" in setup.script)).is_file():
+    if Path(script := file_and_name(setup.script)[0]).is_file():
         texts.append(script)
     for case in cases:
         _, overrides = setup.split(case)
@@ -189,13 +193,13 @@ def _result(job: Job) -> dict[str, Any]:
     from hil.procedure.journal import NAME
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
-    from hil.procedure.scripts import load_procedure
+    from hil.procedure.scripts import file_and_name, load_procedure
     from hil.report.run_page import write_run_page
     from hil.vocabulary.clock import MonotonicClock
 
     setup, folder = job.setup, Path(job.folder)
-    script, mark, name = setup.script.partition(".py:")
-    proc = load_procedure(setup.at(script + ".py") + f":{name}" if mark else setup.at(script))
+    script, name = file_and_name(setup.script)
+    proc = load_procedure(":".join(filter(None, (setup.at(script), name))))
     source, parameters = setup.source(proc, job.case)
     operator = Terminal() if setup.answers is None else Answers(Path(setup.at(setup.answers)))
     options = RunOptions(

@@ -30,14 +30,20 @@ def _shipped(name: str) -> ModuleType:
     return importlib.import_module(f"{SHIPPED}.{name}")
 
 
+def file_and_name(script: str) -> tuple[str, str]:
+    """The file of a script, and of `mine.py:name` the name of the procedure in it, else nothing."""
+    file, _, name = script.partition(".py:")
+    return (f"{file}.py", name) if name else (script, "")
+
+
 def load_procedure(script: str) -> Procedure:
     """The procedure of a file (`path/to/mine.py`, `mine.py:name` for one of several) or of a name.
 
     Raises:
         ConfigError: no such file or name, a script that fails, or not exactly one procedure in it.
     """
-    target, _, wanted = script.partition(".py:")
-    path = Path(target + ".py" if wanted else target)
+    target, wanted = file_and_name(script)
+    path = Path(target)
     if path.suffix == ".py":
         if not path.is_file():
             raise ConfigError(f"script {path}: no such file", expected=_known(), remedy=_near(str(path)))

@@ -6,7 +6,6 @@ estimators or calibrations apart with far fewer runs than two averages would.
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -16,16 +15,14 @@ from markupsafe import Markup
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
-from hil.report.figures import figure_image
+from hil.report.figures import drawn_image
+from hil.report.result_file import CAMPAIGN_TABLE, GOOD, wrong_shape
 from hil.report.run_page import environment, number
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import read_json
 
-TABLE = "campaign.json"
-GOOD = ("PASS", "MARGINAL")
-_SHOWN = 5
 _SURE = 0.95
 
 
@@ -52,7 +49,7 @@ class _Campaign(_Part):
 
 def is_campaign(folder: Path) -> bool:
     """Whether a folder holds the results of a campaign."""
-    return (folder / TABLE).is_file()
+    return (folder / CAMPAIGN_TABLE).is_file()
 
 
 def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
@@ -95,13 +92,12 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
 
 
 def _read(folder: Path) -> _Campaign:
-    path = folder / TABLE
+    path = folder / CAMPAIGN_TABLE
     tree = read_json(path, remedy="name the folder of a campaign")
     try:
         return _Campaign.model_validate(tree)
     except ValidationError as error:
-        wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
-        raise DataError(str(path), f"is not the result of a campaign ({'; '.join(wrong)})") from None
+        raise DataError(str(path), f"is not the result of a campaign ({wrong_shape(error)})") from None
 
 
 def _verdicts(pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any]:
@@ -181,7 +177,4 @@ def _figure(measured: Mapping[str, Any]) -> Markup:
     if measured["interval"] is not None:
         axes.axhspan(*measured["interval"], color=PALETTE["c2"], alpha=0.25, lw=0)
     axes.axhline(measured["change"], color=PALETTE["c2"], lw=1.5)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "figure.svg"
-        figure.savefig(file)
-        return figure_image(file, measured["name"])
+    return drawn_image(figure, measured["name"])

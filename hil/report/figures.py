@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import base64
 import re
+import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 from xml.parsers import expat
 
 from markupsafe import Markup
@@ -16,6 +18,9 @@ from markupsafe import Markup
 from hil.report.run_plots import PALETTE
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import read_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _MOST_BYTES = 64 << 20
 _PX_PER_PT = 1.35
@@ -45,6 +50,14 @@ def figure_image(path: Path, title: str) -> Markup:
     limit = Markup(' style="max-width:{}px"').format(round(float(width[1]) * _PX_PER_PT)) if width else ""
     data = base64.b64encode(svg.encode("utf-8", "replace")).decode("ascii")
     return Markup('<img alt="{}"{} src="data:image/svg+xml;base64,{}">').format(title, limit, data)
+
+
+def drawn_image(figure: Figure, title: str) -> Markup:
+    """A figure that was just drawn, as `figure_image` of its file."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "figure.svg"
+        figure.savefig(file)
+        return figure_image(file, title)
 
 
 def themed_svg(path: Path) -> str:

@@ -16,6 +16,9 @@ from hil.vocabulary.reading import read_json
 
 SCHEMA = 1
 RESULT = "result.json"
+CAMPAIGN_TABLE = "campaign.json"
+GOOD = ("PASS", "MARGINAL")
+"""Verdicts of runs that kept their limits."""
 _SHOWN = 5
 
 _Number = Annotated[float, Field(strict=True)] | None
@@ -114,6 +117,12 @@ class _Result(_Part):
     notes: list[str] = []
 
 
+def wrong_shape(error: ValidationError) -> str:
+    """The first places at which a file is not what it should be, and why."""
+    wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
+    return "; ".join(wrong)
+
+
 def read_result(folder: Path) -> dict[str, Any]:
     """`result.json` of a run.
 
@@ -125,9 +134,8 @@ def read_result(folder: Path) -> dict[str, Any]:
     try:
         found: dict[str, Any] = _Result.model_validate(tree).model_dump(by_alias=True)
     except ValidationError as error:
-        wrong = [f"{'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}" for e in error.errors()[:_SHOWN]]
         raise DataError(
-            str(path), f"is not the result of a run ({'; '.join(wrong)})", expected=f"schema {SCHEMA}"
+            str(path), f"is not the result of a run ({wrong_shape(error)})", expected=f"schema {SCHEMA}"
         ) from None
     return found
 

@@ -12,7 +12,7 @@ import click
 import pytest
 
 from hil.bench import open_bench, open_emulation
-from hil.cli import cli, main
+from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.record import NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
@@ -21,6 +21,7 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.kinds import kinds
+from tests.command_tree import leaves
 
 SCRIPT = '''
 """Nothing to do."""
@@ -42,16 +43,6 @@ OUTPUTS = {"out", "page", "plots", "record", "folder"}
 """Names of parameters that say where to write; every other path is read."""
 
 EMPTY_IS_FINE = {("empty", "answers"), ("a_folder", "where")}
-
-
-def leaves(group=cli, words=()):
-    """(words, command) of every command of the tree."""
-    for name in group.list_commands(click.Context(group)):
-        command = group.get_command(click.Context(group), name)
-        if isinstance(command, click.Group):
-            yield from leaves(command, (*words, name))
-        else:
-            yield (*words, name), command
 
 
 class Hasty(MonotonicClock):

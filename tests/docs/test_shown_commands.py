@@ -3,11 +3,10 @@
 import re
 from pathlib import Path
 
-import click
 import pytest
 from shown_commands import in_block, in_text, problem, strings
 
-from hil.cli import cli
+from tests.command_tree import leaves
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted([*(ROOT / "hil").rglob("*.py"), *(ROOT / "procedures").rglob("*.py")])
@@ -35,18 +34,11 @@ def test_every_command_on_a_page_exists_with_its_options(page):
     assert [(words, told) for words in shown if (told := problem(words))] == []
 
 
-def leaves(group=cli, words=()):
-    """(words, help) of every command of the tree."""
-    for name in group.list_commands(click.Context(group)):
-        command = group.get_command(click.Context(group), name)
-        if isinstance(command, click.Group):
-            yield from leaves(command, (*words, name))
-        else:
-            yield " ".join((*words, name)), command.help
-
-
 def test_the_help_of_every_command_gives_an_example_of_it():
-    shown = {name: re.findall(r"^ *Example: hil (.+)$", text, re.M) for name, text in leaves()}
+    shown = {
+        " ".join(words): re.findall(r"^ *Example: hil (.+)$", command.help, re.M)
+        for words, command in leaves()
+    }
     assert len(shown) > 30
     assert [
         n for n, lines in shown.items() if len(lines) != 1 or not f"{lines[0]} ".startswith(f"{n} ")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,8 +10,9 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from hil.procedure.campaign.table import GOOD, Row
-from hil.report.figures import figure_image
+from hil.procedure.campaign.table import Row
+from hil.report.figures import drawn_image
+from hil.report.result_file import GOOD
 from hil.report.run_page import PAGE, environment
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
@@ -78,7 +78,4 @@ def _figure(name: str, rows: Sequence[Row]) -> Markup:
     turned = 30 if len(groups) > 1 and max(map(len, groups)) > 10 else 0
     axes.set_xticks(range(len(groups)), list(groups), fontsize=8, rotation=turned)
     axes.set_xlim(-0.6, len(groups) - 0.4)
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "figure.svg"
-        figure.savefig(file)
-        return figure_image(file, name)
+    return drawn_image(figure, name)

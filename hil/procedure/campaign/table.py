@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from hil.procedure.campaign.plan import Case
+from hil.report.result_file import GOOD
 from hil.vocabulary.errors import DataError
 
-GOOD = ("PASS", "MARGINAL")
 _Z95 = 1.959963984540054
 
 

@@ -16,7 +16,7 @@ from html import unescape
 from pathlib import Path
 from typing import Any
 
-from hil.report.result_file import RESULT, SCHEMA, read_result
+from hil.report.result_file import CAMPAIGN_TABLE, GOOD, RESULT, SCHEMA, read_result
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
 
@@ -146,12 +146,12 @@ def _where(tree: Mapping[str, Any]) -> str:
 
 
 def _campaign(folder: Path, name: str) -> Kept:
-    tree, problem = _object(folder / "campaign.json")
+    tree, problem = _object(folder / CAMPAIGN_TABLE)
     what = tree.get("procedure")
     if problem or not isinstance(what, str):
-        return _foreign(folder, name, "campaign.json", problem or "campaign.json is of no campaign")
+        return _foreign(folder, name, CAMPAIGN_TABLE, problem or f"{CAMPAIGN_TABLE} is of no campaign")
     return Kept(
-        folder, name, CAMPAIGN, what, _changed(folder / "campaign.json"), bench=str(tree.get("bench", "")),
+        folder, name, CAMPAIGN, what, _changed(folder / CAMPAIGN_TABLE), bench=str(tree.get("bench", "")),
         where="emulated", verdict=str(tree.get("verdict", "")), why=f"{tree.get('cases')} runs",
     )  # fmt: skip
 
@@ -162,7 +162,7 @@ def _commissioning(folder: Path, name: str) -> Kept:
     if problem or not isinstance(done, dict):
         return _foreign(folder, name, "commission.json", problem or "commission.json is of no commissioning")
     verdicts = {k: str(v.get("verdict", "")) for k, v in done.items() if isinstance(v, dict)}
-    bad = next(((k, v) for k, v in verdicts.items() if v not in ("PASS", "MARGINAL", "SKIPPED")), None)
+    bad = next(((k, v) for k, v in verdicts.items() if v not in (*GOOD, "SKIPPED")), None)
     return Kept(
         folder, name, COMMISSIONING, "commissioning", _changed(folder / "commission.json"),
         bench=str(options.get("bench", "")) if isinstance(options, dict) else "",
@@ -200,7 +200,7 @@ def _unfinished_campaign(folder: Path, name: str) -> Kept | None:
 
 _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     RESULT: _run,
-    "campaign.json": _campaign,
+    CAMPAIGN_TABLE: _campaign,
     "commission.json": _commissioning,
     JOURNAL: _unfinished,
     "plan.json": _unfinished_campaign,
