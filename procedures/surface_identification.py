@@ -9,27 +9,31 @@ its weight: a search for the heading at which it begins to slide. On a real wall
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
+from contextlib import closing
 from functools import partial
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.bench import Bench
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
-from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.tracking import stand
-from hil.procedures.parts.surface_slip import downhill, draw, held, next_lines, rate, slip_of
+from hil.procedure.workers import at_once
+from hil.procedures.parts.surface_hold import hold_angle
+from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.errors import ConfigError, SafetyStop
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
 
 DIRECTIONS = ("up", "down", "left", "right")
-_TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
 _WITHOUT = {"encoders": None, "tracker": None}
 _FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
@@ -40,12 +44,16 @@ _WANDERING = 0.5  # of what is left of slip, per square root of a metre
 
 
 class Parameters(BaseModel):
-    """How far to drive, how often, and where to look for the end of the hold."""
+    """How far to drive, how often, and where to look for the end of the hold.
+
+    In virtual time several `processes` drive repetitions at once; those are not recorded.
+    """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
     length_m: float = Field(0.6, gt=0.1, le=3.0)
     speed_m_s: float = Field(0.1, gt=0, le=3.5)
     repetitions: int = Field(3, ge=2, le=20)
+    processes: int = Field(1, ge=1, le=8)
     hold: bool = True
     hold_from_deg: float = Field(15.0, ge=0.0)
     hold_to_deg: float = Field(60.0, le=80.0)
@@ -114,19 +122,20 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"hold": False, "length_m": 0.5},
+    measurements=measurements, plan=plan, quick={"hold": False, "length_m": 0.5, "processes": 2},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""
     p: Parameters = ctx.parameters
     _check_wall(ctx.source.config)
-    rows = [
-        ctx.checkpoint(f"repetition {k}", partial(repetition, ctx, p, k)) for k in range(1, p.repetitions + 1)
-    ]
+    titles = {k: f"repetition {k}" for k in range(1, p.repetitions + 1)}
+    with closing(_driven(ctx, p, [k for k, title in titles.items() if not ctx.finished(title)])) as driven:
+        rows = [ctx.checkpoint(title, lambda: next(driven)) for title in titles.values()]
     holds = {}
     if p.hold:
+        search = (p.hold_from_deg, p.hold_to_deg, p.hold_step_deg)
         for side, sense in (("left", 1.0), ("right", -1.0)):
-            holds[side] = ctx.checkpoint(f"hold to the {side}", partial(hold_angle, ctx, p, sense))
+            holds[side] = ctx.checkpoint(f"hold to the {side}", partial(hold_angle, ctx, *search, sense))
     with ctx.step("evaluate"):
         evaluate(ctx, rows, holds)
 
@@ -139,63 +148,58 @@ def _check_wall(config: BenchConfig) -> None:
         )  # fmt: skip
 
 
-def repetition(ctx: Context, p: Parameters, number: int) -> dict[str, list[float]]:
+Slips = dict[str, list[float]]
+
+
+def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Slips, None, None]:
+    filtered = all(name in ctx.source.config.devices() for name in _FOR_A_FILTER)
+    overrides = {"encoders": None} if filtered else _WITHOUT
+    if p.processes > 1 and ctx.source.virtual:
+        source = ctx.source.changed(overrides=overrides)
+        for found, driven_s in at_once(_elsewhere, [(source, p, k) for k in numbers], p.processes):
+            ctx.count_bench_time(driven_s)
+            yield found
+        return
+    for number in numbers:
+        bench = ctx.reopen(f"lines {number}", overrides=overrides)
+        told = partial(ctx.progress, f"repetition {number}")
+        yield repetition(bench, p, number, told)
+
+
+def _elsewhere(job: tuple[BenchSource, Parameters, int]) -> tuple[Slips, float]:
+    source, p, number = job
+    with source.open() as bench:
+        begin_ns = bench.clock.now_ns()
+        found = repetition(bench, p, number, lambda done, total: None)
+        return found, (bench.clock.now_ns() - begin_ns) / NS_PER_S
+
+
+def repetition(bench: Bench, p: Parameters, number: int, told: Callable[[int, int], object]) -> Slips:
     """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction.
 
     Each begins on a bench opened afresh, so that it does not depend on which repetitions the same run has
     driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
     every repetition, so that two worlds of one seed do not repeat each other's noise.
+
+    Args:
+        bench: freshly opened.
+        p: of the run.
+        number: of the repetition, from 1.
+        told: called with the number of lines driven, and of all.
     """
-    filtered = all(name in ctx.source.config.devices() for name in _FOR_A_FILTER)
-    bench = ctx.reopen(f"lines {number}", overrides={"encoders": None} if filtered else _WITHOUT)
+    filtered = all(name in bench.config.devices() for name in _FOR_A_FILTER)
     feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
     stand(bench, 0.5 + _STAGGER_S * number)
     found = {}
-    for k, direction in enumerate(DIRECTIONS):
+    for k, direction in enumerate(DIRECTIONS, start=1):
         pose = stand(bench)
         motion = bench.drive(
             motions(p, pose)[direction], feedback=feedback, observers=observers, hold_s=0.5, start_pose=pose
         )
         rolled = motion.observer("odometry") if filtered else motion.estimate
         found[direction] = list(slip_of(motion, rolled).per_metre())
-        ctx.progress(f"repetition {number}", k + 1, len(DIRECTIONS))
+        told(k, len(DIRECTIONS))
     return found
-
-
-def hold_angle(ctx: Context, p: Parameters, sense: float) -> list[float | None]:
-    """Bisect the heading between standing and sliding; returns both ends of the last step, and the force.
-
-    In deg. The second is None where the robot still stood at the largest heading, the first where it slid at
-    the smallest; the measured force of the fan (N) is None where nobody measures it.
-    """
-    low, high = p.hold_from_deg, p.hold_to_deg
-    stood, force_n = stands(ctx, sense * low)
-    if not stood:
-        return [None, low, force_n]
-    if stands(ctx, sense * high)[0]:
-        return [high, None, force_n]
-    while high - low > p.hold_step_deg:
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if stands(ctx, sense * middle)[0] else (low, middle)
-        ctx.progress("hold", 1, 1)
-    return [low, high, force_n]
-
-
-def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
-    """Whether the robot, set on the wall at this heading with locked wheels, stays; and the fan's force."""
-    x_m, y_m, _ = ctx.source.config.environment.start_pose
-    pose = (x_m, y_m, math.radians(heading_deg))
-    bench = ctx.reopen(
-        f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
-        overrides={**_WITHOUT, **_TETHERED, "environment.start_pose": pose},
-        prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
-    )
-    bench.rig.actuators().enable()
-    try:
-        motion = bench.observe(1.5, feedback="odometry", start_pose=pose)
-    except SafetyStop:
-        return False, None
-    return held(motion), motion.records[-1].state.diagnostics.get("adhesion_n")
 
 
 def evaluate(ctx: Context, rows: list[dict[str, list[float]]], holds: dict[str, list[float | None]]) -> None:

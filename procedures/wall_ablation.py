@@ -21,7 +21,7 @@ from hil.procedure import BenchSource, Context, Measurement, PlannedStep, proced
 from hil.procedure.ablation import Setting, Table, settings_of
 from hil.procedure.learning import known_parts
 from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
-from hil.procedure.workers import worker_pool
+from hil.procedure.workers import at_once
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import ArrayLike
@@ -87,7 +87,7 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
 @procedure(
     name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
-    quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
+    quick={"duration_s": 21.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """The same lines on the wall with nothing known of the robot, with each part, with everything."""
@@ -131,10 +131,9 @@ def _at_once(ctx: Context, jobs: list[tuple[Setting, Case]]) -> list[dict[str, f
     config = ctx.source.config
     work = [(ctx.source.changed(overrides=_without(config, s)), case, p) for s, case in jobs]
     found = []
-    with worker_pool(min(p.processes, len(work))) as pool:
-        for number, one in enumerate(pool.imap(_elsewhere, work), start=1):
-            found.append(one)
-            ctx.progress("lines", number, len(jobs), (number, len(jobs)))
+    for number, one in enumerate(at_once(_elsewhere, work, p.processes), start=1):
+        found.append(one)
+        ctx.progress("lines", number, len(jobs), (number, len(jobs)))
     return found
 
 

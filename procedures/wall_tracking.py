@@ -27,7 +27,7 @@ from hil.procedure.tracking import (
     time_figure,
     tracking_errors,
 )
-from hil.procedure.workers import worker_pool
+from hil.procedure.workers import at_once
 from hil.robot.trajectories import Trajectory, line, scan
 from hil.vocabulary.geometry import ArrayLike
 
@@ -204,11 +204,10 @@ def one_world(ctx: Context, seed: int) -> dict[str, Any]:
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
         sources = [(ctx.source.changed(seed=seed), one, p) for one in jobs]
-        with worker_pool(p.processes) as pool:
-            results = []
-            for number, result in enumerate(pool.imap(_elsewhere, sources), start=1):
-                results.append(result)
-                ctx.progress(f"seed {seed}", number, len(jobs))
+        results = []
+        for number, result in enumerate(at_once(_elsewhere, sources, p.processes), start=1):
+            results.append(result)
+            ctx.progress(f"seed {seed}", number, len(jobs))
     else:
         results = []
         for number, one in enumerate(jobs, start=1):

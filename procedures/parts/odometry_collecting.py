@@ -10,7 +10,7 @@ from pathlib import Path
 from hil.calibration.datasets import Recording
 from hil.procedure import BenchSource, Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.workers import worker_pool
+from hil.procedure.workers import at_once
 from hil.recording.plain_csv import read_plain
 from hil.vocabulary.clock import NS_PER_S
 
@@ -72,15 +72,12 @@ def collect(
 def _driven(
     ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
 ) -> Generator[list[str], None, None]:
-    if not repetitions:
-        return
     if processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
         jobs = [(source, r) for r in repetitions]
-        with worker_pool(min(processes, len(jobs))) as pool:
-            for names, driven_s in pool.imap(_elsewhere, jobs):
-                ctx.count_bench_time(driven_s)
-                yield names
+        for names, driven_s in at_once(_elsewhere, jobs, processes):
+            ctx.count_bench_time(driven_s)
+            yield names
         return
     for repetition in repetitions:
         bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=unused())

@@ -165,3 +165,12 @@ def test_geometry_cancels_between_opposite_directions():
     assert found.mean == pytest.approx(0.0305)
     assert found.half_width == pytest.approx(12.706 * 0.0005, rel=1e-3)
     assert rate([0.03], [0.03], 0.1).half_width == pytest.approx(0.003)
+
+
+@pytest.mark.long
+def test_several_processes_find_what_one_finds(tmp_path):
+    lines = {"length_m": "0.2", "repetitions": "2", "hold": "false"}
+    alone = identify(tmp_path / "one", parameters=lines)[1]
+    together = identify(tmp_path / "two", parameters=lines | {"processes": "2"})[1]
+    assert together == alone
+    assert len(list((tmp_path / "one").glob("*.mcap"))) == 2

@@ -1,0 +1,55 @@
+"""The heading up to which a robot holds on its wall: a search by setting it there under other headings."""
+
+from __future__ import annotations
+
+import math
+
+from hil.procedure import Context
+from hil.procedures.parts.surface_slip import held
+from hil.vocabulary.errors import SafetyStop
+
+_TETHERED = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
+_WITHOUT = {"encoders": None, "tracker": None}
+
+
+def hold_angle(ctx: Context, low: float, high: float, step: float, sense: float) -> list[float | None]:
+    """Bisect the heading between standing and sliding; returns both ends of the last step, and the force.
+
+    Args:
+        ctx: of the run.
+        low: smallest heading, deg.
+        high: largest heading, deg.
+        step: how near the two ends must come, deg.
+        sense: 1 to the left, -1 to the right.
+
+    Returns:
+        In deg; the second is None where the robot still stood at the largest heading, the first where it slid
+        at the smallest. The measured force of the fan (N) is None where nobody measures it.
+    """
+    stood, force_n = stands(ctx, sense * low)
+    if not stood:
+        return [None, low, force_n]
+    if stands(ctx, sense * high)[0]:
+        return [high, None, force_n]
+    while high - low > step:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if stands(ctx, sense * middle)[0] else (low, middle)
+        ctx.progress("hold", 1, 1)
+    return [low, high, force_n]
+
+
+def stands(ctx: Context, heading_deg: float) -> tuple[bool, float | None]:
+    """Whether the robot, set on the wall at this heading with locked wheels, stays; and the fan's force."""
+    x_m, y_m, _ = ctx.source.config.environment.start_pose
+    pose = (x_m, y_m, math.radians(heading_deg))
+    bench = ctx.reopen(
+        f"hold {'left' if heading_deg > 0 else 'right'} {abs(heading_deg):.2f} deg",
+        overrides={**_WITHOUT, **_TETHERED, "environment.start_pose": pose},
+        prompt=f"tether the robot, hold it at a heading of {heading_deg:+.2f} deg, press Enter, let go",
+    )
+    bench.rig.actuators().enable()
+    try:
+        motion = bench.observe(1.5, feedback="odometry", start_pose=pose)
+    except SafetyStop:
+        return False, None
+    return held(motion), motion.records[-1].state.diagnostics.get("adhesion_n")
