@@ -205,7 +205,7 @@ def calibrate(
     if validate:
         tables = {"nominal": score(recordings, cad, setting), "in_sample": applied.parameters,
                   "deployed_as_twist": applied.twist}  # fmt: skip
-        tables |= _cross_validation(recordings, blocks, setting, cad, found, paper, report)
+        tables |= _cross_validation(recordings, blocks, cad, found, paper, choice, report)
     return Calibration(
         method=method,
         seed=seed,
@@ -264,14 +264,15 @@ def _fold_done(report: Report, what: str, before: int, in_all: int, done: int, t
 def _cross_validation(
     recordings: Sequence[Recording],
     blocks: Blocks,
-    setting: Setting,
     nominal: WheelGeometry,
     found: Fit,
     paper: Fit | None,
+    choice: Choice | None,
     report: Report,
 ) -> dict[str, Table]:
+    """Held-out errors by what was left out; what the choice of the model has left out is not fitted again."""
     tables: dict[str, Table] = {}
-    runs = [(setting, blocks, found.solution.z, "")]
+    runs = [(found.problem.setting, blocks, found.solution.z, "")]
     if paper is not None:
         runs.append((paper.problem.setting, paper.problem.blocks, paper.solution.z, "paper_"))
     folds: dict[str, Sequence[object]] = {
@@ -283,7 +284,11 @@ def _cross_validation(
     for kind, reduced, start, prefix in runs:
         for name, groups in folds.items():
             progress = partial(_fold_done, report, f"{prefix}{name}".replace("_", " "), before, total)
-            tracks = left_out(recordings, reduced, kind, nominal, start, groups, progress)
+            if choice is not None and not prefix and list(groups) == list(choice.groups):
+                tracks = list(choice.runs)
+                progress(len(set(groups)), len(set(groups)))
+            else:
+                tracks = left_out(recordings, reduced, kind, nominal, start, groups, progress)
             tables[prefix + name] = table_of(tracks)
             before += len(set(groups))
     return tables

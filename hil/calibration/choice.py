@@ -20,12 +20,11 @@ import numpy as np
 
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import position_rmse
+from hil.calibration.evaluation import Track, position_rmse
 from hil.calibration.problem import Setting
 from hil.calibration.validation import left_out, repetition_numbers
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import DataError
-from hil.vocabulary.geometry import Array
 from hil.vocabulary.progress import Report, silent
 
 _MOST_FOLDS = 5
@@ -52,12 +51,16 @@ class Choice:
         held_out_m: position RMSE on recordings left out of the fit, mean, by candidate.
         confidence: share of bootstrap draws over recordings in which it predicts better than the runner-up.
         rivals: candidates that may be as right: no clearly worse in these draws.
+        groups: label of each recording; what shares one was left out together.
+        runs: of each recording, the odometry by the best one's fit without its group.
     """
 
     best: Candidate
     held_out_m: dict[str, float]
     confidence: float
     rivals: tuple[Candidate, ...] = ()
+    groups: tuple[object, ...] = ()
+    runs: tuple[Track, ...] = ()
 
     def in_words(self) -> str:
         """One sentence for a report."""
@@ -129,10 +132,11 @@ def choose(
         raise DataError("", "one repetition only: no forward model can be chosen", expected="at least two")
     if len(set(groups)) < 2:
         groups = [n % _MOST_FOLDS for n in repetition_numbers([r.motion for r in recordings])]
-    errors = []
+    runs, errors = [], []
     for done, candidate in enumerate(among):
         report("forward models", done, len(among))
-        errors.append(_held_out(recordings, groups, candidate))
+        runs.append(_left_out(recordings, groups, candidate))
+        errors.append(np.array([position_rmse(run) for run in runs[-1]]))
     report("forward models", len(among), len(among))
     means = [float(e.mean()) for e in errors]
     first, second, *_ = (*np.argsort(means), -1)
@@ -140,13 +144,11 @@ def choose(
     beaten = [float(np.mean((e - errors[first])[picks].mean(axis=1) > 0.0)) for e in errors]
     rivals = tuple(c for k, c in enumerate(among) if k != first and beaten[k] <= _CLEARLY)
     named = {c.name: m for c, m in zip(among, means, strict=True)}
-    return Choice(among[first], named, beaten[second], rivals)
+    return Choice(among[first], named, beaten[second], rivals, tuple(groups), tuple(runs[first]))
 
 
-def _held_out(recordings: Sequence[Recording], groups: Sequence[object], candidate: Candidate) -> Array:
-    """Position RMSE (n,), m, of each recording by the fit to the other groups."""
+def _left_out(recordings: Sequence[Recording], groups: Sequence[object], candidate: Candidate) -> list[Track]:
     setting, nominal = candidate.setting, candidate.nominal
     blocks = reduce_recordings(recordings, setting.block_s, setting.signal)
     start = nominal.vector()[: 16 if setting.offsets else 12]
-    runs = left_out(recordings, blocks, setting, nominal, start, groups)
-    return np.array([position_rmse(run) for run in runs])
+    return left_out(recordings, blocks, setting, nominal, start, groups)

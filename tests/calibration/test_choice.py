@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hil.calibration import calibrate as calibrate_module
 from hil.calibration import choice as choice_module
 from hil.calibration.artefact import calibration_file
 from hil.calibration.calibrate import calibrate
@@ -12,6 +13,7 @@ from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.nominal import Nominal
 from hil.calibration.problem import make_setting
 from hil.calibration.synthetic import _springs, hidden_robot, make_set
+from hil.calibration.validation import table_of
 from hil.robot.contact_laws import creep_motion
 from hil.robot.kinematics import WheelGeometry, projection, wheel_vectors
 from hil.vocabulary.clock import MonotonicClock
@@ -71,9 +73,10 @@ def test_what_belongs_together_is_left_out_together(monkeypatch):
 
     def judged(recordings, groups, candidate):
         seen.append(list(groups))
-        return np.ones(len(recordings))
+        return recordings
 
-    monkeypatch.setattr(choice_module, "_held_out", judged)
+    monkeypatch.setattr(choice_module, "_left_out", judged)
+    monkeypatch.setattr(choice_module, "position_rmse", lambda run: 1.0)
     among = candidates(SETTING, robot.nominal.geometry)[:2]
     for groups in ((), (0, 0, 0, 0), (0, 0, 1, 1)):
         choose(recordings, among, seed=0, groups=groups)
@@ -88,10 +91,19 @@ def test_the_choice_says_how_clear_it_was():
     assert "60 %: no clear choice" in close.in_words()
 
 
-def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so():
+def test_hil_calibrate_lets_held_out_recordings_decide_and_says_so(monkeypatch):
+    """What the choice has left out of a fit is not left out of the same fit once more."""
     robot = hidden_robot(3, contact="coulomb")
     recordings = make_set(robot, 3, ("circle_ccw",), repetitions=2, run_to_run=0.2, slip_share=0.0)
+    left_out, fitted = calibrate_module.left_out, []
+    monkeypatch.setattr(
+        calibrate_module, "left_out", lambda *given: fitted.append(given[2].model) or left_out(*given)
+    )
     result = calibrate(recordings, make_setting("recommended"), MonotonicClock())
+    assert fitted == ["paper"]
+    fit = result.fit
+    again = left_out(recordings, fit.problem.blocks, result.setting, result.nominal, fit.solution.z, [0, 1])
+    assert result.validation["leave_one_repetition_out"] == table_of(again)
     told = result.to_json()["forward_models"]
     assert told["best"] == min(told["held_out_rmse_m"], key=told["held_out_rmse_m"].get)
     assert result.choice.best.setting.model == result.setting.model == "dry-friction"
