@@ -13,6 +13,7 @@ import threading
 import time
 from collections import Counter
 
+import numpy as np
 import pytest
 from pulled import Pulls, Served
 from turning_plant import TurningPlant
@@ -101,7 +102,10 @@ class Log:
         for name, samples in read.items():
             if any(worst(s) is Status.OK for s in samples):
                 self.good_ns[name].append(t_ns)
-                self.terminals[name].add(os.path.realpath(self.sensors[name].identity()["port"]))
+                port = (
+                    self.sensors[name].identity().get("port")
+                )  # none where these were the last before a pull
+                self.terminals[name].update([os.path.realpath(port)] if port else [])
         for event in events:
             self.said[event.source].append(event.message)
 
@@ -127,7 +131,7 @@ def pull_and_look(bench):
     assert left() == before
     for name in sensors:
         were_s, named_s = log.gaps_s(name, bench.pulls.away_s - 0.1)
-        assert len(were_s) == bench.pulls.times, (name, were_s)
+        assert len(were_s) == bench.pulls.times, (name, np.round(were_s, 2).tolist(), log.said[name])
         assert named_s == pytest.approx(were_s, abs=0.02), name
     return log
 
