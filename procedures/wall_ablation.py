@@ -87,7 +87,7 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
 @procedure(
     name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
-    quick={"duration_s": 21.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
+    quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """The same lines on the wall with nothing known of the robot, with each part, with everything."""
