@@ -180,6 +180,27 @@ def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(dri
         assert found["keeper"].level == "ok"
 
 
+def test_what_a_controller_does_not_tell_is_told_with_a_remedy(driver):
+    with fan_world(**ON) as (_world, clock, node, _bus):
+        node._answer = lambda *asked: None
+        fan = driver(clock)
+        fan.open()
+        found = {f.check: f for f in fan.diagnose()}
+        assert (found["time-out"].level, found["firmware"].level) == ("warning", "warning")
+        assert found["firmware"].remedy == "update it with VESC Tool"
+
+
+def test_a_keeper_that_cannot_send_is_told_with_a_remedy(driver):
+    with fan_world(faults=["adhesion:unplug@1"], **ON) as (_world, clock, _node, _bus):
+        fan = driver(clock)
+        fan.open()
+        after(fan, clock, 0.3)
+        fan.set_force_n(40.0)
+        clock.sleep_until_ns(2 * S)
+        (keeper,) = (f for f in fan.diagnose() if f.check == "keeper")
+    assert (keeper.level, keeper.remedy) == ("warning", "`hil adhesion status` says more"), keeper
+
+
 def test_a_fan_that_runs_is_taken_over_without_a_step(driver):
     with fan_world(**{**ON, "start": "running"}) as (_world, clock, node, _bus):
         fan = driver(clock)

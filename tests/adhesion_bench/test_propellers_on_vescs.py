@@ -169,6 +169,13 @@ def test_controllers_that_cannot_be_trusted_are_named_with_the_remedy(keys, opti
         assert orders(bus) == [], "nothing was commanded, so nothing was switched off"
 
 
+def test_the_doctor_names_the_controller_whose_settings_differ_with_the_remedy():
+    with made(timeout_s=2.0) as (_, _, _, driver, _):
+        driver.open()
+        wrong = {f.check: f.remedy for f in driver.diagnose() if f.level != "ok"}
+    assert wrong == {f"controller {one}: time-out": "set thrust.timeout_s = 2" for one in (2, 3)}
+
+
 @pytest.mark.parametrize("fault", ["thrust:baud_mismatch", "thrust:off", "thrust:bus_off"])
 def test_a_silent_bus_is_named_with_bit_rate_and_wiring(fault):
     told = r"thrust.*no VESC answers.*500000 bit/s.*check first .*same bit rate .thrust.bitrate = 500000"

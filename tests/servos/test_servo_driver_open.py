@@ -264,6 +264,14 @@ def test_findings_tell_what_could_be_better(servo_bench):
                for c in ("return delay", "shutdown"))  # fmt: skip
 
 
+def test_limits_in_the_eeprom_below_those_of_the_bench_are_told_with_a_remedy(servo_bench):
+    bench = servo_bench(eeprom={2: {"velocity_limit": 20}, 5: {"max_position_limit": 2500}})
+    (limits,) = (f for f in bench.driver.diagnose() if f.check == "limits")
+    assert limits.level == "warning"
+    assert "wheels 0.48 rad/s, steering" in limits.found
+    assert "velocity_limit, min_position_limit and max_position_limit" in limits.remedy
+
+
 def test_a_bus_in_order_has_no_failures(servo_bench):
     levels = {f.check: f.level for f in servo_bench().driver.diagnose()}
     assert {c for c, level in levels.items() if level != "ok"} <= {"limits"}

@@ -68,3 +68,11 @@ def test_a_failed_odometry_is_a_failure(mavlink_bench):
 def test_losses_are_told(mavlink_bench):
     found = findings(mavlink_bench("tracker:drop,probability=0.3"))
     assert found["rate"].level == "warning"
+
+
+def test_a_sender_that_changes_its_frames_is_a_failure_with_a_remedy(by_hand):
+    bench = by_hand()
+    bench.send(frame_id=2)
+    found = {f.check: f for f in bench.driver.findings()}
+    assert found["frames"].level == "failure"
+    assert found["frames"].remedy == "set the frames of the sender's odometry"

@@ -127,6 +127,7 @@ def test_poses_stamped_by_another_clock_than_timesyncs_fall_back_on_their_arriva
     (finding,) = (f for f in bench.driver.findings() if f.check == "time")
     assert finding.level == "warning"
     assert "another clock" in finding.found
+    assert finding.remedy == "have the sender stamp time_usec by the clock that answers TIMESYNC"
 
 
 def test_a_sender_that_starts_again_is_believed_when_its_poses_agree(mavlink_bench):
