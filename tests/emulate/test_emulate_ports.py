@@ -82,7 +82,9 @@ def test_a_client_that_knows_only_the_standard_connects_by_either_transport(emul
     where = emulate("--only", "mocap", "--standard-ports")["mocap"]
     assert (where["command_port"], where["data_port"]) == motive_ports
     for multicast in (False, True):
-        assert len(frames_of(NatNetClient(use_multicast=multicast))) >= 20
+        numbers = [frame.prefix.frame_number for frame in frames_of(NatNetClient(use_multicast=multicast))]
+        assert len(numbers) >= 20
+        assert len(set(numbers)) == len(numbers), "each frame comes once, whatever else is offered"
 
 
 def test_multicast_never_leaves_the_host():

@@ -7,6 +7,8 @@ import errno
 import heapq
 import itertools
 import socket
+import sys
+from pathlib import Path
 
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap.network import Address
@@ -16,6 +18,7 @@ from hil.fakes.world import NEVER_NS
 from hil.vocabulary.errors import DeviceError
 
 _LARGEST = 65535
+_GROUPS = Path("/proc/net/igmp")
 
 
 def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceError:
@@ -78,6 +81,13 @@ class NatNetFace(Face, Outlet):
             if self._socket is not None:
                 with contextlib.suppress(OSError):
                     self._socket.sendto(data, destination)
+
+    def joined(self, group: str) -> bool:
+        """Whether a program of this host, where all clients are, listens to the group; False if unknown."""
+        number = f"{int.from_bytes(socket.inet_aton(group), sys.byteorder):08X}"
+        with contextlib.suppress(OSError):
+            return number in _GROUPS.read_text(encoding="ascii").split()
+        return False
 
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
         """Plan one packet."""

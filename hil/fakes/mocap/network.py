@@ -86,6 +86,10 @@ class WorldNetwork:
             self._server_host = address[0]
             self._server.receive(data, (_HOST, port.number), self, self.now_ns)
 
+    def joined(self, group: str) -> bool:
+        """Whether a port listens to the group."""
+        return any(port.group == group for port in self._ports)
+
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
         """Put a datagram of the server on its way; the network keeps the order."""
         host, number = destination

@@ -1,7 +1,8 @@
 """The emulated Motive: frames of rigid bodies at its own rate and clock, and NatNet requests answered.
 
 Unicast clients are those that have connected or shown a sign of life lately; frames go to the port
-they speak from and to the data port of their host, because public clients expect either.
+they speak from and to the data port of their host, because public clients expect either. Who has joined the
+group that is offered besides gets each frame once.
 """
 
 from __future__ import annotations
@@ -28,10 +29,16 @@ _BOOT_NS = nanoseconds(0.3)
 _ANSWER_NS = nanoseconds(0.0002)
 _RECEIVED_SHARE = 0.4
 _HEAD = struct.Struct("<HH")
+_BITSTREAM = slice(265, 267)
+"""Of a request to connect: the version that the client asks for, after its own description."""
 
 
 class Outlet(Protocol):
     """A network that carries the server's packets."""
+
+    @abstractmethod
+    def joined(self, group: str) -> bool:
+        """Whether somebody on it listens to a multicast group."""
 
     @abstractmethod
     def deliver(self, ready_ns: int, data: bytes, destination: Address) -> None:
@@ -40,11 +47,20 @@ class Outlet(Protocol):
 
 @dataclass
 class Client:
-    """A unicast client: the network it is on, the bit stream it wants, when it was last heard."""
+    """A client.
+
+    Attributes:
+        outlet: the network it is on.
+        version: the bit stream it wants.
+        heard_ns: when it was last heard.
+        by_unicast: frames go to it. Where a group is offered besides, they do not before it is known that
+            it does not listen to the group.
+    """
 
     outlet: Outlet
     version: tuple[int, int]
     heard_ns: int
+    by_unicast: bool
 
 
 class NatNetServer(Scheduled):
@@ -148,11 +164,11 @@ class NatNetServer(Scheduled):
         """Take one request and answer it."""
         if self._faults.cut_off(t_ns) or t_ns < self._boot_ns:
             return
-        if len(data) < _HEAD.size or _HEAD.unpack_from(data)[1] != len(data) - _HEAD.size:
+        if len(data) < _HEAD.size:
             self.malformed += 1
             return
-        kind, text = _HEAD.unpack_from(data)[0], data[_HEAD.size :].split(b"\0")[0]
-        answer = self._answer(kind, text.decode("utf-8", "replace"), client, outlet, t_ns)
+        kind, payload = _HEAD.unpack_from(data)[0], data[_HEAD.size :]  # clients disagree on what size counts
+        answer = self._answer(kind, payload, client, outlet, t_ns)
         if answer:
             self._send(answer, client, outlet, t_ns + _ANSWER_NS, t_ns)
 
@@ -187,6 +203,8 @@ class NatNetServer(Scheduled):
             if t_ns - client.heard_ns > _FORGET_NS:
                 del self._clients[address]
                 continue
+            if not client.by_unicast:
+                continue
             packet = self._frame(client.version, packets)
             self._send(packet, address, client.outlet, ready_ns, t_ns)
             if address[1] != self.data_port:
@@ -206,15 +224,15 @@ class NatNetServer(Scheduled):
             for data in faults.spoil(packet, t_ns):
                 outlet.deliver(ready_ns + faults.delay_ns(t_ns), data, destination)
 
-    def _answer(self, kind: int, text: str, client: Address, outlet: Outlet, t_ns: int) -> bytes:
+    def _answer(self, kind: int, payload: bytes, client: Address, outlet: Outlet, t_ns: int) -> bytes:
         known = self._clients.get(client)
-        version = self._version if known is None else known.version
         if kind in (encode.CONNECT, encode.KEEPALIVE):
             if self.multicast is None:
-                self._clients[client] = Client(outlet, version, t_ns)
+                self._clients[client] = self._heard(kind, payload, known, outlet, t_ns)
             if kind == encode.KEEPALIVE:
                 return b""
             return encode.server_info(self._version, CLOCK_HZ, self.data_port, self.multicast)
+        version = self._version if known is None else known.version
         if kind == encode.DISCONNECT:
             self._clients.pop(client, None)
             return b""
@@ -223,8 +241,19 @@ class NatNetServer(Scheduled):
         if kind == encode.REQUEST_FRAME and self._last is not None:
             return self._frame(version, {})
         if kind == encode.REQUEST:
-            return self._command(text, known)
+            return self._command(payload.split(b"\0")[0].decode("utf-8", "replace"), known)
         return encode.message(encode.UNRECOGNISED)
+
+    def _heard(
+        self, kind: int, payload: bytes, known: Client | None, outlet: Outlet, t_ns: int
+    ) -> Client:  # fmt: skip
+        """A client that has shown a sign of life; those of a multicast group never keep a stream alive."""
+        group, version = self.offered_group, self._version if known is None else known.version
+        asked = tuple(payload[_BITSTREAM])
+        if kind == encode.CONNECT and asked in encode.VERSIONS and asked <= self._version >= (4, 0):
+            version = (asked[0], asked[1])
+        alone = group is None or kind == encode.KEEPALIVE or not outlet.joined(group)
+        return Client(outlet, version, t_ns, alone or (known is not None and known.by_unicast))
 
     def _command(self, text: str, client: Client | None) -> bytes:
         """Text requests: another bit stream (unicast, NatNet 4), frame rate, units."""
