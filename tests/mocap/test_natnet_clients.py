@@ -4,6 +4,7 @@ import struct
 
 import pytest
 
+import hil
 from hil.fakes.mocap.server import Outlet
 
 CONNECT, REQUEST, KEEPALIVE, FRAME = 0, 2, 10, 7
@@ -77,3 +78,18 @@ def test_where_nobody_has_joined_the_offered_group_a_connection_is_enough(mocap_
     bench.server.offered_group = "239.255.42.99"
     count, _ = frames_after(bench, network, as_optitrack_sends(CONNECT, "Ping"))
     assert count == 20
+
+
+def test_the_data_port_of_a_host_gets_each_frame_once_however_many_clients_it_had(mocap_bench):
+    bench, network = mocap_bench(), Network()
+    for port in (5001, 5002):
+        bench.server.receive(as_optitrack_sends(CONNECT, "Ping"), ("127.0.0.1", port), network, 0)
+    count, first = frames_after(bench, network, as_optitrack_sends(CONNECT, "Ping", bitstream=(3, 1)))
+    at_data_port = network.frames[("127.0.0.1", bench.server.data_port)]
+    assert (count, len(at_data_port), at_data_port[0]) == (20, 20, first)
+
+
+@pytest.mark.parametrize("version", ["3.1", "4.0", "4.1"])
+def test_the_bench_file_says_which_version_the_server_speaks(version):
+    with hil.open_bench("emulated", overrides={"emulation.mocap.natnet": version}) as bench:
+        assert bench.rig.get("mocap").identity()["natnet"] == version

@@ -36,8 +36,10 @@ def _emulate(setting: Setting) -> EmulatedDevice:
 
     config: MocapConfig = setting.config
     body: dict[str, Any] = {"body": config.body} if isinstance(config.body, str) else {"body_id": config.body}
+    options = setting.options(MocapTruthOptions)
+    major, minor = map(int, options.natnet.split("."))
     server = NatNetServer(
-        setting.world, options=setting.options(MocapTruthOptions), up_axis=config.up_axis,
+        setting.world, options=options, version=(major, minor), up_axis=config.up_axis,
         command_port=config.command_port, data_port=config.data_port, multicast=config.multicast, **body,
     )  # fmt: skip
     if setting.standard_ports:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,7 @@ class MocapTruthOptions:
         jitter_s: mean of the exponential jitter beside it.
         stalls_per_s, longest_stall_s: arrivals that are held up, with all behind them.
         clock_ppm: error of the server's clock, standard deviation over servers.
+        natnet: version that the server speaks unless a client asks for an earlier one.
     """
 
     rate_hz: float = 100.0
@@ -42,6 +44,7 @@ class MocapTruthOptions:
     stalls_per_s: float = 0.05
     longest_stall_s: float = 0.2
     clock_ppm: float = 14.0
+    natnet: Literal["3.1", "4.0", "4.1"] = "4.1"
 
 
 STILL = MocapTruthOptions(

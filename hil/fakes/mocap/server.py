@@ -1,8 +1,8 @@
 """The emulated Motive: frames of rigid bodies at its own rate and clock, and NatNet requests answered.
 
 Unicast clients are those that have connected or shown a sign of life lately; frames go to the port
-they speak from and to the data port of their host, because public clients expect either. Who has joined the
-group that is offered besides gets each frame once.
+they speak from, and those of the newest one to the data port of its host: public clients expect either.
+Who has joined the group that is offered besides gets each frame once.
 """
 
 from __future__ import annotations
@@ -199,16 +199,18 @@ class NatNetServer(Scheduled):
             packet = self._frame(self._version, packets)
             for outlet in self._outlets:
                 self._send(packet, (group, self.data_port), outlet, ready_ns, t_ns)
+        newest: dict[str, tuple[Address, Client]] = {}
         for address, client in tuple(self._clients.items()):
             if t_ns - client.heard_ns > _FORGET_NS:
                 del self._clients[address]
-                continue
-            if not client.by_unicast:
-                continue
-            packet = self._frame(client.version, packets)
-            self._send(packet, address, client.outlet, ready_ns, t_ns)
-            if address[1] != self.data_port:
-                self._send(packet, (address[0], self.data_port), client.outlet, ready_ns, t_ns)
+            elif client.by_unicast:
+                self._send(self._frame(client.version, packets), address, client.outlet, ready_ns, t_ns)
+                if address[0] not in newest or client.heard_ns >= newest[address[0]][1].heard_ns:
+                    newest[address[0]] = (address, client)
+        for (host, port), client in newest.values():
+            if port != self.data_port:
+                packet = self._frame(client.version, packets)
+                self._send(packet, (host, self.data_port), client.outlet, ready_ns, t_ns)
 
     def _frame(self, version: tuple[int, int], packets: dict[tuple[int, int], bytes]) -> bytes:
         assert self._last is not None
