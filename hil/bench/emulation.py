@@ -242,7 +242,7 @@ def open_emulation(
         clock: what the world follows; the host's monotonic clock by default.
         lifeline: file descriptor of a pipe; the server ends when its other end is closed.
         await_start: world time stands still until a byte comes down the lifeline.
-        standard_ports: motion capture at Motive's ports, CAN in python-can's own multicast group.
+        standard_ports: motion capture at Motive's ports, CAN buses at python-can's own group and port.
 
     Raises:
         FaultNotSupportedError, DeviceError, UsageError.

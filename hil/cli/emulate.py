@@ -33,7 +33,7 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
 @click.option(
     "--standard-ports", is_flag=True,
-    help="Motion capture at Motive's ports 1510 and 1511, CAN in python-can's own multicast group.",
+    help="Motion capture at Motive's ports 1510 and 1511, CAN buses at python-can's own group and port.",
 )  # fmt: skip
 @click.option(
     "--out", type=click.Path(path_type=Path),

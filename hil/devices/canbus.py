@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from hil.devices.emulated import EmulatedDevice, Face, Setting, Wired
-from hil.fakes.can_wire import DEFAULT_GROUP, CanChannel, CanFace
+from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.standard_can import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
 from hil.vocabulary.kinds import Connection
 
 
@@ -32,7 +34,8 @@ def on_can(
     Args:
         setting: where it is built.
         channel: its bus.
-        subnet: third byte of its multicast group, so that devices of one process do not share one.
+        subnet: third byte of its multicast group, so that devices of one process do not share one; at
+            standard ports those of one bus do.
         dbc: told to clients; empty where there is none.
         listens: whether it hears what clients send.
         told: what clients are told besides.
@@ -45,8 +48,17 @@ def on_can(
         return Connection(values, parts=dict(parts or {}), close=opened.close)
 
     def serve() -> Face:
-        address = DEFAULT_GROUP if setting.standard_ports else f"239.74.{subnet}.{2 + os.getpid() % 250}"
-        return CanFace(channel, address=address, dbc=dbc, device=setting.kind, listens=listens, told=told)
+        about: dict[str, Any] = {"dbc": dbc, "device": setting.kind, "listens": listens, "told": told}
+        if setting.standard_ports:
+            bus = (setting.config.bus, setting.config.bitrate)
+            at = {"port": take_port(*bus, setting.kind)}
+            leave = partial(leave_port, *bus)
+            return CanFace(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
+        address, right = f"239.74.{subnet}.{2 + os.getpid() % 250}", first_of_host()
+        if right is None:
+            return CanFace(channel, address=address, **about)
+        at = {"port": DEFAULT_PORT}
+        return CanFace(channel, address=address, options=at, at_close=right.close, **about)
 
     return Wired(connect, serve)
 

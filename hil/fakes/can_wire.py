@@ -8,9 +8,8 @@ on any other python-can interface, by default UDP multicast that never leaves th
 from __future__ import annotations
 
 import contextlib
-import socket
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -33,8 +32,6 @@ WIRE_FAULTS: Supported = {
     "unplug": (),
     "baud_mismatch": (),
 }
-DEFAULT_GROUP = "239.74.163.2"
-DEFAULT_PORT = 43113
 
 _QUEUE, _ECHOES = 4096, 256
 _OVERHEAD_BITS, _STUFFING = 47, 1.1
@@ -218,9 +215,9 @@ class CanFace(Face):
         device: name in errors.
         listens: whether somebody on the emulated bus hears what clients send.
         told: what clients are told besides.
-        options: further keyword arguments of the interface. Without a `port`, the first face of a
-            host has python-can's own, so that clients need only the group; another has a free one,
+        options: further keyword arguments of the interface. Multicast without a `port` has a free one,
             because a host hears every group at the port that it listens to.
+        at_close: is called when the face is closed.
 
     Raises:
         DeviceError: the interface cannot be opened.
@@ -231,27 +228,27 @@ class CanFace(Face):
         channel: CanChannel,
         *,
         interface: str = "udp_multicast",
-        address: str = DEFAULT_GROUP,
+        address: str = "239.74.163.2",
         dbc: Path | str = "",
         device: str = "encoders",
         listens: bool = False,
         told: Mapping[str, object] | None = None,
         options: Mapping[str, Any] | None = None,
+        at_close: Callable[[], None] = lambda: None,
     ) -> None:
+        self._at_close = at_close
         self._channel, self._dbc, self._listens = channel, str(dbc), listens
         self._told = dict(told or {})
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
         self._interface, self._address, self._options = interface, address, dict(options or {})
-        self._claim: socket.socket | None = None
         if interface == "udp_multicast":
             if "port" not in self._options:
-                self._claim = _claim_default_port()
-                self._options["port"] = DEFAULT_PORT if self._claim else free_udp_port()
+                self._options["port"] = free_udp_port()
             self._options.setdefault("hop_limit", 0)
         try:
             self._bus: can.BusABC | None = can.Bus(interface=interface, channel=address, **self._options)
         except (can.CanError, OSError, ValueError, TypeError) as error:
-            self._give_up_claim()
+            at_close()
             raise DeviceError(
                 device,
                 f"the emulated CAN bus cannot be served ({error})",
@@ -320,27 +317,5 @@ class CanFace(Face):
             self._channel.leave(self._queue)
             self._bus.shutdown()
             self._bus = None
+            self._at_close()
         self._mark.close()
-        self._give_up_claim()
-
-    def _give_up_claim(self) -> None:
-        if self._claim is not None:
-            self._claim.close()
-            self._claim = None
-
-
-def _claim_default_port() -> socket.socket | None:
-    """The right to python-can's default port, held while the socket is open; None where it is taken.
-
-    The port itself cannot say so: everybody binds it shared. An abstract Unix address (Linux) is
-    exclusive and vanishes with its owner.
-    """
-    claim = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        claim.bind(f"\0hil-can-{DEFAULT_PORT}")
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            probe.bind(("", DEFAULT_PORT))
-    except OSError:
-        claim.close()
-        return None
-    return claim

@@ -18,7 +18,7 @@ from shown_commands import problem
 
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.fakes.can_wire import DEFAULT_PORT
+from hil.fakes.standard_can import DEFAULT_PORT
 from hil.procedure.scripts import load_procedure
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml

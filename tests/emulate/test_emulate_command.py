@@ -10,7 +10,7 @@ import serial
 from emulators import END_S, emulator
 
 from hil.cli import main
-from hil.fakes.can_wire import DEFAULT_PORT
+from hil.fakes.standard_can import DEFAULT_PORT
 
 
 def chip_id(endpoint):

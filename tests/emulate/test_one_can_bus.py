@@ -1,0 +1,76 @@
+"""At standard ports the devices of one CAN bus are on one: as a client and another emulator find it."""
+
+import contextlib
+import socket
+import threading
+
+import can
+import pytest
+
+from hil.bench import open_emulation
+from hil.config.loading import load_bench
+from hil.fakes import standard_can
+from hil.fakes.loopback import free_udp_port
+from hil.vocabulary.errors import DeviceError
+
+NAMES = ("encoders", "adhesion", "load_cells")
+PING_TO_ALL = can.Message(arbitration_id=0x11FF, data=b"\xfe", is_extended_id=True)
+
+
+@pytest.fixture
+def first_port(monkeypatch):
+    """Instead of python-can's, which another program of this host may have."""
+    port = free_udp_port()
+    monkeypatch.setattr(standard_can, "DEFAULT_PORT", port)
+    return port
+
+
+@contextlib.contextmanager
+def emulation(**overrides):
+    server = open_emulation(
+        load_bench("emulated", overrides=overrides), only=NAMES, seed=1, standard_ports=True
+    )
+    thread = threading.Thread(target=server.run)
+    thread.start()
+    try:
+        yield {kind: endpoint["port"] for kind, endpoint in server.endpoints().items()}
+    finally:
+        server.stop()
+        thread.join(10)
+
+
+def heard(port, wanted):
+    """Identifiers that a client hears who asks for VESCs, until all that are wanted are among them."""
+    found, where = set(), {"channel": standard_can.DEFAULT_GROUP, "port": port, "hop_limit": 0}
+    with can.Bus(interface="udp_multicast", **where) as bus:
+        for count in range(4000):
+            if count % 400 == 0:
+                bus.send(PING_TO_ALL)
+            message = bus.recv(0.01)
+            if message is not None:
+                found.add(message.arbitration_id)
+            if wanted <= found:
+                break
+    return found
+
+
+def test_encoders_fan_and_load_cells_of_one_bus_are_heard_at_one_port(first_port):
+    with emulation() as ports:
+        assert set(ports.values()) == {first_port}
+        wanted = {0x1A0, 0x1B0, 0x12FE}  # the encoders' frame, the cells', and the controller's answer
+        assert heard(first_port, wanted) >= wanted
+    assert standard_can._HELD == {}
+
+
+def test_a_device_on_another_bus_has_the_next_port(first_port):
+    with emulation(**{"load_cells.channel": "can1"}) as ports:
+        assert ports == {"can": first_port, "adhesion": first_port, "load_cells": first_port + 1}
+
+
+def test_a_second_emulator_is_refused_with_what_to_do(first_port):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as other:
+        other.bind(f"\0hil-can-{first_port}")
+        with pytest.raises(DeviceError, match="another emulator") as caught, emulation():
+            pass
+    assert str(first_port) in caught.value.expected
+    assert "leave --standard-ports out" in caught.value.remedy
