@@ -19,6 +19,7 @@ from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
+from hil.procedures.parts import headlines
 from hil.procedures.parts.adhesion_levels import Fit, Level, draw, fit, levels_n, needs_of, rest, visit
 
 _LEVEL_STEP_N, _LEVEL_S, _LEAST = 0.5, 0.3, 0.4
@@ -85,7 +86,8 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="adhesion_check", needs=("servos", "mocap", "adhesion", "load_cells"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"levels": 4, "dwell_s": 0.8, "slide": False},
+    measurements=measurements, plan=plan,
+    headline=headlines.adhesion_check, quick={"levels": 4, "dwell_s": 0.8, "slide": False},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Adhesion: zeros of the cells, force against speed, margin, and the force at which the robot slides."""

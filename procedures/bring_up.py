@@ -23,6 +23,7 @@ from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.samples import inertial, poses
 from hil.procedure.tracking import stand
+from hil.procedures.parts import headlines
 from hil.procedures.parts.bring_up_jogs import (
     DriveJogs,
     SteerJogs,
@@ -162,7 +163,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="bring_up", needs=("servos",), parameters=Parameters, measurements=measurements, plan=plan,
-    quick={"watch_s": 5.0},
+    headline=headlines.bring_up, quick={"watch_s": 5.0},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Bring-up: identity, limits, sample rates, clocks, and every direction by a small motion."""

@@ -15,14 +15,15 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from hil.config.bench import BenchConfig
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.tracking import (
+    belief_figure,
     coverage_figure,
     error_figure,
     refuse_what_cannot_be_followed,
     series,
     stand,
-    time_figure,
     tracking_errors,
 )
+from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, scan
 from hil.vocabulary.geometry import Array, ArrayLike
 
@@ -93,7 +94,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="grid_scan", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, headline=headlines.grid_scan,
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Scan a piece of wall lane by lane."""
@@ -183,7 +184,7 @@ def _evaluate(ctx: Context, p: Parameters, runs: dict[str, Any]) -> None:
         coverage_figure(shown, seen, np.array(own["start"]), p.lane_length_m), "Path and coverage",
         f"Shaded: seen by a probe of {1e3 * p.probe_width_m:.0f} mm. Lines: where the robot truly went.",
     )  # fmt: skip
-    ctx.figure(time_figure(shown), "x, y and heading", "The estimate is what was fed back.")
+    ctx.figure(belief_figure(shown), "What was believed", "Estimate, which was fed back, minus truth.")
     ctx.figure(error_figure(shown), "Errors", "Truth minus reference.")
     keys = ("rmse_x", "rmse_y", "rmse_heading", "worst", "saturated_s")
     ctx.table(

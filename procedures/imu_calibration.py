@@ -27,6 +27,7 @@ from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.samples import inertial, poses
 from hil.procedure.tracking import stand
+from hil.procedures.parts import headlines
 from hil.procedures.parts.imu_noise import BIAS_FACTOR, FEWEST, allan, evenly
 from hil.procedures.parts.imu_report import draw_allan, draw_headings
 from hil.robot.trajectories import Trajectory, line
@@ -132,7 +133,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="imu_calibration", needs=("servos", "imu", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, headline=headlines.imu_calibration,
     quick={"rest_s": 20.0, "learn_s": 8.0, "headings": 4, "dwell_s": 1.0},
 )  # fmt: skip
 def run(ctx: Context) -> None:

@@ -29,6 +29,7 @@ from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series, encoders, inertial, poses, wheels
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
+from hil.procedures.parts import headlines
 from hil.procedures.parts.latency_fit import (
     Command,
     Delay,
@@ -143,6 +144,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     parameters=Parameters,
     measurements=measurements,
     plan=plan,
+    headline=headlines.latency,
     quick={"reversals": 12},
 )
 def run(ctx: Context) -> None:

@@ -28,6 +28,7 @@ from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.learning import known_parts, leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
+from hil.procedures.parts import headlines
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
 from hil.procedures.parts.odometry_rounds import (
@@ -122,7 +123,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="odometry_calibration", needs=("servos", "mocap"), parameters=Parameters, measurements=measurements,
-    plan=plan, bench="emulated_floor",
+    plan=plan, headline=headlines.odometry_calibration, bench="emulated_floor",
     quick={"motions": ("line_x", "line_y", "circle_ccw", "rotation_cw"), "repetitions": 2,
            "validation_repetitions": 1, "line_m": 1.0, "radius_m": 0.4, "turns": 0.5, "max_rounds": 2,
            "compared_methods": ()},

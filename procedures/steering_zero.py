@@ -23,6 +23,7 @@ from hil.procedure.learning import leave_part
 from hil.procedure.samples import encoders, wheels
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
+from hil.procedures.parts import headlines
 from hil.procedures.parts.steering_fit import AxisFit, Leg, fit_axis, judge_leg, toe_turn_rad_m
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
 from hil.robot.trajectories import Trajectory, line
@@ -105,7 +106,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="steering_zero", needs=("servos", "encoders", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, bench="emulated_floor",
+    measurements=measurements, plan=plan, headline=headlines.steering_zero, bench="emulated_floor",
     quick={"sweep_s": 6.0, "sweeps": 1, "leg_m": 0.3, "legs": 1},
 )  # fmt: skip
 def run(ctx: Context) -> None:
@@ -175,7 +176,7 @@ def _zeros(ctx: Context, fits: Sequence[AxisFit]) -> Array:
 
 
 def _draw_axes(ctx: Context, fits: Sequence[AxisFit]) -> None:
-    figure = new_figure(6.4, 4.6)
+    figure = new_figure(5.2, 3.8)
     for k, (name, fit) in enumerate(zip(WHEELS, fits, strict=True), start=1):
         axes = style(
             figure.add_subplot(2, 2, k), "steering (deg)" if k > 2 else "",

@@ -26,6 +26,7 @@ from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.tracking import stand
 from hil.procedure.workers import at_once
+from hil.procedures.parts import headlines
 from hil.procedures.parts.surface_hold import hold_angle
 from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
@@ -122,7 +123,8 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="surface_identification", needs=("servos", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, quick={"hold": False, "length_m": 0.5, "processes": 2},
+    measurements=measurements, plan=plan, headline=headlines.surface_identification,
+    quick={"hold": False, "length_m": 0.5, "processes": 2},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Surface identification: slip and sag per metre, hold angle."""

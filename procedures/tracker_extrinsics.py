@@ -23,6 +23,7 @@ from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.samples import Series, camera, poses
 from hil.procedure.tracking import stand
+from hil.procedures.parts import headlines
 from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
@@ -130,7 +131,8 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan, bench="emulated_floor", quick={"repetitions": 1, "way_m": 0.8},
+    measurements=measurements, plan=plan,
+    headline=headlines.tracker_extrinsics, bench="emulated_floor", quick={"repetitions": 1, "way_m": 0.8},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""

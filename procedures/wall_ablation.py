@@ -22,6 +22,7 @@ from hil.procedure.ablation import Setting, Table, settings_of
 from hil.procedure.learning import known_parts
 from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
 from hil.procedure.workers import at_once
+from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import ArrayLike
@@ -86,7 +87,7 @@ def _settings(p: Parameters, config: BenchConfig) -> tuple[Setting, ...]:
 
 @procedure(
     name="wall_ablation", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, headline=headlines.wall_ablation,
     quick={"duration_s": 26.0, "hold_s": 0.5, "single": ("geometry", "camera", "slip")},
 )  # fmt: skip
 def run(ctx: Context) -> None:

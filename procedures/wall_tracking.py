@@ -19,15 +19,16 @@ from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
 from hil.procedure.tracking import (
+    belief_figure,
     error_figure,
     path_figure,
     refuse_what_cannot_be_followed,
     series,
     stand,
-    time_figure,
     tracking_errors,
 )
 from hil.procedure.workers import at_once
+from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
 from hil.vocabulary.geometry import ArrayLike
 
@@ -181,7 +182,7 @@ def _elsewhere(job: tuple[BenchSource, Drive, Parameters]) -> dict[str, Any]:
 
 @procedure(
     name="wall_tracking", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
-    measurements=measurements, plan=plan,
+    measurements=measurements, plan=plan, headline=headlines.wall_tracking,
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Wall tracking with feedback from odometry, EKF and UKF."""
@@ -241,10 +242,12 @@ def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
         name = _NAMES[case]
         ctx.figure(path_figure(shown), f"{name}: path", "Truth from motion capture, by feedback.")
         ctx.figure(
-            time_figure(shown), f"{name}: x, y and heading",
-            "The estimate is what was fed back: odometry believes that it follows the reference.",
+            error_figure(shown), f"{name}: errors", "Where the robot was, minus where it should have been."
+        )
+        ctx.figure(
+            belief_figure(shown), f"{name}: what was believed",
+            "Estimate minus truth: odometry believes that it follows the reference.",
         )  # fmt: skip
-        ctx.figure(error_figure(shown), f"{name}: errors", "Truth minus reference.")
     if "y_line optimal" in errors:
         ratio = errors["y_line optimal"]["rmse_x"].mean() / errors["y_line ekf"]["rmse_x"].mean()
         ctx.measure("y_line.optimal.cross_track_ratio", ratio)

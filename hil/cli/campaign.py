@@ -235,7 +235,7 @@ def _write(
 
 
 def _text(tree: dict[str, Any]) -> str:
-    from hil.report.run_page import number
+    from hil.report.pages import number
 
     lines = []
     for group in tree["groups"]:

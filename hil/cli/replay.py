@@ -87,9 +87,10 @@ def command(
         motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
         _show(opened.bench, run, motions, view)
         if page is not None:
-            from hil.replay.page import write_replay_page
+            from hil.report.replay_page import write_replay_page
 
-            write_replay_page(page, f"Replay of {recording.name}", motions, tuple(opened.problems))
+            title = f"Replay of {recording.name}"
+            write_replay_page(page, title, motions, result["estimators"], opened.problems)
     result["problems"] = opened.problems
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)

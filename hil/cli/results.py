@@ -122,7 +122,7 @@ def _print(kept: Kept) -> None:
 
 def _key_rows(kept: Kept) -> list[str]:
     """The measurements that a reader wants first: what failed, then what is nearest to its limit."""
-    from hil.report.run_page import number
+    from hil.report.pages import number
 
     def nearness(row: Mapping[str, Any]) -> tuple[bool, float]:
         limits = [abs(v) for v in (row["low"], row["high"]) if v]

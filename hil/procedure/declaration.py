@@ -10,6 +10,7 @@ A procedure is a plain function of one argument, its `Context`:
 from __future__ import annotations
 
 import inspect
+import logging
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -28,6 +29,9 @@ Body = Callable[["Context"], None]
 Plan = Callable[[Any, BenchConfig], Iterable["PlannedStep"]]
 Declare = Callable[[Any], Iterable[Measurement]] | Callable[[Any, BenchConfig], Iterable[Measurement]]
 Measurements = Sequence[Measurement] | Declare
+Headline = Callable[[Mapping[str, float]], str]
+
+LOG = logging.getLogger(__name__)
 
 _NAME = re.compile(r"[a-z][a-z0-9_]*")
 _STEP_CALL = re.compile(r"\.(?:step|checkpoint)\(\s*(?P<f>f?)[\"'](?P<title>[^\"']+)[\"']")
@@ -62,6 +66,8 @@ class Procedure:
         bench: profile that it runs on when no bench is named.
         quick: parameters of its quick form (`hil run NAME --quick`); empty for one that has none.
         summary: first line of the function's docstring.
+        headline: what a run showed, as a sentence, from its measured values by name; None for none. One
+            that misses a value says nothing.
     """
 
     name: str
@@ -74,6 +80,7 @@ class Procedure:
     bench: str = "emulated"
     quick: Mapping[str, Any] = field(default_factory=dict)
     summary: str = ""
+    headline: Headline | None = None
 
     def declared(self, parameters: Any, config: BenchConfig) -> tuple[Measurement, ...]:
         """The measurements that these parameters call for on a bench."""
@@ -92,6 +99,16 @@ class Procedure:
         except (OSError, TypeError):
             return ()
         return tuple(PlannedStep(m["title"]) for m in _STEP_CALL.finditer(source))
+
+    def said(self, values: Mapping[str, float]) -> str:
+        """The headline; empty where it misses a value. A fault in it must not cost the results."""
+        try:
+            return "" if self.headline is None else str(self.headline(values))
+        except KeyError:
+            return ""
+        except Exception as problem:
+            LOG.warning("the headline of %s failed (%s: %s)", self.name, type(problem).__name__, problem)
+            return ""
 
     def settings(self, given: Mapping[str, Any], *, quick: bool) -> dict[str, Any]:
         """Parameters to run with: those given, over those of the quick form where that is asked for.
@@ -125,6 +142,7 @@ def procedure(
     teardown_s: float = 30.0,
     bench: str = "emulated",
     quick: Mapping[str, Any] | None = None,
+    headline: Headline | None = None,
 ) -> Callable[[Body], Procedure]:
     """Declare a function as a procedure.
 
@@ -137,6 +155,7 @@ def procedure(
         teardown_s: time limit of each teardown action, s.
         bench: profile that it runs on when no bench is named.
         quick: parameters of its quick form.
+        headline: what a run showed, as a sentence, from its measured values by name.
 
     Raises:
         UsageError: a name or device that does not exist, or measurements that contradict themselves.
@@ -157,7 +176,7 @@ def procedure(
         summary = (inspect.getdoc(body) or "").partition("\n")[0]
         return Procedure(
             name, body, tuple(needs), parameters, measurements, plan, teardown_s, bench, dict(quick or {}),
-            summary,
+            summary, headline,
         )  # fmt: skip
 
     return declare

@@ -56,7 +56,7 @@ class HoldHistory(Sink):
         if len(self._rows) < 2:
             return None
         t_s, force_n, needed_n, used = zip(*self._rows, strict=True)
-        figure = new_figure(6.4, 4.2)
+        figure = new_figure(5.2, 3.4)
         axes = style(figure.add_subplot(2, 1, 1), "", "force (N)")
         axes.plot(t_s, force_n, color=SERIES[0], lw=1.3, label="measured")
         axes.plot(t_s, needed_n, color=SERIES[4], lw=1.3, label="needed")

@@ -112,12 +112,11 @@ class Notebook:
             title: unique in the run.
             caption: what to see in it.
         """
-        import matplotlib as mpl
+        from hil.report.figures import save_figure
 
         path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"
         path.parent.mkdir(parents=True, exist_ok=True)
-        with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
-            figure.savefig(path, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+        save_figure(figure, path)
         entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
         self._journal.add("figure", entry)
         self.findings.figures.append(entry)

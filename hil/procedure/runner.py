@@ -282,6 +282,7 @@ def _facts(
     findings, source = context.findings, context.source
     return {
         "summary": proc.summary,
+        "headline": proc.said(findings.values),
         "bench": source.config.name,
         "emulated": list(source.config.emulated()),
         "virtual_time": source.virtual,

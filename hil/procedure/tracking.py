@@ -24,11 +24,6 @@ _END_S = 0.3
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
 LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, optimal law"}
 _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
-_LOOKS: dict[str, dict[str, Any]] = {
-    "reference": {"color": PALETTE["reference"], "lw": 2.4},
-    "truth": {"color": PALETTE["c1"], "lw": 1.5},
-    "estimate": {"color": PALETTE["truth"], "lw": 1.0, "ls": (0, (4, 2))},
-}
 
 
 def refuse_what_cannot_be_followed(config: BenchConfig, references: Iterable[Trajectory]) -> None:
@@ -95,7 +90,7 @@ def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
     first = next(iter(runs.values()))["reference"]
     extent = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
     factor, unit = zip(*((1e3, "mm") if w < 0.05 else (1.0, "m") for w in extent), strict=True)
-    figure = new_figure(6.4, 4.2)
+    figure = new_figure(5.2, 3.4)
     axes = style(figure.add_subplot(), f"Y, left ({unit[1]})", f"X, up the wall ({unit[0]})")
     for name, run in {"reference": {"truth": first}, **runs}.items():
         x, y = (np.array(run["truth"][k], dtype=np.float64) * factor[k] for k in range(2))
@@ -107,20 +102,9 @@ def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
     return figure
 
 
-def time_figure(runs: dict[str, dict[str, Any]]) -> Figure:
-    """x, y and heading against time, one column per feedback: reference, truth and estimate."""
-    figure = new_figure(2.4 * len(runs) + 0.8, 5.6)
-    grid = figure.subplots(3, len(runs), sharex=True, sharey="row", squeeze=False)
-    for column, (name, run) in enumerate(runs.items()):
-        for k, label in enumerate(("x (m)", "y (m)", "heading (deg)")):
-            axes = style(grid[k, column], "time (s)" if k == 2 else "", "" if column else label)
-            factor = np.degrees(1.0) if k == 2 else 1.0
-            for which, look in _LOOKS.items():
-                axes.plot(run["t"], np.array(run[which][k], dtype=np.float64) * factor, label=which, **look)
-        grid[0, column].set_title(LABELS.get(name, name), fontsize=10, loc="left")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
-    return figure
+def belief_figure(runs: dict[str, dict[str, Any]]) -> Figure:
+    """Estimate minus truth in x, y and heading against time: what each feedback believes wrongly."""
+    return _differences(runs, "estimate", "truth")
 
 
 def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, length_m: float) -> Figure:
@@ -134,7 +118,7 @@ def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, 
     """
     from matplotlib.colors import ListedColormap
 
-    figure = new_figure(5.2, 6.0)
+    figure = new_figure(4.3, 4.9)
     axes = style(figure.add_subplot(), "Y, left (m)", "X, up the wall (m)")
     y_m = start[1] + np.arange(seen.shape[1] + 1) * length_m / seen.shape[0]
     x_m = start[0] + np.arange(seen.shape[0] + 1) * length_m / seen.shape[0]
@@ -155,13 +139,17 @@ def coverage_figure(runs: dict[str, dict[str, Any]], seen: Array, start: Array, 
 
 def error_figure(runs: dict[str, dict[str, Any]]) -> Figure:
     """Truth minus reference in x, y and heading against time, all feedbacks together."""
-    figure = new_figure(6.4, 5.6)
+    return _differences(runs, "truth", "reference")
+
+
+def _differences(runs: dict[str, dict[str, Any]], which: str, against: str) -> Figure:
+    figure = new_figure(5.2, 4.6)
     units = (("x error (mm)", 1e3), ("y error (mm)", 1e3), ("heading error (deg)", np.degrees(1.0)))
     for k, (label, factor) in enumerate(units):
         axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
         axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
         for name, run in runs.items():
-            error = np.array(run["truth"][k], dtype=np.float64) - np.array(run["reference"][k], np.float64)
+            error = np.array(run[which][k], dtype=np.float64) - np.array(run[against][k], np.float64)
             axes.plot(
                 run["t"], (wrap_array(error) if k == 2 else error) * factor, color=_colour(name),
                 ls=_DASHES.get(name, "-"), lw=1.3, label=LABELS.get(name, name),

@@ -24,7 +24,7 @@ def ablation_figure(table: Mapping[str, Mapping[str, Mapping[str, float]]]) -> F
     """
     names = list(table)
     cases = list(next(iter(table.values())))
-    figure = new_figure(7.2, 1.2 + 0.42 * len(names))
+    figure = new_figure(5.9, 0.98 + 0.42 * len(names))
     axes = style(figure.add_subplot(), "distance from the goal (mm)", "")
     at, height = np.arange(len(names)), 0.8 / len(cases)
     for k, case in enumerate(cases):

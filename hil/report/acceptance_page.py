@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.report.run_page import environment
+from hil.report.pages import environment
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import write_text
 
@@ -36,10 +37,23 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
     data = write_text(folder / DATA, text)
     page = environment().get_template("acceptance.html").render(
         told=told, rows=[_counted(stage) for stage in told["stages"]],
-        digest=hashlib.sha256(data.read_bytes()).hexdigest(), data=DATA,
+        digest=hashlib.sha256(data.read_bytes()).hexdigest(), data=DATA, sentence=_sentence(told["stages"]),
     )  # fmt: skip
     path = write_text(folder / PAGE, page)
     return {**told, "folder": str(folder), "page": str(path), "data": str(data)}
+
+
+def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:
+    """How many checks there were, and how many of them want something done."""
+    levels = Counter(finding["level"] for stage in stages for finding in stage["findings"])
+    wrong = [
+        f"{levels[k]} {word}"
+        for k, word in (("failure", "failed"), ("warning", "with a warning"))
+        if levels[k]
+    ]
+    if not wrong:
+        return f"All {sum(levels.values())} checks came out right."
+    return f"Of {sum(levels.values())} checks, {' and '.join(wrong)}; what to do stands below."
 
 
 def _counted(stage: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,27 +1,28 @@
-"""Figures of an evaluation or a calibration, as PNG files and in one self-contained HTML page."""
+"""The pages of an evaluation and of a calibration: what odometry is off by, before and after."""
 
 from __future__ import annotations
 
-import base64
-import io
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jinja2 import Environment, PackageLoader
-from matplotlib.figure import Figure
 
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import Track, evaluate, track
 from hil.calibration.problem import PARAMETER_NAMES
-from hil.vocabulary.files import staged, write_text
+from hil.report.overview import Drawn, Overview, Table, write_overview_folder
+from hil.report.pages import number
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
-_TRUTH, _BEFORE, _AFTER = "#3f3f46", "#d97706", "#2563eb"
-_DPI = 110
+Kind = tuple[Sequence[Track], str, str]
+"""Tracks that are drawn alike, their colour, their name."""
+_DEG = math.degrees(1.0)
 
 
 def write_evaluation_page(
@@ -34,84 +35,137 @@ def write_evaluation_page(
         tracks: odometry of each recording as judged.
         nominal: the same with nominal parameters; None when `tracks` are these.
         table: the result of `hil evaluate`, JSON values.
+
+    Raises:
+        DataError: they cannot be written.
     """
     before = nominal if nominal is not None else tracks
-    figures = _path_figures(before, tracks if nominal is not None else None)
+    worst, row = max(table["motions"].items(), key=lambda m: float(m[1]["rmse_position_m"]))
+    sentence = (
+        f"Odometry errs by {_mm(table['mean'])} mm on average over its motions (RMSE of position), "
+        f"by {_mm(row)} mm on the worst, {_words(worst)}."
+    )
+    if nominal is not None:
+        sentence += f" With nominal parameters it errs by {_mm(dict[str, Any](evaluate(before))['mean'])} mm."
     calibrated = table.get("calibration")
-    title = f"Odometry of {table['recordings']} recordings"
-    facts = [f"model {table['model']}, signal {table['signal']}, cost J = {table['cost']:.2f}"]
-    facts.append(f"calibration: {calibrated}" if calibrated else "nominal parameters")
-    return _write(folder, title, facts, table.get("warnings", []), [_error_table("errors", table)], figures)
+    facts = [
+        f"model {table['model']}, signal {table['signal']}, cost J {number(table['cost'])}",
+        f"calibration {calibrated}" if calibrated else "nominal parameters",
+    ]
+    page = Overview(
+        f"Odometry of {table['recordings']} recordings", sentence,
+        _motion_figures(before, tracks if nominal is not None else None), [_error_table("Errors", table)],
+        table.get("warnings", []), facts,
+    )  # fmt: skip
+    return write_overview_folder(folder, page)
 
 
 def write_calibration_page(folder: Path, result: Calibration) -> Path:
-    """Write figures and `index.html` of a calibration; returns the page's path."""
+    """Write figures and `index.html` of a calibration; returns the page's path.
+
+    Raises:
+        DataError: they cannot be written.
+    """
     setting = result.setting
     before = [track(r, result.nominal, setting.model, setting.signal) for r in result.recordings]
     after = [track(r, result.geometry, setting.model, setting.signal) for r in result.recordings]
-    figures = _path_figures(before, after)
-    figures["parameters"] = _parameters(result)
-    figures["correlation"] = _correlation(result)
-    figures["weights"] = _weights(result)
+    tables = (evaluate(before), evaluate(after))
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",
-        f"cost J {result.cost_before:.2f} before, {result.cost_after:.2f} after; without the rejected "
-        f"recordings {result.kept_cost[0]:.2f} and {result.kept_cost[1]:.2f}",
+        f"cost J {number(result.cost_before)} before, {number(result.cost_after)} after; without what was "
+        f"rejected {number(result.kept_cost[0])} and {number(result.kept_cost[1])}",
         f"robot on paper: {result.robot.in_words()}",
     ]
-    tables = [
-        _error_table("Before", evaluate(before)),
-        _error_table("After", evaluate(after)),
-        *_validation_tables(result),
-    ]
-    title = f"Calibration on {len(result.recordings)} recordings"
-    return _write(folder, title, facts, result.warnings, tables, figures)
+    figures = [
+        *_motion_figures(before, after),
+        Drawn("parameters", "Parameters", _parameters(result),
+              "Change from the robot on paper. Grey: how far off a part may be by its drawing."),
+        Drawn("weights", "Weights of the recordings", _weights(result), "Red: rejected."),
+        Drawn("correlation", "Correlation of the estimates", _correlation(result),
+              "Strong colours: only the combination of two parameters is known, not each of them."),
+    ]  # fmt: skip
+    page = Overview(
+        f"Calibration on {len(result.recordings)} recordings", _sentence(tables, result), figures,
+        [*_validation_tables(result), _error_table("Errors before", tables[0], shown=False),
+         _error_table("Errors after", tables[1], shown=False)],
+        result.warnings, facts,
+    )  # fmt: skip
+    return write_overview_folder(folder, page)
 
 
-def _path_figures(before: Sequence[Track], after: Sequence[Track] | None) -> dict[str, Figure]:
-    motions = list(dict.fromkeys(t.recording.motion for t in before))
-    columns = min(3, len(motions))
+def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calibration) -> str:
+    before, after = (_mm(t["mean"]) for t in tables)
+    said = f"Calibration brings the mean position error of odometry from {before} to {after} mm (RMSE)"
+    unseen = result.validation.get("leave_one_repetition_out")
+    if not unseen:
+        return f"{said} on the recordings that it was fitted to."
+    mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
+    return f"{said}; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
+
+
+def _mm(row: Mapping[str, Any]) -> str:
+    return f"{1e3 * float(row['rmse_position_m']):.1f}"
+
+
+def _words(motion: str) -> str:
+    return motion.replace("_", " ")
+
+
+def _motion_figures(before: Sequence[Track], after: Sequence[Track] | None) -> list[Drawn]:
+    """Ends, position and heading errors, a picture per motion; errors, since paths lie on each other."""
+    kinds = [(before, SERIES[1], "before" if after is not None else "odometry")]
+    kinds += [(after, SERIES[0], "after")] if after is not None else []
+    return [
+        Drawn("ends", "Where odometry ends", _per_motion(kinds, _draw_ends),
+              "Odometry minus ground truth at the end of each recording; zero is right."),
+        Drawn("position", "Position errors", _per_motion(kinds, _draw_position),
+              "Distance of odometry from ground truth; logarithmic above 1 mm."),
+        Drawn("heading", "Heading errors", _per_motion(kinds, _draw_heading), "Odometry minus ground truth."),
+    ]  # fmt: skip
+
+
+def _per_motion(kinds: Sequence[Kind], draw: Callable[[Axes, Sequence[Kind]], None]) -> Figure:
+    motions = list(dict.fromkeys(t.recording.motion for t in kinds[0][0]))
+    columns = min(2, len(motions))
     rows = -(-len(motions) // columns)
-    paths, errors = (Figure(figsize=(4.2 * columns, 3.4 * rows), layout="constrained") for _ in range(2))
+    figure = new_figure(5.2 if columns > 1 else 3.4, 2.1 * rows)
     for k, motion in enumerate(motions, start=1):
-        _draw_paths(paths.add_subplot(rows, columns, k), motion, before, after)
-        _draw_errors(errors.add_subplot(rows, columns, k), motion, before, after)
-    return {"paths": paths, "errors": errors}
+        axes = style(figure.add_subplot(rows, columns, k), "", "", _words(motion))
+        own = [([t for t in tracks if t.recording.motion == motion], *look) for tracks, *look in kinds]
+        draw(axes, own)  # type: ignore[arg-type]
+        if k == 1:
+            legend(axes)
+    return figure
 
 
-def _draw_paths(axes: Axes, motion: str, before: Sequence[Track], after: Sequence[Track] | None) -> None:
-    kinds = [(before, _BEFORE, "before" if after is not None else "odometry"), (after or [], _AFTER, "after")]
-    own = [t for t in before if t.recording.motion == motion]
-    turning = motion.startswith("rotation")
-    for k, run in enumerate(own):
-        pose = run.truth
-        line = (run.t_s, np.degrees(pose[:, 2])) if turning else (pose[:, 0], pose[:, 1])
-        axes.plot(*line, color=_TRUTH, lw=2.2, label="ground truth" if k == 0 else None)
+def _draw_ends(axes: Axes, kinds: Sequence[Kind]) -> None:
+    axes.axhline(0.0, color=PALETTE["reference"], lw=0.8)
+    axes.axvline(0.0, color=PALETTE["reference"], lw=0.8)
     for tracks, colour, label in kinds:
-        for k, run in enumerate(t for t in tracks if t.recording.motion == motion):
-            pose = run.odometry
-            line = (run.t_s, np.degrees(pose[:, 2])) if turning else (pose[:, 0], pose[:, 1])
-            axes.plot(*line, color=colour, lw=1.0, label=label if k == 0 else None)
-    axes.set_title(motion, fontsize=10)
-    axes.set_xlabel("time (s)" if turning else "x (m)")
-    axes.set_ylabel("heading (deg)" if turning else "y (m)")
-    if motion.startswith("circle"):
-        axes.set_aspect("equal", adjustable="datalim")
-    axes.legend(fontsize=7)
-    axes.grid(alpha=0.3)
+        ends = 1e3 * np.array([t.error[-1, :2] for t in tracks]).reshape(-1, 2)
+        axes.plot(ends[:, 0], ends[:, 1], "o", ms=4, color=colour, mec="none", label=label)
+    axes.set_xlabel("x error (mm)", fontsize=9)
+    axes.set_ylabel("y error (mm)", fontsize=9)
+    axes.margins(0.15)
 
 
-def _draw_errors(axes: Axes, motion: str, before: Sequence[Track], after: Sequence[Track] | None) -> None:
-    for tracks, colour, label in ((before, _BEFORE, "before"), (after or [], _AFTER, "after")):
-        for k, run in enumerate(t for t in tracks if t.recording.motion == motion):
+def _draw_position(axes: Axes, kinds: Sequence[Kind]) -> None:
+    for tracks, colour, label in kinds:
+        for k, run in enumerate(tracks):
             distance = np.hypot(run.error[:, 0], run.error[:, 1]) * 1e3
-            axes.plot(run.t_s, distance, color=colour, lw=1.0, label=label if k == 0 else None)
-    axes.set_title(motion, fontsize=10)
-    axes.set_xlabel("time (s)")
-    axes.set_ylabel("position error (mm)")
-    axes.set_yscale("symlog", linthresh=1.0)
-    axes.legend(fontsize=7)
-    axes.grid(alpha=0.3)
+            axes.plot(*thin(run.t_s, distance), color=colour, lw=1.0, label=label if k == 0 else None)
+    axes.set_xlabel("time (s)", fontsize=9)
+    axes.set_ylabel("error (mm)", fontsize=9)
+    plain_log(axes, linear_below=1.0)
+
+
+def _draw_heading(axes: Axes, kinds: Sequence[Kind]) -> None:
+    for tracks, colour, label in kinds:
+        for k, run in enumerate(tracks):
+            heading = np.degrees(run.error[:, 2])
+            axes.plot(*thin(run.t_s, heading), color=colour, lw=1.0, label=label if k == 0 else None)
+    axes.set_xlabel("time (s)", fontsize=9)
+    axes.set_ylabel("error (deg)", fontsize=9)
 
 
 def _parameters(result: Calibration) -> Figure:
@@ -119,17 +173,18 @@ def _parameters(result: Calibration) -> Figure:
     unit = np.where(np.arange(len(z)) < 12, 0.01 * result.fit.problem.sizes, np.radians(1.0))
     half = np.nan_to_num(result.intervals.quantile * result.intervals.std / unit)
     prior = result.fit.problem.prior_std / unit
-    figure = Figure(figsize=(8.4, 3.4), layout="constrained")
-    axes = figure.add_subplot()
+    figure = new_figure(5.2, 2.9)
+    axes = style(figure.add_subplot(), "", "change (1 % of length, or 1 deg)")
     at = np.arange(len(z))
-    axes.bar(at, 2 * prior, bottom=-prior, color="#e4e4e7", width=0.8, label="prior, one sigma")
-    axes.errorbar(at, (z - nominal) / unit, half, fmt="o", color=_AFTER, capsize=3, label="fit, 95 %")
+    axes.bar(at, 2 * prior, bottom=-prior, color=PALETTE["grid"], width=0.8, label="prior, one sigma")
+    axes.errorbar(
+        at, (z - nominal) / unit, half, fmt="o", ms=4, color=SERIES[0], capsize=3, label="fit, 95 %"
+    )
     axes.set_xticks(at, PARAMETER_NAMES[: len(z)], rotation=60, fontsize=8)
-    axes.set_ylabel("change (1 % of length, or 1 deg)")
     limit = 1.2 * float(np.max(np.abs((z - nominal) / unit)) + max(1.0, float(np.max(prior))))
     axes.set_ylim(-limit, limit)
-    axes.axhline(0.0, color=_TRUTH, lw=0.6)
-    axes.legend(fontsize=8)
+    axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
+    legend(axes, columns=2)
     return figure
 
 
@@ -139,68 +194,54 @@ def _correlation(result: Calibration) -> Figure:
     scale = 1.0 / problem.prior_std
     covariance = np.linalg.pinv(hessian / np.outer(scale, scale) + 1e-9 * np.eye(len(z)))
     spread = np.sqrt(np.diag(covariance))
-    figure = Figure(figsize=(6.8, 5.4), layout="constrained")
+    figure = new_figure(5.0, 4.0)
     axes = figure.add_subplot()
     image = axes.imshow(covariance / np.outer(spread, spread), cmap="RdBu_r", vmin=-1, vmax=1)
     names = PARAMETER_NAMES[: len(z)]
     axes.set_xticks(range(len(z)), names, rotation=90, fontsize=8)
     axes.set_yticks(range(len(z)), names, fontsize=8)
-    figure.colorbar(image, ax=axes, label="correlation of the estimates")
+    figure.colorbar(image, ax=axes, label="correlation")
     return figure
 
 
 def _weights(result: Calibration) -> Figure:
     problem = result.fit.problem
     names = problem.blocks.names
-    figure = Figure(figsize=(8.4, 2.8), layout="constrained")
-    axes = figure.add_subplot()
-    colours = ["#dc2626" if n in result.fit.rejected else _AFTER for n in names]
+    figure = new_figure(5.2, 2.6)
+    axes = style(figure.add_subplot(), "", "weight in the fit")
+    colours = [SERIES[4] if n in result.fit.rejected else SERIES[0] for n in names]
     axes.bar(range(len(names)), problem.weights, color=colours)
     axes.set_xticks(range(len(names)), names, rotation=90, fontsize=7)
-    axes.set_ylabel("weight in the fit")
     axes.set_ylim(0, 1.05)
     return figure
 
 
-def _error_table(title: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    keys = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
-    rows = [
-        [m, *(f"{row[k]:.4f}" for k in keys), f"{row['rmse_position_m'] * 1e3:.2f}",
-         f"{np.degrees(row['rmse_theta_rad']):.2f}"]
-        for m, row in table["motions"].items()
+def _error_table(title: str, table: Mapping[str, Any], *, shown: bool = True) -> Table:
+    axes = (("x", 1e3, "mm"), ("y", 1e3, "mm"), ("theta", _DEG, "deg"))
+    columns = [
+        (f"e_{axis}_{which}", f"{sign} {words} ({unit})", factor)
+        for axis, factor, unit in axes for which, words in (("m", "largest"), ("a", "mean"))
+        for sign in (axis if axis != "theta" else "θ",)
     ]  # fmt: skip
-    return {"title": title, "head": ["motion", *keys, "RMSE mm", "RMSE deg"], "rows": rows}
+    columns += [("rmse_position_m", "RMSE (mm)", 1e3), ("rmse_theta_rad", "RMSE (deg)", _DEG)]
+    rows = [
+        [_words(m), *(f"{factor * row[key]:.{1 if factor == 1e3 else 2}f}" for key, _, factor in columns)]
+        for m, row in table["motions"].items()
+    ]
+    note = "The largest error of each recording: its largest and mean over the repetitions."
+    return Table(title, ["motion", *(label for _, label, _ in columns)], rows, note, shown)
 
 
-def _validation_tables(result: Calibration) -> list[dict[str, Any]]:
+def _validation_tables(result: Calibration) -> list[Table]:
     if not result.validation:
         return []
     motions = list(result.validation["nominal"])
     rows = [
-        [name.replace("_", " "), *(
-            f"{table[m]['rmse_position_m'] * 1e3:.1f} / {np.degrees(table[m]['rmse_theta_rad']):.2f}"
-            if m in table else "" for m in motions
+        [_words(name), *(
+            f"{table[m]['rmse_position_m'] * 1e3:.1f} / {_DEG * table[m]['rmse_theta_rad']:.2f}"
+            if m in table else "–" for m in motions
         )]
         for name, table in result.validation.items()
     ]  # fmt: skip
     title = "Validation: position RMSE (mm) / heading RMSE (deg)"
-    return [{"title": title, "head": ["", *motions], "rows": rows}]
-
-
-def _write(
-    folder: Path, title: str, facts: Sequence[str], warnings: Sequence[str],
-    tables: Sequence[Mapping[str, Any]], figures: Mapping[str, Figure],
-) -> Path:  # fmt: skip
-    images = []
-    with staged(folder) as parts:
-        for name, figure in figures.items():
-            buffer = io.BytesIO()
-            figure.savefig(buffer, format="png", dpi=_DPI, bbox_inches="tight")
-            (parts / f"{name}.png").write_bytes(buffer.getvalue())
-            images.append((name, base64.b64encode(buffer.getvalue()).decode("ascii")))
-        environment = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True)
-        page = environment.get_template("calibration.html").render(
-            title=title, facts=facts, warnings=warnings, tables=tables, images=images
-        )
-        write_text(parts / "index.html", page)
-    return folder / "index.html"
+    return [Table(title, ["", *map(_words, motions)], rows)]

@@ -5,7 +5,7 @@ And the page of a record by itself.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -14,9 +14,9 @@ from markupsafe import Markup
 
 from hil.config.record import RobotRecord
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
-from hil.report.figures import figure_image
+from hil.report.figures import figure_image, save_figure
+from hil.report.pages import duration, environment
 from hil.report.robot_table import part_rows
-from hil.report.run_page import duration, environment
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.files import write_text
 
@@ -52,12 +52,19 @@ def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:
         ConfigError, DataError: the record cannot be read, or the page not written.
     """
     file = record.read()
-    page = (
-        environment()
-        .get_template("robot.html")
-        .render(file=file, parts=part_rows(file, today), history=record.history(), folder=str(record.folder))
-    )
+    parts = part_rows(file, today)
+    page = environment().get_template("robot.html").render(
+        file=file, parts=parts, sentence=_known(parts), history=record.history(), folder=str(record.folder)
+    )  # fmt: skip
     return write_text(path, page)
+
+
+def _known(parts: Sequence[Mapping[str, Any]]) -> str:
+    """How much of the robot is known, and what is out of date."""
+    known = [row for row in parts if row["known"]]
+    old = [row["title"] for row in known if row["out_of_date"]]
+    said = f"{len(known)} of {len(parts)} parts of the robot are known"
+    return f"{said}; out of date: {', '.join(old)}." if old else f"{said}, and none of them is out of date."
 
 
 def headline(wall: Mapping[str, Any]) -> str:
@@ -73,13 +80,7 @@ def headline(wall: Mapping[str, Any]) -> str:
 
 
 def _figure(folder: Path, wall: Mapping[str, Any]) -> Markup:
-    import matplotlib as mpl
-
-    path = folder / FIGURE
-    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": "ablation"}):
-        ablation_figure(wall).savefig(
-            path, format="svg", transparent=True, metadata={"Date": None, "Creator": None}
-        )
+    path = save_figure(ablation_figure(wall), folder / FIGURE)
     return figure_image(path, "What is known, and where the robot ends")
 
 

@@ -16,8 +16,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
 from hil.report.figures import drawn_image
+from hil.report.pages import environment, number
 from hil.report.result_file import CAMPAIGN_TABLE, GOOD, wrong_shape
-from hil.report.run_page import environment, number
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.files import write_text
@@ -169,7 +169,7 @@ def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
 def _figure(measured: Mapping[str, Any]) -> Markup:
     """The difference of every case in order of its size, and the mean with its interval."""
     change = np.sort(list(measured["changes"].values()))
-    figure = new_figure(6.4, 2.6)
+    figure = new_figure(5.2, 2.1)
     unit = measured["unit"].replace("$", r"\$")
     axes = style(figure.add_subplot(), "cases, by their difference", f"second minus first ({unit})")
     axes.plot(np.arange(1, len(change) + 1), change, "o", ms=4, color=PALETTE["c1"], mec="none")

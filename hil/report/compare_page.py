@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from hil.report.pages import environment, number, outcome_words
 from hil.report.result_file import read_result
-from hil.report.run_page import environment, number, outcome_words
+from hil.report.run_words import grouped
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.files import write_text
 
+_NAMED = 3
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 
 
@@ -103,11 +105,24 @@ def _change(row: Mapping[str, Any]) -> str:
     return "" if row["change"] is None else f"{row['change']:+.4g}"
 
 
+def _sentence(table: Mapping[str, Any]) -> str:
+    """Whether the last run came out other than the first, and what changed its outcome."""
+    first, last = table["runs"][0], table["runs"][-1]
+    turned = [row["name"] for row in table["measurements"] if row["outcomes"][0] != row["outcomes"][-1]]
+    said = f"{first['verdict']} in the first run, {last['verdict']} in the last."
+    if not turned:
+        return f"{said} No measurement changed its outcome."
+    more = f" and {len(turned) - _NAMED} more" if len(turned) > _NAMED else ""
+    return f"{said} Another outcome have {', '.join(turned[:_NAMED])}{more}."
+
+
 def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:
     """Write the page.
 
     Raises:
         DataError: it cannot be written.
     """
-    page = environment().get_template("run_compare.html").render(table=table, change=_change)
+    page = environment().get_template("run_compare.html").render(
+        table=table, change=_change, sentence=_sentence(table), groups=grouped(table["measurements"])
+    )  # fmt: skip
     return write_text(path, page)

@@ -1,12 +1,14 @@
 """Figures of a run as images of a page: they follow its theme and font, and can do nothing else.
 
 A results folder may come from anywhere. As an `<img>` an SVG runs no script, loads nothing and follows no
-link, whatever it holds; only its drawing is shown.
+link, whatever it holds; only its drawing is shown. What can be read off it goes beside it as checked numbers
+(`hil.report.readings`), for the page's own script.
 """
 
 from __future__ import annotations
 
 import base64
+import io
 import re
 import tempfile
 from pathlib import Path
@@ -15,6 +17,7 @@ from xml.parsers import expat
 
 from markupsafe import Markup
 
+from hil.report.readings import readings_of, taken_out
 from hil.report.run_plots import PALETTE
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import read_text
@@ -23,7 +26,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _MOST_BYTES = 64 << 20
-_PX_PER_PT = 1.35
+_PX_PER_PT = 1.6
 _INK, _DARK_INK = "#18181b", "#ececf0"
 _LIGHT = {
     "reference": "#71717a", "truth": "#18181b", "c1": "#2563eb", "c2": "#c76a06", "c3": "#047857",
@@ -35,8 +38,24 @@ _DARK = {
 }  # fmt: skip
 
 
+def save_figure(figure: Figure, path: Path) -> Path:
+    """Write a figure as SVG that can be read off; the same figure gives the same bytes. Returns the path.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    import matplotlib as mpl
+
+    drawn = io.StringIO()
+    with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
+        figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
+    head, found, rest = drawn.getvalue().rpartition("</svg>")
+    path.write_text(head + readings_of(figure) + found + rest, encoding="utf-8")
+    return path
+
+
 def figure_image(path: Path, title: str) -> Markup:
-    """An SVG file as an `<img>` that needs no other file.
+    """An SVG file as an `<img>` that needs no other file, in a box that knows what can be read off it.
 
     Args:
         path: of the SVG file.
@@ -45,19 +64,19 @@ def figure_image(path: Path, title: str) -> Markup:
     Raises:
         DataError: the file is missing or no SVG.
     """
-    svg = themed_svg(path)
+    svg, readings = taken_out(themed_svg(path))
     width = re.search(r'\bwidth="(\d{1,5}(?:\.\d*)?)pt"', svg.split(">", 1)[0])
     limit = Markup(' style="max-width:{}px"').format(round(float(width[1]) * _PX_PER_PT)) if width else ""
     data = base64.b64encode(svg.encode("utf-8", "replace")).decode("ascii")
-    return Markup('<img alt="{}"{} src="data:image/svg+xml;base64,{}">').format(title, limit, data)
+    known = Markup(' data-readings="{}"').format(readings) if readings else ""
+    image = Markup('<img alt="{}" src="data:image/svg+xml;base64,{}">').format(title, data)
+    return Markup('<div class="plot"{}{}>{}</div>').format(limit, known, image)
 
 
 def drawn_image(figure: Figure, title: str) -> Markup:
     """A figure that was just drawn, as `figure_image` of its file."""
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "figure.svg"
-        figure.savefig(file)
-        return figure_image(file, title)
+        return figure_image(save_figure(figure, Path(folder) / "figure.svg"), title)
 
 
 def themed_svg(path: Path) -> str:
@@ -86,12 +105,18 @@ def themed_svg(path: Path) -> str:
     return whole
 
 
-def _style() -> str:
-    def theme(ink: str, colours: dict[str, str]) -> str:
-        return ":root{" + f"color:{ink};" + "".join(f"--{k}:{v};" for k, v in colours.items()) + "}"
+def theme() -> dict[str, str]:
+    """Colours of figures as CSS variables, on `light` and on `dark` pages."""
+    return {
+        name: "".join(f"--{k}:{v};" for k, v in colours.items())
+        for name, colours in (("light", _LIGHT), ("dark", _DARK))
+    }
 
+
+def _style() -> str:
+    own = theme()
     return (
-        theme(_INK, _LIGHT)
-        + "@media (prefers-color-scheme: dark){" + theme(_DARK_INK, _DARK) + "}"
-        + "text{font-family:system-ui,sans-serif !important}"
-    )  # fmt: skip
+        f":root{{color:{_INK};{own['light']}}}"
+        f"@media (prefers-color-scheme: dark){{:root{{color:{_DARK_INK};{own['dark']}}}}}"
+        "text{font-family:system-ui,sans-serif !important}"
+    )

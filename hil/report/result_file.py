@@ -94,6 +94,7 @@ class _Result(_Part):
     teardown_errors: list[_Problem] = []
     measurements: list[_Row]
     summary: str = ""
+    headline: str = ""
     bench: str | None = None
     emulated: list[str] = []
     virtual_time: bool = False

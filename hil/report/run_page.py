@@ -1,21 +1,23 @@
 """The report of one run: a single HTML file made from its results folder, readable anywhere.
 
-Verdict first, then the measurements with their limits drawn, then what the procedure left: figures,
-tables, notes; last what is needed to repeat it. No network, no script, dark and light, phone and desk.
+What happened and the verdict first, then figures, then measurements with their limits drawn, by device, then
+tables; last, folded, what is needed to repeat it. No network, dark and light, phone and desk, print.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from hil.report.figures import figure_image
+from hil.report.pages import duration, environment, outcome_words
 from hil.report.result_file import RESULT, address, inside, own_file, read_result
+from hil.report.run_words import grouped, sentence
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import write_text
 from hil.vocabulary.reading import dotted
@@ -32,15 +34,20 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             cannot be written.
     """
     tree = read_result(folder)
+    rows = [row | {"bar": bar(row)} | outcome_words(row) for row in tree["measurements"]]
+    judged = [row for row in rows if row["tone"] != "reported"]
     page = (
         environment()
         .get_template("run.html")
         .render(
             run=tree,
             title=tree["procedure"].replace("_", " "),
-            rows=[row | {"bar": bar(row)} | outcome_words(row) for row in tree["measurements"]],
+            sentence=sentence(tree),
+            groups=grouped(judged),
+            reported=grouped([row for row in rows if row["tone"] == "reported"]),
             counts=counts(tree),
             figures=[f | {"image": _image(folder, f)} for f in tree["figures"]],
+            tables=[table | {"words": _columns_of_words(table["rows"])} for table in tree["tables"]],
             address=lambda path: address(folder, path),
             parameters=_flat(tree["parameters"]),
             config=_flat(tree["config"]),
@@ -59,38 +66,6 @@ def _image(folder: Path, figure: Mapping[str, Any]) -> Markup:
             remedy="ask for a results folder that holds its own figures",
         )  # fmt: skip
     return figure_image(path, figure["title"])
-
-
-def environment() -> Environment:
-    """Templates of the pages of runs."""
-    env = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True, trim_blocks=True)
-    env.filters["number"] = number
-    return env
-
-
-def number(value: object) -> str:
-    """A figure with four significant digits, a dash for none."""
-    if value is None:
-        return "–"
-    if isinstance(value, float):
-        return f"{value:.4g}"
-    return str(value)
-
-
-def duration(seconds: float | None) -> str:
-    """Seconds as people say them."""
-    if seconds is None:
-        return "–"
-    if seconds < 120:
-        return f"{seconds:.1f} s"
-    return f"{int(seconds // 60)} min {int(seconds % 60)} s"
-
-
-def outcome_words(row: Mapping[str, Any]) -> dict[str, str]:
-    """How an outcome is called and coloured; a value without limits is only reported."""
-    if row["outcome"] == "PASS" and not row.get("limited", True):
-        return {"word": "reported", "tone": "reported"}
-    return {"word": row["outcome"], "tone": row["outcome"]}
 
 
 def counts(tree: Mapping[str, Any]) -> dict[str, int]:
@@ -128,6 +103,13 @@ def bar(row: Mapping[str, Any]) -> dict[str, float] | None:
     start = 0.0 if low is None else at(low)
     end = _BAR if high is None else at(high)
     return {"start": start, "width": round(end - start, 2), "value": at(value)}
+
+
+def _columns_of_words(rows: Sequence[Sequence[str]]) -> set[int]:
+    """Columns, from 1, whose cells are text rather than numbers."""
+    return {
+        k for row in rows for k, cell in enumerate(row, start=1) if len(re.findall(r"[^\W\d_]{3,}", cell)) > 1
+    }
 
 
 def _flat(tree: Mapping[str, Any]) -> list[tuple[str, str]]:

@@ -31,7 +31,7 @@ SERIES = tuple(PALETTE[f"c{k}"] for k in range(1, 6))
 _POINTS = 400
 
 
-def new_figure(width_in: float = 6.4, height_in: float = 3.6) -> Figure:
+def new_figure(width_in: float = 5.2, height_in: float = 3.0) -> Figure:
     """An empty figure; its text stays text, in the reader's font."""
     from matplotlib.figure import Figure  # takes 0.7 s, which a run that draws nothing should not wait
 
@@ -88,7 +88,7 @@ def bars(names: Sequence[str], values: Sequence[float], y: str, limit: float | N
         y: label with unit.
         limit: of the absolute value; None for none.
     """
-    figure = new_figure(max(4.0, 1.2 + 0.7 * len(names)), 3.0)
+    figure = new_figure(max(3.4, 1.0 + 0.6 * len(names)), 2.6)
     axes = style(figure.add_subplot(), "", y)
     over = [limit is not None and abs(v) > limit for v in values]
     axes.bar(

@@ -199,7 +199,7 @@ def draw(ctx: Context, found: Fit) -> None:
     """Cells against the square of the speed, with the fitted line."""
     from hil.report.run_plots import SERIES, new_figure, style
 
-    levels, figure = found.levels, new_figure(5.6, 3.2)
+    levels, figure = found.levels, new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "speed (1000/min) squared", "load cells (N)")
     square = np.array([0.0, max(level.speed_rpm for level in levels) ** 2])
     axes.plot(1e-6 * square, sum(found.zero_n) + found.n_per_rpm2 * square, "-", color=SERIES[1], lw=1.5)

@@ -41,7 +41,7 @@ def stream_table(ctx: Context, streams: Mapping[str, Stream]) -> None:
 def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
     """Gaps of every stream: median to 99th percentile as a bar, the largest as a mark."""
     names = list(streams)
-    figure = new_figure(6.4, 0.8 + 0.42 * len(names))
+    figure = new_figure(5.2, 0.66 + 0.42 * len(names))
     axes = style(figure.add_subplot(), "time between samples (ms)", "")
     for row, stream in enumerate(streams.values()):
         middle, late, largest = (1e3 * v for v in stream.gap_s)
@@ -61,7 +61,7 @@ def draw_streams(ctx: Context, streams: Mapping[str, Stream]) -> None:
 
 def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
     """How the devices' clocks run away from the bench's."""
-    figure = new_figure(6.4, 3.0)
+    figure = new_figure(5.2, 2.5)
     axes = style(figure.add_subplot(), "time (s)", "delay against own clock (ms)")
     for colour, (name, stream) in zip(SERIES, streams.items(), strict=False):
         if stream.lag.shape[1]:
@@ -77,7 +77,7 @@ def draw_clocks(ctx: Context, streams: Mapping[str, Stream]) -> None:
 def draw_directions(ctx: Context, rounds: Sequence[DriveJogs]) -> None:
     """Plan of the robot: where each wheel pushed the body, and where it should have."""
     robot = ctx.source.config.robot
-    figure = new_figure(6.4, 3.6)
+    figure = new_figure(5.2, 3.0)
     for column, jogs in enumerate(rounds, start=1):
         title = f"steering {np.degrees(jogs.steering_rad):.0f}°"
         axes = style(figure.add_subplot(1, len(rounds), column), "to the right (m)", "forwards (m)", title)

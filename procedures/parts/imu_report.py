@@ -16,7 +16,7 @@ _DEG = float(np.degrees(1.0))
 
 def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> None:
     """Deviation by averaging time, per axis, beside the white noise found."""
-    figure = new_figure(6.4, 3.8)
+    figure = new_figure(5.2, 3.1)
     axes = style(figure.add_subplot(), "averaging time (s)", "Allan deviation (deg/s)")
     for colour, (axis, curve) in zip(SERIES, curves.items(), strict=False):
         axes.loglog(curve.tau_s, curve.deviation, color=colour, lw=1.5, label=f"chip {axis}")
@@ -36,7 +36,7 @@ def draw_allan(ctx: Context, curves: Mapping[str, Allan], density: float) -> Non
 
 def draw_headings(ctx: Context, true: Array, error: Array, offset: float, slope: float) -> None:
     """Error of the heading from gravity by heading, as figure and table; all in rad."""
-    figure = new_figure(6.4, 3.2)
+    figure = new_figure(5.2, 2.6)
     axes = style(
         figure.add_subplot(), "heading by motion capture (deg)", "gravity minus motion capture (deg)"
     )

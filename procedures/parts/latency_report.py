@@ -32,7 +32,7 @@ def table(ctx: Context, signals: Aged) -> None:
 
 def draw_chain(ctx: Context, signals: Aged) -> None:
     """Per signal: until it happened by its stamps, and until the loop knew."""
-    figure = new_figure(6.4, 0.9 + 0.4 * len(signals))
+    figure = new_figure(5.2, 0.74 + 0.4 * len(signals))
     axes = style(figure.add_subplot(), "time after the command (ms)", "")
     for row, (delay, age) in enumerate(signals.values()):
         happened, known = 1e3 * delay.delay_s, 1e3 * (delay.delay_s + age)
@@ -56,7 +56,7 @@ def draw_signals(
     title: str, label: str, factor: float,
 ) -> None:  # fmt: skip
     """The first seconds of the command and of every signal: to one size, without offset and drift."""
-    figure = new_figure(6.4, 3.4)
+    figure = new_figure(5.2, 2.8)
     axes = style(figure.add_subplot(), "time (s)", label)
     t = np.linspace(0.0, _SHOWN_S, 600)
     axes.plot(t, factor * command(t), color=PALETTE["truth"], lw=1.8, label="command")

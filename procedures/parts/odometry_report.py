@@ -115,7 +115,7 @@ def error_table(ctx: Context, title: str, table: Any) -> None:
 
 def draw_rounds(ctx: Context, runs: Sequence[Driven]) -> None:
     """Position error of every round and of the validation run, with the parameters that drove it."""
-    figure = new_figure(5.6, 3.2)
+    figure = new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "", "position RMSE (mm)")
     rng = np.random.default_rng(0)
     for k, run in enumerate(runs):
@@ -139,7 +139,7 @@ def draw_validation(ctx: Context, before: Sequence[Track], after: Sequence[Track
     motions = list(dict.fromkeys(t.recording.motion for t in after))
     columns = 2
     rows = -(-len(motions) // columns)
-    paths, errors = new_figure(6.4, 2.6 * rows), new_figure(6.4, 2.2 * rows)
+    paths, errors = new_figure(5.2, 2.1 * rows), new_figure(5.2, 1.8 * rows)
     for k, motion in enumerate(motions, start=1):
         own = [(b, a) for b, a in zip(before, after, strict=True) if a.recording.motion == motion]
         _paths(paths.add_subplot(rows, columns, k), motion, *own[0], first=k == 1)

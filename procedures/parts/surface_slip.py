@@ -160,7 +160,7 @@ def draw(ctx: Any, rows: Sequence[dict[str, list[float]]]) -> None:
     """Downhill slip of every motion, by direction."""
     from hil.report.run_plots import SERIES, new_figure, style
 
-    figure = new_figure(5.6, 3.2)
+    figure = new_figure(4.6, 2.6)
     axes = style(figure.add_subplot(), "", "downhill slip (mm per m)")
     names = list(rows[0])
     for k, name in enumerate(names):

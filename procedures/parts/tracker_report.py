@@ -52,7 +52,7 @@ def draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> No
     """Path of the camera by motion capture, and by the camera, aligned to it."""
     by_truth = camera_path(truth, seen.t_s - found.late_s, found)
     laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
-    figure = new_figure(6.4, 4.2)
+    figure = new_figure(5.2, 3.4)
     axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
     x, y = thin(*by_truth.T)
     axes.plot(y, x, color=PALETTE["truth"], lw=2.2, label="motion capture and mount found")
@@ -70,7 +70,7 @@ def draw_lateness(ctx: Context, parts: Intervals, truth: Truth, found: Extrinsic
     assert config is not None
     late = found.late_s + np.linspace(-0.03, 0.03, 61)
     curve = lateness_curve(parts, truth, found, config.mount_rotation_wxyz, late)
-    figure = new_figure(6.4, 3.0)
+    figure = new_figure(5.2, 2.5)
     axes = style(figure.add_subplot(), "lateness of the camera's stamps (ms)", "error of the turn (mrad)")
     axes.plot(1e3 * late, 1e3 * curve, color=SERIES[0], lw=1.5)
     axes.axvline(1e3 * found.late_s, color=PALETTE["reference"], lw=1.2, ls="--", label="found")

@@ -40,7 +40,7 @@ def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
         "x_w_m": 4, "y_w_m": 4, "r_m": 4, "delta0_rad": 4,
     }  # fmt: skip
     page = (tmp_path / "p" / "index.html").read_text()
-    assert "data:image/png;base64" in page
+    assert "data:image/svg+xml;base64" in page
     assert "http" not in page.replace("http-equiv", "")
     _, before = run_json(capsys, "evaluate", data)
     _, after = run_json(capsys, "evaluate", data, "--calibration", out)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -13,8 +14,8 @@ from hil.config.loading import load_bench
 from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RecordedRun, RunStart, read_runs, read_stored_cycles
 from hil.replay.comparison import KINDS, compare, compare_run, consistency, errors, table
-from hil.replay.page import write_replay_page
 from hil.replay.verification import ESTIMATION, RecordedReferences, verify, verify_cycle
+from hil.report.replay_page import write_replay_page
 from hil.ring.alignment import Alignment, AlignmentParameters
 from hil.ring.loop import Brain
 from hil.ring.supervisor import SafetyLimits, Supervisor
@@ -236,9 +237,11 @@ def test_estimation_alone_can_be_verified_without_the_controller():
 def test_the_page_shows_every_estimator(tmp_path):
     records = [moving(0.03, k) for k in range(60)]
     motions = compare(records, {"dead <reckoning>": DeadReckoning()}, START)
-    write_replay_page(tmp_path / "page.html", "Replay", motions, ("verified",))
+    write_replay_page(tmp_path / "page.html", "Replay", motions, table(motions), ("cut off",))
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert "dead &lt;reckoning&gt;" in page
-    assert page.count("data:image/png;base64,") == 3
+    assert page.count("data:image/svg+xml;base64,") == 3
+    assert "RMSE in mm" in page
+    assert not re.search(r"\bnan\b", page)
     with pytest.raises(DataError, match="cannot be written"):
-        write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, ())
+        write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, table(motions))

@@ -12,8 +12,9 @@ from markupsafe import Markup
 
 from hil.procedure.campaign.table import Row
 from hil.report.figures import drawn_image
+from hil.report.pages import environment
 from hil.report.result_file import GOOD
-from hil.report.run_page import PAGE, environment
+from hil.report.run_page import PAGE
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
 
@@ -40,7 +41,8 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
+            campaign=tree, good=sum(tree["verdicts"].get(v, 0) for v in GOOD),
+            figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
     )  # fmt: skip
@@ -63,7 +65,7 @@ def _figure(name: str, rows: Sequence[Row]) -> Markup:
     for row in rows:
         groups.setdefault(row.case.group, []).append(row)
     first = next(row.measurements[name] for row in rows if name in row.measurements)
-    figure = new_figure(max(4.0, 1.6 + 0.9 * len(groups)), 2.8)
+    figure = new_figure(max(3.4, 1.4 + 0.8 * len(groups)), 2.4)
     axes = style(figure.add_subplot(), "", f"{name} ({first['unit']})".replace("$", r"\$"))
     for column, own in enumerate(groups.values()):
         values = np.array(_values(name, own))

@@ -1,7 +1,7 @@
 """The page of trends: each measurement over all runs of a bench, with limits, control limits, calibrations.
 
-The drawings are made of the page's own markup: they follow its theme, a hover names run and value, and
-nothing is loaded.
+The drawings are made of the page's own markup and follow its theme. Their readings are those of all figures:
+a hover names run and value.
 """
 
 from __future__ import annotations
@@ -13,7 +13,8 @@ from typing import Any
 
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
 from hil.report.history.series import Group, Series
-from hil.report.run_page import environment, number
+from hil.report.pages import environment, number
+from hil.report.readings import MOST_POINTS, Curve, Readings, Scale, as_json
 from hil.vocabulary.files import write_text
 
 PAGE = "trends.html"
@@ -52,7 +53,7 @@ def drawing(series: Series) -> dict[str, Any]:
 
     Returns:
         `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),
-        `control` (x, width, top, height, y of the centre) and `calibrations` (x, words).
+        `control` (x, width, top, height, y of the centre), `calibrations` (x, words) and `readings` (JSON).
     """
     points, reach = series.points, _span(series)
     step = (_WIDTH - 2 * _EDGE) / max(1, len(points) - 1)
@@ -90,7 +91,30 @@ def drawing(series: Series) -> dict[str, Any]:
         "limits": limits,
         "control": control,
         "calibrations": calibrations,
+        "readings": _readings(series, step),
     }
+
+
+def _readings(series: Series, step: float) -> str:
+    """Runs and values for the page's script, numbered from 0."""
+    values, last = [p.value for p in series.points], len(series.points) - 1
+    edge = _EDGE / step
+    low, high = _span(series)
+    room = (high - low) * _EDGE / (_HEIGHT - 2 * _EDGE)
+    unit = "" if series.unit == "1" else f" ({series.unit})"
+    runs = {str(k): f"{p.when:%Y-%m-%d %H:%M} UTC, {p.run}"[:200] for k, p in enumerate(series.points)}
+    return as_json(
+        (_WIDTH, _HEIGHT),
+        Readings(
+            box=(0.0, 0.0, _WIDTH, _HEIGHT), zoom=False,
+            x=Scale(label="", limits=(-edge, last + edge), names=dict(list(runs.items())[-MOST_POINTS:])),
+            y=Scale(label=f"value{unit}", limits=(low - room, high + room)),
+            series=[
+                Curve(colour="reference", x=list(map(float, range(last + 1)))[-MOST_POINTS:],
+                      y=values[-MOST_POINTS:], mark=True)
+            ],
+        ),
+    )  # fmt: skip
 
 
 def _span(series: Series) -> tuple[float, float]:

@@ -15,8 +15,8 @@ from typing import Any
 
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
 from hil.report.history.found import RUN, Kept
+from hil.report.pages import number
 from hil.report.result_file import GOOD
-from hil.report.run_page import number
 
 _URGENCY = (DRIFTING, OUTSIDE, STEADY, TOO_FEW)
 _COUNTED = (*GOOD, "FAIL")

@@ -1,0 +1,78 @@
+"""What all pages share: templates, the script for figures, and how numbers, times and verdicts are said."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from collections.abc import Mapping
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, PackageLoader
+from markupsafe import Markup
+
+from hil.report.figures import theme
+
+_PLAIN = 1e6
+
+
+@cache
+def environment() -> Environment:
+    """Templates of the pages; `script` is the only one that a page runs, and its policy names its hash."""
+    env = Environment(loader=PackageLoader("hil.report", "templates"), autoescape=True, trim_blocks=True)
+    env.filters["number"] = number
+    env.filters["duration"] = duration
+    script = files("hil.report").joinpath("templates/figure.js").read_text("utf-8")
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode("ascii")
+    env.globals |= {
+        "script": Markup(script),
+        "script_hash": f"sha256-{digest}",
+        "figure_theme": {name: Markup(colours) for name, colours in theme().items()},
+    }
+    return env
+
+
+def number(value: object) -> str:
+    """A figure with four significant digits, a dash for none."""
+    if value is None:
+        return "–"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        if not math.isfinite(value):
+            return "–"
+        return f"{value:.0f}" if 1e3 <= abs(value) < _PLAIN else f"{value:.4g}"
+    return str(value)
+
+
+def quantity(value: float | None, unit: str) -> str:
+    """A number with its unit: `1.5 mm`; without one for a share."""
+    return number(value) if unit in ("1", "") or value is None else f"{number(value)} {unit}"
+
+
+def duration(seconds: float | None) -> str:
+    """Seconds as people say them."""
+    if seconds is None:
+        return "–"
+    if seconds < 120:
+        return f"{seconds:.1f} s"
+    return f"{int(seconds // 60)} min {int(seconds % 60)} s"
+
+
+def outcome_words(row: Mapping[str, Any]) -> dict[str, str]:
+    """How an outcome is called and coloured; a value without limits is only reported."""
+    if row["outcome"] == "PASS" and not row.get("limited", True):
+        return {"word": "reported", "tone": "reported"}
+    return {"word": row["outcome"], "tone": row["outcome"]}
+
+
+def limit_words(row: Mapping[str, Any]) -> str:
+    """Limits of a measurement in words: `at most 8 mm`; empty for none."""
+    low, high, unit = row["low"], row["high"], row["unit"]
+    if low is not None and high is not None:
+        return f"{number(low)} to {quantity(high, unit)}"
+    if high is not None:
+        return f"at most {quantity(high, unit)}"
+    return f"at least {quantity(low, unit)}" if low is not None else ""

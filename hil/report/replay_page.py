@@ -1,0 +1,168 @@
+"""The page that compares estimators on a recording: how far each is off, and how sure it was of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.estimator.consistency import nees
+from hil.report.overview import Drawn, Overview, Table, write_overview
+from hil.report.pages import number
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
+from hil.ring.motion import Motion
+from hil.vocabulary.geometry import Array, wrap_array
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Numbers = Mapping[str, Mapping[str, float | None]]
+
+_DEG = math.degrees(1.0)
+_ERRORS = (
+    ("rmse_position_m", "position RMSE (mm)", 1e3), ("rmse_theta_rad", "heading RMSE (deg)", _DEG),
+    ("final_position_m", "at the end (mm)", 1e3), ("max_position_m", "largest (mm)", 1e3),
+)  # fmt: skip
+_SURE = (
+    ("nees_pose", "NEES", 1.0), ("nis_wheels", "NIS wheels", 1.0), ("nis_gyro", "NIS gyro", 1.0),
+    ("nis_tracker", "NIS camera", 1.0), ("nis_gravity", "NIS gravity", 1.0),
+    ("lag1_gyro", "gyro, correlation", 1.0), ("rejected_wheels", "wheels left out", 1.0),
+    ("rejected_gyro", "gyro left out", 1.0), ("rejected_tracker", "camera left out", 1.0),
+)  # fmt: skip
+_NAMES = {"recorded": "as recorded", "ekf": "EKF", "ukf": "UKF"}
+_IDEAL_NEES = 3.0
+_LEAST_NEES, _MOST_NEES = 1e-2, 1e6
+_SAME_M = 1e-9
+_LITTLE_M = 0.05
+
+
+def write_replay_page(
+    path: Path, title: str, motions: Mapping[str, Motion], numbers: Numbers, facts: Sequence[str] = ()
+) -> Path:
+    """Write the page; returns its path.
+
+    Args:
+        path: HTML file.
+        title: heading.
+        motions: the same run as recorded and as each estimator sees it, by name.
+        numbers: `hil.replay.comparison.table` of them.
+        facts: warnings above the figures: what could not be read.
+
+    Raises:
+        DataError: the file cannot be written.
+    """
+    drawn = dict(_drawn(motions))
+    figures = [
+        Drawn("errors", "Errors", _errors(drawn),
+              "Estimate minus motion capture. X is up the wall, Y to the left."),
+        Drawn("path", "Path", _path(drawn), "Motion capture, and what each estimator believed."),
+        Drawn("confidence", "How sure, and how wrong", _confidence(drawn),
+              "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
+              "more is too sure of itself."),
+    ]  # fmt: skip
+    tables = [
+        _table("Errors against motion capture", _ERRORS, numbers),
+        _table("How sure each was of itself", _SURE, numbers,
+               "NEES is ideal at 3, NIS at 1, the correlation of the gyro's innovations at 0. The last "
+               "columns count measurements that were refused."),
+    ]  # fmt: skip
+    return write_overview(path, Overview(title, _sentence(numbers), figures, tables, facts))
+
+
+def _sentence(numbers: Numbers) -> str:
+    known = {n: 1e3 * v for n, row in numbers.items() if (v := row["rmse_position_m"]) is not None}
+    if not known:
+        return "The recording has no motion capture, so nobody can say which estimator was right."
+    said = ", ".join(f"{_name(name)} {number(round(error, 2))}" for name, error in known.items())
+    best = _name(min(known, key=lambda name: known[name]))
+    return f"Position errors against motion capture (RMSE in mm): {said}. The smallest is that of {best}."
+
+
+def _name(name: str) -> str:
+    return _NAMES.get(name, name)
+
+
+def _drawn(motions: Mapping[str, Motion]) -> Iterator[tuple[str, Motion]]:
+    """What is drawn, by label: estimates that are the same are one curve."""
+    groups: list[tuple[list[str], Motion]] = []
+    for name, motion in motions.items():
+        same = next((g for g in groups if _same(g[1], motion)), None)
+        if same is not None:
+            same[0].append(_name(name))
+        else:
+            groups.append(([_name(name)], motion))
+    for names, motion in groups:
+        yield " = ".join(names), motion
+
+
+def _same(one: Motion, other: Motion) -> bool:
+    a, b = one.estimate, other.estimate
+    return a.shape == b.shape and bool(np.allclose(a, b, rtol=0.0, atol=_SAME_M, equal_nan=True))
+
+
+def _difference(motion: Motion) -> Array:
+    """Estimate minus truth (n, 3), m and rad."""
+    difference: Array = motion.estimate - motion.mocap
+    difference[:, 2] = wrap_array(difference[:, 2])
+    return difference
+
+
+def _errors(motions: Mapping[str, Motion]) -> Figure:
+    figure = new_figure(5.2, 5.0)
+    units = (("x error (mm)", 1e3), ("y error (mm)", 1e3), ("heading error (deg)", _DEG))
+    for k, (label, factor) in enumerate(units):
+        axes = style(figure.add_subplot(3, 1, k + 1), "time (s)" if k == 2 else "", label)
+        axes.axhline(0.0, color=PALETTE["reference"], lw=1.0)
+        for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+            axes.plot(*thin(motion.t_s, factor * _difference(motion)[:, k]), color=colour, lw=1.2, label=name)
+        if k == 0:
+            legend(axes, columns=3)
+    return figure
+
+
+def _path(motions: Mapping[str, Motion]) -> Figure:
+    """Seen by who stands before the wall: X up, Y to the left; a side on which little happens is enlarged."""
+    truth = next(iter(motions.values())).mocap
+    extent = np.nanmax(truth[:, :2], axis=0) - np.nanmin(truth[:, :2], axis=0) if len(truth) else np.ones(2)
+    (in_x, x_unit), (in_y, y_unit) = ((1e3, "mm") if w < _LITTLE_M else (1.0, "m") for w in extent)
+    figure = new_figure(5.2, 3.6)
+    axes = style(figure.add_subplot(), f"Y, left ({y_unit})", f"X, up ({x_unit})")
+    axes.plot(in_y * truth[:, 1], in_x * truth[:, 0], color=PALETTE["truth"], lw=2.2, label="motion capture")
+    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+        x, y = motion.estimate[:, 0], motion.estimate[:, 1]
+        axes.plot(in_y * y, in_x * x, color=colour, lw=1.1, label=name)
+    axes.invert_xaxis()
+    if x_unit == y_unit:
+        axes.set_aspect("equal", adjustable="datalim")
+    legend(axes)
+    return figure
+
+
+def _confidence(motions: Mapping[str, Motion]) -> Figure:
+    figure = new_figure(5.2, 2.8)
+    axes = style(figure.add_subplot(), "time (s)", "NEES of the pose")
+    for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
+        values = nees(_difference(motion), motion.covariance[:, :3, :3])
+        shown = np.where(values > 0, np.clip(values, _LEAST_NEES, _MOST_NEES), np.nan)
+        axes.plot(*thin(motion.t_s, shown), color=colour, lw=1.1, label=name)
+    axes.axhline(_IDEAL_NEES, color=PALETTE["truth"], lw=1.0, ls="--")
+    plain_log(axes)
+    legend(axes, columns=3)
+    return figure
+
+
+def _table(title: str, columns: Sequence[tuple[str, str, float]], numbers: Numbers, note: str = "") -> Table:
+    """Only the columns in which somebody has a figure."""
+    known = [c for c in columns if any(row.get(c[0]) is not None for row in numbers.values())]
+    rows = [
+        [_name(name), *(number(_times(row.get(key), factor)) for key, _, factor in known)]
+        for name, row in numbers.items()
+    ]  # fmt: skip
+    return Table(title, ["estimator", *(label for _, label, _ in known)], rows, note)
+
+
+def _times(value: float | None, factor: float) -> float | None:
+    return None if value is None else factor * value

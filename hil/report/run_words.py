@@ -1,0 +1,82 @@
+"""What happened in a run, in a sentence; and its measurements in groups, by the device that they speak of."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hil.report.pages import limit_words, quantity
+
+_WHEEL = re.compile(r"^(?:steer|drive|wheel)_(FL|BL|BR|FR)$")
+_CASES = {"x_line": "up the wall (X line)", "y_line": "across the wall (Y line)", "scan": "scan"}
+_WHOLE = "the run as a whole"
+_FEW = 8
+_NAMED = 3
+
+
+def sentence(tree: Mapping[str, Any]) -> str:
+    """What happened: what ended the run early, else what its procedure says, and how its limits did.
+
+    Args:
+        tree: of `result.json`.
+    """
+    if tree["error"]:
+        return f"The run ended early, in “{tree['error']['step']}”: {tree['error']['message']}"
+    own = str(tree.get("headline") or "")
+    return f"{own} {_limits(tree['measurements'])}".strip()
+
+
+def _limits(rows: Sequence[Mapping[str, Any]]) -> str:
+    judged = [r for r in rows if r["value"] is not None and (r["low"] is not None or r["high"] is not None)]
+    failed = [r for r in judged if r["outcome"] == "FAIL"]
+    near = [r for r in judged if r["outcome"] == "MARGINAL"]
+    if failed:
+        return f"{_of(failed, judged, 'failed')}: {_named(failed)}."
+    if not judged:
+        return ""
+    if near:
+        return f"{_of(near, judged, 'held by little')}: {_named(near)}."
+    return "Its one limit held." if len(judged) == 1 else f"All {len(judged)} limits held."
+
+
+def _of(some: Sequence[object], every: Sequence[object], did: str) -> str:
+    if len(every) == 1:
+        return f"Its one limit {did}"
+    return f"{len(some)} of {len(every)} limits {did}"
+
+
+def _named(rows: Sequence[Mapping[str, Any]]) -> str:
+    said = [f"{r['name']} is {quantity(r['value'], r['unit'])}, {limit_words(r)}" for r in rows[:_NAMED]]
+    return "; ".join(said) + (f"; and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
+
+
+def grouped(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """Rows of measurements in groups, by what stands before the first dot of their names.
+
+    Returns:
+        `title`, `rows`, their `count`, `counts` by outcome, and `bad`, the outcomes that are no pass, of each
+        group; few rows, or rows of one kind, are one group without a title.
+    """
+    titles = [_title(str(row["name"])) for row in rows]
+    together = len(rows) <= _FEW or len(set(titles)) < 2
+    groups: dict[str, list[Mapping[str, Any]]] = {}
+    for title, row in zip(titles, rows, strict=True):
+        groups.setdefault("" if together else title, []).append(row)
+    return [_group(title, own) for title, own in groups.items()]
+
+
+def _group(title: str, rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    counts = Counter(str(row["outcome"]) for row in rows if "outcome" in row)
+    return {
+        "title": title, "rows": rows, "count": len(rows), "counts": counts, "bad": set(counts) - {"PASS"},
+    }  # fmt: skip
+
+
+def _title(name: str) -> str:
+    first, dot, _ = name.partition(".")
+    if not dot and not (_WHEEL.match(first)):
+        return _WHOLE
+    wheel = _WHEEL.match(first)
+    return f"wheel {wheel[1]}" if wheel else _CASES.get(first, first.replace("_", " "))
