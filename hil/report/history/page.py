@@ -45,7 +45,8 @@ def headline(found: Sequence[Group]) -> str:
     if not all_series:
         return "No run that came to its end has measured anything yet."
     told = [f"{counts[state]} {words}" for state, words in _IN_WORDS.items() if counts[state]]
-    return f"{len(all_series)} measurements in {runs} runs: {', '.join(told)}."
+    many = "s" * (len(all_series) != 1), "s" * (runs != 1)
+    return f"{len(all_series)} measurement{many[0]} in {runs} run{many[1]}: {', '.join(told)}."
 
 
 def drawing(series: Series) -> dict[str, Any]:
