@@ -16,7 +16,7 @@ from collections.abc import Sequence
 import click
 
 from hil import __version__
-from hil.cli.options import SuggestingGroup
+from hil.cli.options import PROGRESS, SuggestingGroup
 from hil.cli.output import Answered, Output, error_as_json
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, HilError, UsageError
 from hil.vocabulary.reading import printable
@@ -84,8 +84,10 @@ def _module(name: str) -> str:
 
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__)
+@click.option("--progress", type=click.Choice(PROGRESS), default=PROGRESS[0], show_default=True,
+              help="Who reads stderr: a person, or a program, a JSON object per line.")  # fmt: skip
 @click.option("-v", "--verbose", count=True, help="More messages on stderr (twice: debug).")
-def cli(verbose: int) -> None:
+def cli(verbose: int, progress: str) -> None:
     """Hardware-in-the-loop bench for a 4WIS4WID wall-climbing robot."""
     level = (logging.WARNING, logging.INFO, logging.DEBUG)[min(verbose, 2)]
     logging.basicConfig(level=level, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s")

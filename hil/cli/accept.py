@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
 
@@ -20,7 +21,7 @@ from hil.cli.progress import reporting
 @click.option("--realtime", is_flag=True, help="Emulated devices at the wire, in real time.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
-@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the question.")
+@answers_option
 @click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/accept/TIME].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -39,20 +40,21 @@ def command(
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import Answers, Terminal
     from hil.report.acceptance_page import write_acceptance
     from hil.vocabulary.files import check_folder
 
     folder = results_folder("accept", out, None)
     check_folder(folder)
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
-    source = BenchSource(bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults)
+    source = BenchSource(
+        bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()
+    )  # fmt: skip
     with interrupts.installed(), interrupts.deferred():
         with reporting() as report:
             told, code = accept(
                 Acceptance(
                     source, _now, on_stand=on_stand,
-                    operator=Terminal() if answers is None else Answers(answers), report=report,
+                    operator=operator(answers), report=report,
                     interrupts=interrupts,
                 )
             )  # fmt: skip

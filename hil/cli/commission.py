@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from hil.cli import start
+from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
 
@@ -32,7 +33,7 @@ DEFAULT = "emulated_delivered"
 @click.option("--set", "settings", multiple=True, metavar="bench.KEY=VALUE", help="Key of the bench file.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
 @start.option
-@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@answers_option
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     bench: str, quick: bool, seed: int, out: Path | None, resume: bool, emulate: str | None, realtime: bool,
@@ -47,12 +48,11 @@ def command(
     from hil.procedure.commission import Commission, commission
     from hil.procedure.commission.state import NAME
     from hil.procedure.interrupts import Interrupts
-    from hil.procedure.operator import Answers, Terminal
     from hil.vocabulary.clock import MonotonicClock
 
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
-        overrides={**_overrides(settings), **start.start_override(start_pose)},
+        overrides={**_overrides(settings), **start.start_override(start_pose)}, watch=watching(),
     )  # fmt: skip
     source = source.changed(overrides=start.asked_start(source.config))
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
@@ -61,7 +61,7 @@ def command(
         told, code = commission(
             Commission(
                 source, folder, MonotonicClock(), _now, quick=quick, resume=resume,
-                operator=Terminal() if answers is None else Answers(answers), report=report,
+                operator=operator(answers), report=report,
                 interrupts=interrupts,
             )
         )  # fmt: skip

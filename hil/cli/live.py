@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
+from hil.cli.attended import watching
 from hil.cli.options import SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, UsageError
@@ -138,6 +139,8 @@ def command(
             try:
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 monitor = _monitor(opened, view)
+                for sink in watching():
+                    opened.add_sink(sink)
                 session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
                 _live(session, view, as_json=as_json)
             finally:

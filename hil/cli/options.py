@@ -16,6 +16,8 @@ import click
 from hil.vocabulary.errors import UsageError, did_you_mean
 
 SEED = click.IntRange(min=0)
+PROGRESS = ("auto", "json")
+"""Who reads progress, questions and figures on stderr: a person, or a program."""
 
 
 def results_folder(name: str, out: Path | None, resumed_by: str | None) -> Path:

@@ -1,19 +1,27 @@
-"""Progress on stderr with the time left: bars on a terminal, elsewhere a line per tenth of the work."""
+"""Progress on stderr with the time left: bars on a terminal, elsewhere a line per tenth of the work.
+
+With `--progress json`, before the command, a program reads it: one object per line with one key, `progress`,
+`question`, `answered`, `live` or `held`. Every other line is a message.
+"""
 
 from __future__ import annotations
 
+import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.vocabulary.clock import Clock, MonotonicClock
+from hil.cli.options import PROGRESS
+from hil.vocabulary.clock import Clock, MonotonicClock, nanoseconds
 from hil.vocabulary.progress import WHOLE, Pace, Report, in_words, silent
 
 if TYPE_CHECKING:
     from rich.progress import TaskID
+
+_BETWEEN_NS = nanoseconds(0.2)
 
 
 @contextmanager
@@ -27,11 +35,42 @@ def reporting(quiet: bool = False, clock: Clock | None = None) -> Iterator[Repor
     times = clock if clock is not None else MonotonicClock()
     if quiet:
         yield silent
+    elif for_a_program():
+        yield _Objects(times)
     elif sys.stderr.isatty():
         with _bars(times) as report:
             yield report
     else:
         yield _Lines(times)
+
+
+def for_a_program() -> bool:
+    """Whether `--progress json` was given."""
+    context = click.get_current_context(silent=True)
+    return context is not None and context.find_root().params.get("progress") == PROGRESS[1]
+
+
+def tell(kind: str, data: Mapping[str, Any] | str) -> None:
+    """One object on stderr, `{kind: data}`."""
+    click.echo(json.dumps({kind: data}, allow_nan=False), err=True)
+
+
+class _Objects:
+    """An object per step of the work, a few in a second at the most."""
+
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._paces: dict[str, Pace] = {}
+        self._told_ns: dict[str, int] = {}
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        pace = self._paces.setdefault(what, Pace(self._clock))
+        pace.update(done, total)
+        now_ns = self._clock.now_ns()
+        if 0 < done < total and now_ns < self._told_ns.get(what, now_ns) + _BETWEEN_NS:
+            return
+        self._told_ns[what] = now_ns
+        tell("progress", {"what": what, "done": done, "total": total, "left_s": pace.left_s})
 
 
 class _Lines:

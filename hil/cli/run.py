@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli import start
+from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
 
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     "--dry-run", "dry", is_flag=True, help="Print steps, check limits and trajectories, move nothing."
 )
 @click.option("--quick", is_flag=True, help="The procedure's quick form; --set counts above it.")
-@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@answers_option
 @click.option("--on-recording-failure", "on_failure", type=click.Choice(["stop", "go-on"]), default="stop",
               show_default=True, help="When the disk no longer takes recording or journal.")  # fmt: skip
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
@@ -65,6 +66,7 @@ def command(
     source = BenchSource(
         bench or proc.bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults,
         overrides={**overrides, **start.start_override(start_pose)}, calibration=calibration,
+        watch=watching(),
     )  # fmt: skip
     if dry:
         from hil.procedure.dry_run import dry_run
@@ -96,18 +98,16 @@ def _run(
     proc: Procedure, source: Any, folder: Path, parameters: dict[str, Any], answers: Path | None,
     resume: bool, on_failure: OnFailure, interrupts: Interrupts,
 ) -> Result:  # fmt: skip
-    from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
     from hil.vocabulary.clock import MonotonicClock
 
-    operator = Terminal() if answers is None else Answers(answers)
     with reporting() as report:
         return run_procedure(
             proc, source,
             RunOptions(
                 folder=folder, clock=MonotonicClock(),
                 started=datetime.now().astimezone().isoformat(timespec="seconds"), parameters=parameters,
-                operator=operator, report=report, resume=resume, on_recording_failure=on_failure,
+                operator=operator(answers), report=report, resume=resume, on_recording_failure=on_failure,
                 interrupts=interrupts,
             ),
         )  # fmt: skip

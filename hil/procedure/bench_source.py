@@ -31,6 +31,7 @@ class BenchSource:
         faults: fault specs.
         overrides: dotted key -> value.
         calibration: file to apply.
+        watch: sinks that every opening of it is shown to.
     """
 
     bench: str | Path | BenchConfig = "emulated"
@@ -40,6 +41,7 @@ class BenchSource:
     faults: tuple[str, ...] = ()
     overrides: Mapping[str, object] = field(default_factory=dict)
     calibration: Path | None = None
+    watch: tuple[Sink, ...] = field(default=(), compare=False)
 
     @cached_property
     def config(self) -> BenchConfig:
@@ -74,7 +76,7 @@ class BenchSource:
 
         return open_bench(
             self.bench, emulate=self.emulate, seed=self.seed, realtime=self.realtime, faults=self.faults,
-            overrides=self.overrides, sinks=tuple(sinks), calibration=self.calibration,
+            overrides=self.overrides, sinks=(*self.watch, *sinks), calibration=self.calibration,
         )  # fmt: skip
 
     def changed(

@@ -1,4 +1,4 @@
-"""Questions to the person at the bench: asked at the terminal, or answered from a file.
+"""Questions to the person at the bench: asked at the terminal, or answered from a file or by another program.
 
 The file holds one answer per line in the order of the questions, or `text of the question: answer`.
 Empty lines and lines that start with `#` are left out. With a file every procedure runs unattended.
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import sys
 from abc import abstractmethod
+from collections.abc import Callable
 from pathlib import Path
 from typing import Protocol
 
@@ -39,6 +40,26 @@ class Terminal(Operator):
         line = sys.stdin.readline()
         if not line:
             raise Aborted(f"no answer to {question!r}")
+        return line.strip()
+
+
+class Lines(Operator):
+    """Hands questions to a program, which writes one line to stdin for each.
+
+    Args:
+        tell: receives `("question", text)`, and `("answered", text of the answer)`.
+    """
+
+    def __init__(self, tell: Callable[[str, str], None]) -> None:
+        self._tell = tell
+
+    def ask(self, question: str) -> str:
+        """Pass the question on and wait for a line."""
+        self._tell("question", question)
+        line = sys.stdin.readline()
+        if not line:
+            raise Aborted(f"no answer to {question!r}: standard input is closed")
+        self._tell("answered", line.strip())
         return line.strip()
 
 

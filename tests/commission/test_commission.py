@@ -1,6 +1,7 @@
 """Commissioning: each procedure uses what the others found; the first failure ends it, resuming goes on."""
 
 import json
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,10 +13,12 @@ from hil.config.record import PARTS, RobotRecord
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
 from hil.procedure.commission import Commission, commission
-from hil.procedure.commission.running import found_signs, missed
+from hil.procedure.commission.running import _Running, found_signs, missed
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
+from hil.procedure.commission.state import state_of
+from hil.procedure.interrupts import Interrupts
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import Aborted, ConfigError
 from hil.vocabulary.progress import WHOLE
 
 TINY = (
@@ -184,3 +187,21 @@ def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
     assert known["x_line"]["rmse_heading_rad"] < 0.002
     assert known["x_line"]["end_m"] < nothing["x_line"]["end_m"]
     assert set(told["procedures"].values()) <= {"PASS", "MARGINAL"}
+
+
+def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
+    """Nobody answers then: a stop that waited for the answer would never come."""
+    interrupts = Interrupts()
+
+    class Struck(Nobody):
+        def ask(self, question):
+            interrupts.handle(signal.SIGTERM)
+            raise AssertionError("the question was waited for")
+
+    class Real(BenchSource):
+        real = ("servos",)
+
+    given = asked(tmp_path, operator=Struck(), interrupts=interrupts)
+    run = _Running(replace(given, source=Real()), state_of(tmp_path, {}, resume=False), SOURCE.config)
+    with interrupts.deferred(), pytest.raises(Aborted, match="SIGTERM"):
+        run._moved_to("wall")

@@ -163,7 +163,8 @@ class _Running:
     def _moved_to(self, place: Place) -> None:
         """Have a person move a real robot to where the next procedures need it."""
         if self._place != place and self._asked.source.real:
-            self._asked.operator.ask(PROMPTS[place])
+            with self._asked.interrupts.heeded():
+                self._asked.operator.ask(PROMPTS[place])
         self._place = place
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:

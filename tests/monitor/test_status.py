@@ -1,0 +1,80 @@
+"""Figures for a program that watches: now and then, as JSON has them."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.bench import open_bench
+from hil.monitor.status import StatusStream
+from hil.vocabulary.clock import Clock, nanoseconds
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import Event
+
+
+class At(Clock):
+    """A clock that is set."""
+
+    def __init__(self):
+        self.ns = 0
+
+    def now_ns(self):
+        return self.ns
+
+    def sleep_until_ns(self, t_ns):
+        self.ns = t_ns
+
+    def schedule(self, task, due_ns):
+        raise AssertionError
+
+
+class Kept(Sink):
+    def __init__(self):
+        self.records = []
+
+    def write(self, record):
+        self.records.append(record)
+
+    def close(self):
+        pass
+
+
+@pytest.fixture(scope="module")
+def records():
+    kept = Kept()
+    with open_bench("emulated_floor") as bench:
+        bench.add_sink(kept)
+        bench.observe(0.2, feedback="odometry")
+    return kept.records
+
+
+def test_it_tells_twice_a_second_and_counts_what_came_between(records):
+    told, clock = [], At()
+    stream = StatusStream(lambda kind, data: told.append((kind, data)), clock)
+    for number, record in enumerate(records[:9]):
+        clock.ns = number * nanoseconds(0.125)
+        stream.write(record)
+    assert [kind for kind, _ in told] == ["live"] * 3
+    came = sum(len(r.inputs.servos) for r in records[1:5])
+    assert told[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
+
+
+def test_what_is_unknown_is_null_and_events_are_told_once(records):
+    told, clock = [], At()
+    stream = StatusStream(lambda kind, data: told.append(data), clock)
+    first = records[0]
+    state = replace(first.state, pose_body_in_wall=np.array([np.nan, 0.1, 0.2]))
+    stream.write(replace(first, state=state, events=(Event(0, "warning", "imu", "stuck"),)))
+    clock.ns = nanoseconds(1.0)
+    stream.write(first)
+    assert json.loads(json.dumps(told[0], allow_nan=False))["pose"] == [None, 0.1, 0.2]
+    assert [figures["events"] for figures in told] == [["imu: stuck"], []]
+
+
+def test_how_the_robot_was_left_is_passed_on_and_nothing_else_that_is_noted(records):
+    told = []
+    stream = StatusStream(lambda kind, data: told.append((kind, data)), At())
+    stream.note(0, "run", {})
+    stream.note(0, "held", {"state": "HELD"})
+    assert told == [("held", {"state": "HELD"})]
