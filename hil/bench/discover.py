@@ -89,21 +89,25 @@ def discover(
     asking = sorted((m for m in models if m.ask is not None), key=lambda m: m.ask_after)
     for port in serial_ports() if ports is None else ports:
         say(f"asking {port}")
-        _ask_serial(found, port, clock, asking)
+        _ask_serial(found, port, clock, asking, say)
     search = Search(given or {}, clock, say, sysfs, found.sections)
     for model in models:
         if model.search is not None and model.kind not in found.sections:
             answer = model.search(search)
             if answer is not None:
                 found.take(model, answer)
+                say(f"found {model.title}")
     return found
 
 
-def _ask_serial(found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel]) -> None:
+def _ask_serial(
+    found: Discovery, port: str, clock: Clock, models: Sequence[DeviceModel], say: Say
+) -> None:  # fmt: skip
     """The first model that answers is what the port holds."""
     for model in models:
         assert model.ask is not None
         answer = model.ask(port, clock)
         if answer is not None:
             found.take(model, answer)
+            say(f"found {model.title} at {port}")
             return

@@ -153,7 +153,9 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     world = build_world(config, seed=1)
     connected = connect_in_process(config, world)
     port = connected.connections["servos"].values["port"]
-    assert told in discover(VirtualClock(world), ports=[port]).to_toml()
+    said = []
+    assert told in discover(VirtualClock(world), ports=[port], say=said.append).to_toml()
+    assert said[:2] == [f"asking {port}", f"found Dynamixel X servos on RS-485 or TTL at {port}"]
     connected.close()
 
 
