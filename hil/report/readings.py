@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 MOST_POINTS = 400
 """Of one curve."""
 _DIGITS = 5
+_PICTURES = ("AxesImage", "QuadMesh", "Quiver", "FancyArrowPatch")
 _KEPT = re.compile(r'<metadata id="readings">(.*?)</metadata>', re.S)
 
 _Number = Annotated[float, Field(strict=True, allow_inf_nan=False)]
@@ -136,14 +137,16 @@ def _all_axes(figure: Figure) -> Iterator[dict[str, Any]]:
         if series or areas:
             yield {
                 "title": axes.get_title(loc="left") or axes.get_title(), "series": series, "areas": areas,
-                "box": _box(figure, axes.get_window_extent()), "zoom": not (axes.images or _meshes(axes)),
+                "box": _box(figure, axes.get_window_extent()), "zoom": not _pictures(axes),
                 "x": _scale(figure, axes.xaxis, axes.get_xlim()),
                 "y": _scale(figure, axes.yaxis, axes.get_ylim()),
             }  # fmt: skip
 
 
-def _meshes(axes: Axes) -> list[Any]:
-    return [c for c in axes.collections if type(c).__name__ == "QuadMesh"]
+def _pictures(axes: Axes) -> list[Any]:
+    """What is a picture only: it cannot be drawn again from data."""
+    found = [*axes.images, *axes.collections, *axes.patches]
+    return [a for a in found if type(a).__name__ in _PICTURES]
 
 
 def _box(figure: Figure, extent: Any) -> tuple[float, float, float, float]:
@@ -229,11 +232,11 @@ def _areas(axes: Axes) -> Iterator[dict[str, Any]]:
 
     for patch in axes.patches:
         colour = np.array(patch.get_facecolor())
-        if patch.get_fill() and colour[3] > 0.0:
+        if patch.get_fill() and colour[3] > 0.0 and type(patch).__name__ not in _PICTURES:
             x, y = _in_data(axes, patch.get_transform(), np.asarray(patch.get_path().vertices))
             yield {"colour": _colour(colour), "x": x, "y": y, "opacity": float(colour[3])}
     for collection in axes.collections:
-        if isinstance(collection, PolyCollection):
+        if isinstance(collection, PolyCollection) and type(collection).__name__ not in _PICTURES:
             colours = np.atleast_2d(np.array(collection.get_facecolor()))
             for path in collection.get_paths() if colours.size else ():
                 x, y = _in_data(axes, collection.get_transform(), np.asarray(path.vertices))
