@@ -146,7 +146,8 @@ def _all_axes(figure: Figure) -> Iterator[dict[str, Any]]:
 def _pictures(axes: Axes) -> list[Any]:
     """What is a picture only: it cannot be drawn again from data."""
     found = [*axes.images, *axes.collections, *axes.patches]
-    return [a for a in found if type(a).__name__ in _PICTURES]
+    arrows = [text for text in axes.texts if getattr(text, "arrow_patch", None) is not None]
+    return [a for a in found if type(a).__name__ in _PICTURES] + arrows
 
 
 def _box(figure: Figure, extent: Any) -> tuple[float, float, float, float]:

@@ -1,6 +1,7 @@
 """What invites others: a picture of the code as it is, steps still open, forms that ask for what helps."""
 
 import importlib.util
+import json
 import re
 import tempfile
 from datetime import date
@@ -72,10 +73,10 @@ def export_to_mat():
 
 def arrows_on_a_page():
     figure = new_figure()
-    figure.add_subplot().quiver([0.0], [0.0], [1.0], [1.0])
+    figure.add_subplot().annotate("", (1.0, 1.0), (0.0, 0.0), arrowprops={"arrowstyle": "-|>"})
     with tempfile.TemporaryDirectory() as folder:
         readings = taken_out(save_figure(figure, Path(folder) / "a.svg").read_text())[1]
-    return readings == '{"size":[374.4,216.0],"axes":[]}'
+    return readings == "" or json.loads(readings)["axes"] == []
 
 
 def other_motion_capture():

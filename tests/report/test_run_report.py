@@ -152,6 +152,22 @@ def test_bars_are_read_by_their_names(tmp_path):
     assert len(found["areas"]) == 2
 
 
+def test_what_is_a_picture_only_is_not_enlarged(tmp_path):
+    figure = new_figure()
+    for k, draw in enumerate(
+        (
+            lambda a: a.imshow([[1.0, 2.0]]),
+            lambda a: a.annotate("", (1, 1), (0, 0), arrowprops={}),
+            lambda a: None,
+        )
+    ):
+        axes = figure.add_subplot(1, 3, k + 1)
+        axes.plot([0, 1], [0, 1], label="EKF")
+        draw(axes)
+    found = json.loads(taken_out(save_figure(figure, tmp_path / "c.svg").read_text())[1])["axes"]
+    assert [axes.get("zoom", True) for axes in found] == [False, False, True]
+
+
 @procedure(
     name="told", measurements=(Measurement("end", "mm"),), headline=lambda v: f"It ends {v['end']} mm off."
 )
