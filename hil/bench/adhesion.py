@@ -173,6 +173,9 @@ def switch_off(spec: Spec, confirmed_by: str, *, say: Say) -> Status | None:
         spec: what is kept.
         confirmed_by: why nothing hangs by it.
         say: told how far it is.
+
+    Raises:
+        UsageError: somebody has asked for the force again meanwhile.
     """
     connection = client.connect(spec)
     if connection is None:

@@ -221,7 +221,7 @@ class Bench(Blueprint):
         start_pose: ArrayLike | None = None,
         on_cycle: OnCycle | None = None,
     ) -> Motion:
-        """Run the loop without commanding anything."""
+        """Run the loop without commanding anything; `start_pose` (3,) as in `drive`."""
         start = RunStart(self.start_state(start_pose), feedback)
         return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
 

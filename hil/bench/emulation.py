@@ -114,6 +114,7 @@ def emulated(
 
     Raises:
         ConfigError: its model cannot be emulated, or `[emulation.KIND]` is wrong.
+        PackageError: the model comes from a package that gave nothing to emulate it.
     """
     model = model_of(config, kind)
     if model.emulate is None:

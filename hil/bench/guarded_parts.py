@@ -73,7 +73,11 @@ class GuardedPart(Scheduled):
         return NEVER_NS
 
     def on_due(self, t_ns: int) -> None:
-        """Let the part act; one that always has something more to do at this instant would hold up time."""
+        """Let the part act; one that always has something more to do at this instant would hold up time.
+
+        Raises:
+            PackageError: it always had something more to do.
+        """
         self._acted = self._acted + 1 if t_ns == self._at_ns else 0
         self._at_ns = t_ns
         what = f"on_due() of the emulated {self._model.name}"

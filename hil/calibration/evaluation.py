@@ -82,6 +82,7 @@ def wheel_steps(recording: Recording, at_s: Array, signal: str) -> tuple[Array, 
 
     Raises:
         DataError: the velocity register is asked for and was not recorded.
+        UsageError: another signal.
     """
     if signal not in SIGNALS:
         raise UsageError(f"signal {signal!r}", expected="one of " + ", ".join(SIGNALS))

@@ -70,8 +70,8 @@ def fit(
         nominal: start, prior mean and centre of the box.
         method: `lm`, `interior-point`, `ga` or `pso`.
         seed: of the stochastic methods.
-        start: asks for the short fit of a cross-validation's fold. Only the paper's cost, which is
-            then iterated to its end, starts there; a robust fit goes through the chain from nominal,
+        start: parameters (m,), for the short fit of a cross-validation's fold. Only the paper's cost, which
+            is then iterated to its end, starts there; a robust fit goes through the chain from nominal,
             because a few steps from a solution that knows the left-out runs would not forget them.
         progress: generations of the stochastic methods.
     """

@@ -123,7 +123,7 @@ class Problem:
         return self
 
     def with_weights(self, weights: Array) -> Problem:
-        """The same problem with other weights per recording (shares the warm start)."""
+        """The same problem with other weights, one per recording (n,) (shares the warm start)."""
         other = copy.copy(self)
         other.weights = weights
         return other
@@ -181,7 +181,7 @@ class Problem:
         return np.asarray(((self.errors(z) * self._scale) ** 2).sum(axis=(1, 2)), dtype=np.float64)
 
     def prior_cost(self, z: Array) -> float:
-        """Squared prior residual; 0 under a hard box."""
+        """Squared prior residual of parameters z (m,); 0 under a hard box."""
         if self.setting.bounds is not None:
             return 0.0
         return float(np.sum(((z - self.nominal) / self.prior_std) ** 2))
@@ -193,7 +193,7 @@ class Problem:
         return np.asarray(1.0 / self.prior_std**2, dtype=np.float64)
 
     def objective(self, z: Array) -> float:
-        """What the solvers minimise."""
+        """What the solvers minimise, of parameters z (m,)."""
         return float(self.weights @ self.recording_costs(z)) + self.prior_cost(z)
 
     def gradient_terms(self, z: Array) -> tuple[float, Array, Array]:

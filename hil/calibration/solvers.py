@@ -63,6 +63,9 @@ def solve(
         seed: of the stochastic methods.
         start: (m,), nominal by default.
         progress: called with (done, total) generations by the stochastic methods.
+
+    Raises:
+        UsageError: another method.
     """
     z0 = problem.nominal if start is None else start
     if method == "lm":

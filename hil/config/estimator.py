@@ -262,7 +262,11 @@ class EstimatorConfig(_Strict):
 
 
 def check_scales(config: EstimatorConfig) -> None:
-    """Refuse two free scales (in simulated wall drives 27 mm became 155 when both were freed)."""
+    """Refuse two free scales (in simulated wall drives 27 mm became 155 when both were freed).
+
+    Raises:
+        ConfigError: both may vary.
+    """
     if config.wheel_scale_sigma > 0 and config.tracker.scale_sigma > 0:
         raise ConfigError(
             f"estimator: wheel_scale_sigma = {config.wheel_scale_sigma:g} and tracker.scale_sigma = "

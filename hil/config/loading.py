@@ -42,7 +42,11 @@ def profile_summary(name: str) -> str:
 
 
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
-    """Tables and printable origin of a bench file: a path, or the name of a shipped profile."""
+    """Tables and printable origin of a bench file: a path, or the name of a shipped profile.
+
+    Raises:
+        ConfigError: it is neither, or cannot be read.
+    """
     path = Path(source)
     if path.suffix == ".toml" or path.exists():
         return read_toml(path, remedy="give a bench.toml or a profile name"), str(path)

@@ -72,7 +72,7 @@ class Repetition:
 
 
 def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
-    """One of the motions from where the robot stands; lines may be driven backwards."""
+    """One of the motions from where the robot stands, `start` (3,) m, m, rad; a line may go backwards."""
     pose = np.asarray(start, dtype=np.float64)
     sense = 1.0 if name.endswith("_ccw") else -1.0
     limits: dict[str, Any] = {"speed_m_s": sizes.speed_m_s, "acceleration_m_s2": _ACCELERATION_M_S2}
@@ -116,10 +116,13 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
 
 
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
-    """Turn every wheel to where a motion needs it, the last part always from the same side.
+    """Turn every wheel to where a motion from `pose` (3,) needs it, the last part always from one side.
 
     A wheel may stand anywhere in the backlash of its gear. Left to chance, an eighth of a degree between
     front and rear turns the robot by degrees on a few metres, and differently in every round.
+
+    Raises:
+        DataError: a servo has not answered.
     """
     standing = bench.observe(_SETTLE_S, feedback="odometry", start_pose=pose).wheels[:, 4:]
     now = standing[np.all(np.isfinite(standing), axis=1)]

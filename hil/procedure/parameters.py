@@ -70,7 +70,11 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
 
 
 def field_types(model: type[Any]) -> dict[str, Any]:
-    """Names and types of a parameter model's fields."""
+    """Names and types of a parameter model's fields.
+
+    Raises:
+        UsageError: the model is neither a dataclass nor a pydantic model.
+    """
     if issubclass(model, BaseModel):
         return {name: field.annotation for name, field in model.model_fields.items()}
     if dataclasses.is_dataclass(model):

@@ -77,7 +77,7 @@ class CdrWriter:
             self._out += raw
 
     def sequence(self, values: Array) -> None:
-        """`float64[]`."""
+        """`float64[]` of an array of any shape."""
         self.u32(len(values))
         if len(values):
             self.doubles(np.ascontiguousarray(values, dtype="<f8").tobytes())
@@ -171,7 +171,7 @@ def _seconds(t_ns: int) -> tuple[int, int]:
 
 
 def xyzw(q_wxyz: Array) -> tuple[float, float, float, float]:
-    """A quaternion in the order of ROS."""
+    """A quaternion (4,), w first, in the order of ROS."""
     w, x, y, z = q_wxyz.tolist()
     return x, y, z, w
 
@@ -217,7 +217,7 @@ def text_of(message: bytes) -> str:
 
 
 def joints(t_ns: int, names: tuple[str, ...], values: tuple[Array, ...], wall_ns: int) -> bytes:
-    """`sensor_msgs/JointState`; `values` are positions, velocities and efforts."""
+    """`sensor_msgs/JointState`; `values` are positions, velocities and efforts, (n,) each."""
     form = _joint_form(names, tuple([len(column) for column in values]))
     return form.pack(t_ns, wall_ns, *[column.tolist() for column in values if len(column)])
 
@@ -231,7 +231,7 @@ def _joint_form(names: tuple[str, ...], lengths: tuple[int, ...]) -> CdrForm:
 
 
 def pose_stamped(t_ns: int, frame: str, position_m: Array, quaternion_wxyz: Array, wall_ns: int = 0) -> bytes:
-    """`geometry_msgs/PoseStamped`."""
+    """`geometry_msgs/PoseStamped` of a position (3,) m and a quaternion (4,)."""
     return _pose_form(frame).pack(t_ns, wall_ns, (*position_m.tolist(), *xyzw(quaternion_wxyz)))
 
 

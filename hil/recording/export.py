@@ -92,7 +92,7 @@ def _cycle_columns(record: CycleRecord) -> list[float]:
 
 
 def with_added(records: Sequence[CycleRecord]) -> tuple[tuple[str, ...], Array]:
-    """Columns and rows of `tabulate`, and behind them those of the kinds that other packages add."""
+    """Columns and rows (n, m) of `tabulate`, and behind them those of kinds that other packages add."""
     names, values = added_columns(records)
     table = tabulate(records)
     if not names:

@@ -57,7 +57,11 @@ def is_pair_file(path: Path) -> bool:
 
 
 def partner(odom: Path) -> Path:
-    """The `abs` file that belongs to an `odom` file."""
+    """The `abs` file that belongs to an `odom` file.
+
+    Raises:
+        DataError: there is none.
+    """
     stem = odom.name.replace("odom_", "abs_", 1).removesuffix(".gz")
     for candidate in (odom.with_name(stem + ".gz"), odom.with_name(stem)):
         if candidate.exists():

@@ -35,7 +35,11 @@ def decode_bool(data: bytes, at: int) -> tuple[bool, int]:
 
 
 def decode_text(data: bytes, at: int) -> tuple[str, int]:
-    """Text with its length before it."""
+    """Text with its length before it.
+
+    Raises:
+        ValueError: the text runs beyond the end of the data.
+    """
     end = at + 4 + COUNT.unpack_from(data, at)[0]
     if end > len(data):
         raise ValueError("a text runs beyond the end of the record")
@@ -96,7 +100,11 @@ def array_of(shape: tuple[int, ...], name: str) -> Decode:
 
 
 def decode_any(data: bytes, at: int) -> tuple[Any, int]:
-    """One value of a free mapping, by its tag."""
+    """One value of a free mapping, by its tag.
+
+    Raises:
+        ValueError: a tag that nobody writes.
+    """
     tag, at = data[at : at + 1], at + 1
     if tag == b"n":
         return None, at

@@ -94,7 +94,7 @@ def table(motions: Mapping[str, Motion]) -> dict[str, dict[str, float | None]]:
 
 
 def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
-    """How sure an estimator was against how wrong it was; `truth` as for `errors`.
+    """How sure an estimator was against how wrong it was; `truth` (n, 3) as for `errors`.
 
     Returns:
         `nees_pose`, mean of e' P^-1 e over the cycles (3 is ideal, more is over-confident); running means

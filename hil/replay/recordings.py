@@ -59,7 +59,12 @@ class OpenedRecording:
         return self.runs[number]
 
     def must_hold(self, runs: int, number: int | None) -> None:
-        """Refuse a recording without a run, and a number of which there is none."""
+        """Refuse a recording without a run, and a number of which there is none.
+
+        Raises:
+            DataError: there is no run.
+            UsageError: there is none of that number.
+        """
         if not runs:
             why = f" that can be read ({'; '.join(self.problems)})" if self.problems else ""
             raise DataError(str(self.path), "holds no cycles" + why, expected="at least one control cycle")

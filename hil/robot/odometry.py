@@ -23,6 +23,9 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
         motion_body: (..., n, 3) twist times step time, in the frame of the step's start.
         integrator: `exponential` is exact for a constant twist within the step, `euler` is the
             paper's forward Euler.
+
+    Raises:
+        UsageError: another integrator.
     """
     start = np.asarray(start_pose, dtype=np.float64)
     dx, dy, turn = motion_body[..., 0], motion_body[..., 1], motion_body[..., 2]

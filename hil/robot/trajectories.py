@@ -196,7 +196,7 @@ def rotation(
     """Turn on the spot, counter-clockwise for positive angles.
 
     Args:
-        start: first pose.
+        start: first pose, (3,) m, m, rad.
         angle_rad: how far.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
@@ -215,7 +215,7 @@ def circle(
     """Circle, counter-clockwise for positive `turns`, with tangent or fixed heading.
 
     Args:
-        start: first pose.
+        start: first pose, (3,) m, m, rad.
         radius_m: of the circle.
         turns: how many; negative is clockwise.
         tangent: whether the heading turns with the path.
@@ -237,13 +237,16 @@ def scan(
     """Boustrophedon: lanes along X, stepping along Y, heading fixed, at rest in the corners.
 
     Args:
-        start: first pose.
+        start: first pose, (3,) m, m, rad.
         length_m: of a lane.
         lanes: how many.
         spacing_m: between neighbouring lanes.
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         name: shown in results.
+
+    Raises:
+        UsageError: no lane.
     """
     if lanes < 1:
         raise UsageError(f"a scan of {lanes} lanes", expected="at least 1")
@@ -266,6 +269,9 @@ def through(
         speed_m_s: largest wheel speed.
         acceleration_m_s2: largest wheel acceleration.
         name: shown in results.
+
+    Raises:
+        UsageError: fewer than two poses.
     """
     if len(poses) < 2:
         raise UsageError(f"{len(poses)} waypoint(s)", expected="at least 2")
@@ -277,7 +283,11 @@ def through(
 
 
 def read_waypoints(path: Path) -> list[Array]:
-    """Poses of a CSV file with the header `x,y,theta` (m, m, rad)."""
+    """Poses, (3,) each, of a CSV file with the header `x,y,theta` (m, m, rad).
+
+    Raises:
+        DataError: it cannot be read, is no such list, or holds fewer than two poses.
+    """
     try:
         text = read_text(path, _MOST_WAYPOINT_BYTES)
     except (OSError, ValueError) as error:
@@ -293,7 +303,11 @@ def read_waypoints(path: Path) -> list[Array]:
 
 
 def recorded_motion(name: str) -> Trajectory:
-    """The public recordings' motions: constant speed with a step start (arXiv 2509.04016)."""
+    """The public recordings' motions: constant speed with a step start (arXiv 2509.04016).
+
+    Raises:
+        UsageError: another name.
+    """
     origin = (0.0, 0.0, 0.0)
     v, w = 0.050, 0.157
     law: TimeLaw = "constant"

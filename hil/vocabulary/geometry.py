@@ -33,7 +33,7 @@ def wrap(angle_rad: float) -> float:
 
 
 def wrap_array(angle_rad: ArrayLike) -> Array:
-    """Angles wrapped into (-pi, pi], elementwise; NaN stays NaN."""
+    """Angles of any shape, rad, wrapped into (-pi, pi]; NaN stays NaN."""
     return np.pi - np.mod(np.pi - np.asarray(angle_rad, dtype=np.float64), 2.0 * np.pi)
 
 
@@ -70,7 +70,7 @@ def se2_log(pose: ArrayLike) -> Array:
 
 
 def compose(pose: ArrayLike, step: ArrayLike) -> Array:
-    """Pose of frame C in A, from B in A (`pose`) and C in B (`step`). Heading is not wrapped."""
+    """Pose (3,) of frame C in A, from B in A (`pose`) and C in B (`step`), m and rad; not wrapped."""
     x, y, th = _floats(pose)
     dx, dy, dth = _floats(step)
     c, s = math.cos(th), math.sin(th)
@@ -78,14 +78,14 @@ def compose(pose: ArrayLike, step: ArrayLike) -> Array:
 
 
 def inverse(pose: ArrayLike) -> Array:
-    """Pose of A in B from the pose of B in A."""
+    """Pose (3,) of A in B from the pose of B in A, m and rad."""
     x, y, th = np.asarray(pose, dtype=np.float64)
     c, s = math.cos(th), math.sin(th)
     return np.array([-c * x - s * y, s * x - c * y, -th])
 
 
 def between(a: ArrayLike, b: ArrayLike) -> Array:
-    """Pose of frame B in A, both given in one common frame. Heading is not wrapped."""
+    """Pose (3,) of frame B in A, both given in one common frame, m and rad. Heading is not wrapped."""
     return compose(inverse(a), b)
 
 
@@ -125,7 +125,7 @@ def quat_multiply(a_wxyz: ArrayLike, b_wxyz: ArrayLike) -> Array:
 
 
 def quat_conjugate(q_wxyz: ArrayLike) -> Array:
-    """Conjugate (inverse of a unit quaternion)."""
+    """Conjugate of a quaternion (4,): the inverse of a unit quaternion."""
     return np.array(conjugated(_floats(q_wxyz)))
 
 
@@ -135,7 +135,7 @@ def quat_rotate(q_wxyz: ArrayLike, vector: ArrayLike) -> Array:
 
 
 def quat_from_yaw(yaw_rad: float) -> Array:
-    """Unit quaternion of a rotation about z."""
+    """Unit quaternion (4,) of a rotation about z."""
     return np.array([math.cos(0.5 * yaw_rad), 0.0, 0.0, math.sin(0.5 * yaw_rad)])
 
 
@@ -148,7 +148,7 @@ def quat_from_rotvec(rotvec_rad: ArrayLike) -> Array:
 
 
 def yaw_of_quat(q_wxyz: ArrayLike) -> float:
-    """Rotation about z (the twist of a swing-twist split), rad in (-pi, pi].
+    """Rotation of a quaternion (4,) about z (the twist of a swing-twist split), rad in (-pi, pi].
 
     Unlike the Euler yaw it is defined for every attitude but a half turn about a horizontal axis.
     """

@@ -117,7 +117,11 @@ def json_value(text: str | bytes) -> Any:
 
 
 def json_object(text: str | bytes) -> dict[str, Any]:
-    """As `json_value`, for a text that has to be an object."""
+    """As `json_value`, for a text that has to be an object.
+
+    Raises:
+        ValueError: it is no JSON, or no object.
+    """
     tree = json_value(text)
     if not isinstance(tree, dict):
         raise ValueError(f"a JSON object was expected, found {type(tree).__name__}")

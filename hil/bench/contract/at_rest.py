@@ -199,7 +199,7 @@ def arrays_of(sample: type[Any]) -> list[str]:
 
 
 def by_channel(values: Array, states: tuple[Status, ...]) -> list[tuple[Array, tuple[Status, ...]]]:
-    """Parts of an array with the statuses that speak of each: rows where it has one for every channel.
+    """Parts of an array (n,) or (n, m) with the statuses of each: rows where it has one for every channel.
 
     Whole numbers and booleans have no NaN, so nothing is asked of them.
     """

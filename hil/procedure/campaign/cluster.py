@@ -74,7 +74,11 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         self.name, self.content, self.make = parcel.name, parcel.content, make()
 
     def setup(self, worker: Worker) -> None:
-        """Unpack; raises for a worker that came later and is of another make."""
+        """Unpack; raises for a worker that came later and is of another make.
+
+        Raises:
+            UsageError: the worker has other packages or another Python.
+        """
         if make() != self.make:
             raise UsageError(f"worker {worker.address}: is of another make", remedy=_REMEDY)
         folder = Path(worker.local_directory) / self.name
