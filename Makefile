@@ -22,7 +22,7 @@ help:
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
 	@echo "make dist       build wheel and source archive in dist/ and check them"
-	@echo "make pictures   the Rerun view as pictures and a clip, without a screen (needs a Vulkan driver)"
+	@echo "make pictures   the Rerun view and the console as pictures, without a screen (Vulkan driver, Chromium)"
 	@echo "make bench      print the measured ratios"
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
@@ -101,6 +101,7 @@ dist: $(BIN)/.installed
 
 pictures: $(BIN)/.installed
 	$(BIN)/python docs/images/render_rerun_view.py
+	$(BIN)/python docs/images/render_console.py
 
 lock: $(BIN)/.installed
 	$(PIP) uv

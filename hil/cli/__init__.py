@@ -33,6 +33,7 @@ COMMANDS = {
     "calibration": "list, apply and roll back versions of a calibration",
     "campaign": "a procedure over many seeds and settings, in parallel",
     "commission": "from a robot as delivered to a verified wall run: all procedures in order",
+    "console": "the bench in a browser: devices, procedures, live figures, STOP, history",
     "demo-data": "write a generated data set of the six motions",
     "discover": "find ports, IDs and baud rates; print a ready bench.toml",
     "doctor": "examine every device of a bench without moving it",

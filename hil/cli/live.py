@@ -173,8 +173,13 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
 
 
 def _dated() -> Path:
-    """Where a recording goes that nobody gave a name; the folder is made."""
-    path = Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3])
+    """Where a recording goes that nobody gave a name."""
+    return Path("out", "live", f"{datetime.now():%Y%m%d-%H%M%S-%f}"[:-3]).with_suffix(".mcap")
+
+
+def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
+    from hil.recording.mcap_writer import McapRecorder
+
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -183,12 +188,6 @@ def _dated() -> Path:
             f"cannot be created ({error.strerror})",
             remedy="give --record FILE or --no-record",
         ) from None
-    return path.with_suffix(".mcap")
-
-
-def _recorder(bench: Bench, path: Path, on_failure: OnFailure) -> McapRecorder:
-    from hil.recording.mcap_writer import McapRecorder
-
     recorder = McapRecorder(path, bench.header(), lossless=False, on_failure=on_failure)
     bench.add_sink(recorder)
     click.echo(f"recording to {path}", err=True)

@@ -161,9 +161,10 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
 
     from hil.report.history.choice import named
     from hil.report.history.found import find_results
+    from hil.report.history.opening import page_of
 
     kept = named(find_results(where), run)
-    page = _page(kept)
+    page = page_of(kept)
     if browser is None:
         screen = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
         browser = bool(screen) and sys.stdout.isatty() and not as_json
@@ -171,20 +172,6 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
     if browser:
         click.launch(str(page))
     return EXIT_PASS
-
-
-def _page(kept: Kept) -> Path:
-    from hil.report.history.found import CAMPAIGN, COMMISSIONING, RUN
-    from hil.report.run_page import PAGE, write_run_page
-    from hil.vocabulary.errors import DataError
-
-    names = {RUN: PAGE, CAMPAIGN: "campaign.html", COMMISSIONING: "commission.html"}
-    page = kept.folder / names.get(kept.kind, "")
-    if page.is_file():
-        return page
-    if kept.kind == RUN:
-        return write_run_page(kept.folder)
-    raise DataError(str(kept.folder), f"has no page ({kept.why})")
 
 
 @command.command()

@@ -33,12 +33,15 @@ class StatusStream(Sink):
     def __init__(self, tell: Tell, clock: Clock, every_s: float = EVERY_S) -> None:
         self._tell, self._clock, self._every_ns = tell, clock, nanoseconds(every_s)
         self._next_ns = 0
+        self._begun_ns: int | None = None
         self._counts: dict[str, int] = {}
         self._status: dict[str, Status] = {}
         self._events: list[str] = []
 
     def write(self, record: CycleRecord) -> None:
         """Count what one cycle brought; tell when it is time."""
+        if self._begun_ns is None:
+            self._begun_ns = record.inputs.t_ns
         for name in kinds():
             samples = record.inputs.of(name)
             if samples:
@@ -58,12 +61,14 @@ class StatusStream(Sink):
             self._tell(_HELD, data)
 
     def close(self) -> None:
-        """Nothing to let go of; the next bench goes on."""
+        """The next bench has a time axis of its own."""
+        self._begun_ns = None
 
     def _figures(self, record: CycleRecord) -> dict[str, Any]:
         state, wheels = record.state, record.measurements.wheels
+        since_ns = record.inputs.t_ns - (self._begun_ns or 0)
         return {
-            "t_s": round(record.inputs.t_ns / NS_PER_S, 3),
+            "t_s": round(since_ns / NS_PER_S, 3),
             "pose": _plain(state.pose_body_in_wall),
             "twist": _plain(state.twist_body),
             "reference": None if record.reference is None else _plain(record.reference.pose_in_wall),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 from collections.abc import Iterable, Mapping
 from typing import Any, get_type_hints
@@ -116,3 +117,55 @@ def _plain(text: str) -> Any:
         return json_value(text)
     except ValueError:
         return text
+
+
+@dataclasses.dataclass(frozen=True)
+class Described:
+    """What is to be known of a parameter before it is given.
+
+    Attributes:
+        name: its key.
+        kind: JSON type of its value: `boolean`, `integer`, `number`, `string`, `array`.
+        default: as it would be written after `--set`.
+        low, high: limits, where it has any; `low_open` if `low` itself is not allowed.
+        choices: values that it, or each of a list, may have; empty for any.
+        help: a sentence, where its author wrote one.
+    """
+
+    name: str
+    kind: str
+    default: str
+    low: float | None = None
+    high: float | None = None
+    low_open: bool = False
+    choices: tuple[str, ...] = ()
+    help: str = ""
+
+
+def described(model: type[Any]) -> tuple[Described, ...]:
+    """The parameters of a model (dataclass or pydantic model), in its order."""
+    names = field_types(model)
+    properties = TypeAdapter(model).json_schema().get("properties", {})
+    defaults = as_dict(model())
+    return tuple(_described(name, properties.get(name, {}), defaults.get(name)) for name in names)
+
+
+def _described(name: str, schema: Mapping[str, Any], default: Any) -> Described:
+    one = next((s for s in schema.get("anyOf", ()) if s.get("type") != "null"), schema)
+    value = one.get("items", one)
+    choices = value.get("enum", (value["const"],) if "const" in value else ())
+    open_low = one.get("exclusiveMinimum")
+    return Described(
+        name, str(one.get("type", "string")), written(default), one.get("minimum", open_low),
+        one.get("maximum", one.get("exclusiveMaximum")), open_low is not None,
+        tuple(map(str, choices)), str(schema.get("description", "")),
+    )  # fmt: skip
+
+
+def written(value: Any) -> str:
+    """A value as `--set` takes it."""
+    if value is None or isinstance(value, str):
+        return value or ""
+    if isinstance(value, (list, tuple)) and all(isinstance(v, (str, int, float)) for v in value):
+        return ",".join(map(written, value))
+    return json.dumps(value)

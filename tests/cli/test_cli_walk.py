@@ -134,6 +134,7 @@ def base(world, tmp_path, monkeypatch):
         "run": {"script": world / "idle.py"},
         "campaign": {"script": world / "idle.py", "seeds": "0", "workers": "0"},
         "report": {"folders": world / "results"},
+        "console": {"--stop": "", "where": world},
         "results list": {"where": world},
         "results trends": {"where": world, "out": tmp_path / "trends.html"},
         "live": {"duration_s": "0.2"},

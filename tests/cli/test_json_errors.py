@@ -14,7 +14,7 @@ WRONG = {
     "list": ["planets"],
     "accept": ["--bench", GONE], "adhesion": ["status", "--bench", GONE],
     "calibrate": ["nowhere"], "calibration": ["list", GONE], "campaign": ["latency", "--bench", GONE],
-    "commission": ["--bench", GONE], "robot": ["show", GONE],
+    "commission": ["--bench", GONE], "console": ["--bench", GONE], "robot": ["show", GONE],
     "demo-data": ["data", "--bench", GONE], "discover": ["--port", ""], "doctor": ["--bench", GONE],
     "emulate": ["--bench", GONE], "evaluate": ["nowhere"], "export": [GONE],
     "faults": ["--bench", GONE], "info": ["--magic"],

@@ -56,6 +56,11 @@ def test_it_tells_twice_a_second_and_counts_what_came_between(records):
         clock.ns = number * nanoseconds(0.125)
         stream.write(record)
     assert [kind for kind, _ in told] == ["live"] * 3
+    assert [round(data["t_s"], 3) for _, data in told][:2] == [0.0, 0.04]
+    stream.close()
+    clock.ns += nanoseconds(1.0)
+    stream.write(records[9])
+    assert told[-1][1]["t_s"] == 0.0  # a bench that is opened again has a time of its own
     came = sum(len(r.inputs.servos) for r in records[1:5])
     assert told[1][1]["devices"]["servos"] == {"samples": came, "status": "ok"}
 

@@ -1,0 +1,173 @@
+"""`hil console`: the bench in a browser, with a STOP that does not depend on it."""
+
+from __future__ import annotations
+
+import json
+import secrets
+import signal
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
+
+if TYPE_CHECKING:
+    from hil.console.actions import Action
+    from hil.console.web import Server
+
+_START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
+
+
+@click.command()
+@click.option("--bench", help="Bench file or profile that the page offers [default: each command's own].")
+@click.option("--in", "where", type=click.Path(path_type=Path), default=Path("out"), show_default=True,
+              help="Folder of results.")  # fmt: skip
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")
+@click.option("--stop", "stopping", is_flag=True, help="Stop what the console of this folder runs.")
+@click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
+def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: bool) -> int:
+    """The bench in a browser of this computer: devices, procedures, live figures, STOP, history.
+
+    Prints an address with a token. Only who has it gets in, and only from this computer. Ctrl-C ends the
+    console; what it has started goes on, and `hil console --stop` stops it. STOP is no emergency stop: keep
+    the switch that cuts the power.
+
+    Example: hil console --bench my.toml
+    """
+    folder = where / "console"
+    if stopping:
+        if bench is not None or port:
+            raise UsageError("--stop only stops", remedy="leave --bench and --port out")
+        if not where.is_dir():
+            raise DataError(
+                str(where), "there is no such folder", remedy="name the folder of the console with --in"
+            )
+        return _stop(folder, as_json=as_json)
+    return _serve(folder, where, bench, port, as_json=as_json)
+
+
+def _stop(folder: Path, *, as_json: bool) -> int:
+    """Stop every job by its own files: needs neither the page nor the process with the button."""
+    from hil.console.stopping import in_words, stop_all, wait_for
+
+    ended = wait_for(stop_all(folder / "jobs"), _STOP_S)
+    if as_json:
+        keys = ("title", "running", "held", "verdict", "why")
+        click.echo(json.dumps({"stopped": [{k: told.get(k) for k in keys} for told in ended]}))
+    else:
+        click.echo(
+            "\n".join(map(in_words, ended)) or f"nothing runs that the console in {folder.parent} has started"
+        )
+    fine = all(not t["running"] and (t["held"] or {}).get("state") != "NOT HELD" for t in ended)
+    return EXIT_PASS if fine else EXIT_DEVICE
+
+
+def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: bool) -> int:
+    from hil.config.loading import load_bench
+    from hil.console.page_process import PageProcess, policy
+    from hil.console.stop_process import PAGE, read, runs
+    from hil.console.stopping import put_private
+    from hil.console.web import HOST, Server
+    from hil.vocabulary.files import check_folder
+    from hil.vocabulary.stop_signals import StopRequest
+
+    load_bench(bench or "emulated")
+    check_folder(folder)
+    stop = StopRequest()
+    with stop.noted():
+        folder.mkdir(parents=True, exist_ok=True)
+        folder.chmod(0o700)  # the token lies in it
+        if runs(read(folder / PAGE)):
+            raise UsageError(
+                f"a console for {where} is running already",
+                remedy="use its page, or name another folder with --in",
+            )
+        stopper = _stopper(folder, port)
+        process = PageProcess(folder, where, lambda: _actions(where), _benches, bench)
+        server = Server(0, stopper["token"], stopper["cookie"], process.routes(), policy(stopper["port"]))
+        url = f"http://{HOST}:{stopper['port']}/?token={stopper['token']}"
+        _open(server, folder)
+        click.echo(json.dumps({"url": url, "folder": str(folder)}) if as_json else url)
+        click.echo("hil: open this address in a browser; Ctrl-C ends the console", err=True)
+        try:
+            while not stop.name:
+                time.sleep(_POLL_S)
+                stopper = stopper if runs(stopper) else _stopper(folder, stopper["port"], stopper)
+        finally:
+            server.shutdown()
+            server.server_close()
+            put_private(folder / PAGE, {"ended": True})
+    _farewell(folder)
+    return EXIT_PASS
+
+
+def _actions(where: Path) -> list[Action]:
+    from hil.cli.forms import actions
+
+    return actions(where)
+
+
+def _benches() -> tuple[str, ...]:
+    from hil.cli.forms import benches
+
+    return benches()
+
+
+def _open(server: Server, folder: Path) -> None:
+    """Serve from now on, and say so to the process with the button."""
+    import os
+    import threading
+
+    from hil.console.jobs import identity
+    from hil.console.stop_process import PAGE
+    from hil.console.stopping import put_private
+
+    threading.Thread(target=server.serve_forever, args=(0.2,), daemon=True).start()
+    put_private(folder / PAGE, identity(os.getpid()) | {"port": server.port})
+
+
+def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> dict[str, Any]:
+    """The process with the button: the one that is there from an earlier console, else a new one.
+
+    Args:
+        folder: of the console.
+        port: of this computer; 0 for any.
+        known: token and cookie of one that died; browsers have them already.
+
+    Raises:
+        UsageError: the port is taken.
+        DataError: it does not start.
+    """
+    from hil.console.jobs import detached, signal_process
+    from hil.console.stop_process import ASKED, IDENTITY, PAGE, STOP, read, runs
+    from hil.console.stopping import put_private
+
+    there = read(folder / STOP)
+    if runs(there) and port in (0, there["port"]):
+        return there
+    signal_process({key: there.get(key) for key in IDENTITY}, signal.SIGTERM)  # of another port
+    keys = known or {"token": secrets.token_urlsafe(32), "cookie": f"hil_{secrets.token_hex(4)}"}
+    for name in (STOP, *((PAGE,) if known is None else ())):
+        (folder / name).unlink(missing_ok=True)
+    put_private(folder / ASKED, {"port": port, "token": keys["token"], "cookie": keys["cookie"]})
+    detached("hil.console.stop_process", folder)
+    until_s = time.monotonic() + _START_S
+    while not (told := read(folder / STOP)) and time.monotonic() < until_s:
+        time.sleep(_POLL_S)
+    if told.get("error"):
+        raise UsageError(f"--port {port}: {told['error']}", remedy="choose another, or leave --port out")
+    if not told:
+        raise DataError(str(folder), "the process that stops what runs did not start; nothing was started")
+    return told
+
+
+def _farewell(folder: Path) -> None:
+    from hil.console import jobs
+
+    running = [job.title for job in jobs.jobs(folder / "jobs") if jobs.alive(job)]
+    if running:
+        click.echo(
+            f"hil: {', '.join(running)} goes on; hil console --stop stops it, hil console shows it", err=True
+        )

@@ -1,0 +1,262 @@
+"""Commands that run for the console: started, listed, read, answered, stopped; standard library alone.
+
+All there is to know of a job lies in its folder, so that any process of the console, also one that was
+started later, can read it, answer it and stop it:
+
+    command.json  words after `hil`, title, when
+    process.json  PID, start time and boot of the process, written by itself before it becomes `hil`
+    stdin         a pipe with a name; the process keeps its writing end too, so that it never closes
+    stdout        one JSON object at the end
+    stderr        progress, questions and figures as JSON objects, and messages, a line each
+
+A process is signalled only while it is the one that wrote process.json: a number that was given to another
+process since is not.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
+STOPPED = "stopped.json"
+UNTOLD = "ENDED"
+"""Verdict of a job that left no result."""
+_HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answered": str}
+"""What a line of standard error may be about, and what it then holds."""
+_BY_ITSELF = ("duration", "trajectory")
+"""Why a live loop ends that nobody and nothing has stopped."""
+_TAIL_BYTES = 1 << 17
+_MOST_RESULT_BYTES = 1 << 24
+_MOST_TOLD = 30
+_START_S = 20.0
+"""Within which a job that was started has written its process.json."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A job by its folder.
+
+    Attributes:
+        folder: where all of it lies.
+        words: of the command, after `hil`.
+        title: for people.
+        started: seconds since the epoch.
+    """
+
+    folder: Path
+    words: tuple[str, ...]
+    title: str
+    started: float
+
+    @property
+    def name(self) -> str:
+        """Of the folder; unique."""
+        return self.folder.name
+
+
+def start(root: Path, words: Sequence[str], title: str) -> Job:
+    """Start a command of `hil` in a session of its own: no Ctrl-C, no end of this process reaches it.
+
+    Args:
+        root: folder of all jobs; made where it is missing.
+        words: of the command, with its `--json`.
+        title: for people.
+
+    Raises:
+        OSError: the folder cannot be written, or no process started.
+    """
+    root.mkdir(parents=True, exist_ok=True, mode=0o700)
+    folder = root / f"{datetime.now():%Y%m%d-%H%M%S-%f}"
+    folder.mkdir(mode=0o700)
+    job = Job(folder, tuple(words), title, time.time())
+    told = {"words": job.words, "title": title, "started": job.started}
+    (folder / COMMAND).write_text(json.dumps(told), encoding="utf-8")
+    os.mkfifo(folder / STDIN, 0o600)
+    detached("hil.console.launch", folder)
+    return job
+
+
+def detached(module: str, folder: Path) -> None:
+    """Run a module on a folder in a session of its own, with no standard streams; raises `OSError`."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", module, str(folder)], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+    threading.Thread(target=process.wait, daemon=True).start()  # so that nothing of it is left when it ends
+
+
+def jobs(root: Path, most: int = 12) -> list[Job]:
+    """The latest jobs of a folder, the latest first."""
+    try:
+        folders = sorted((p for p in root.iterdir() if p.is_dir()), reverse=True)[:most]
+    except OSError:
+        return []
+    found = []
+    for folder in folders:
+        tree = _object(folder / COMMAND)
+        words, title, started = tree.get("words"), tree.get("title"), tree.get("started")
+        if isinstance(words, list) and isinstance(title, str) and isinstance(started, (int, float)):
+            found.append(Job(folder, tuple(map(str, words)), title, float(started)))
+    return found
+
+
+def identity(pid: int) -> dict[str, Any]:
+    """What tells a process from all others: PID, when it started, since which boot. Empty once it is gone."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    except OSError:
+        return {}
+    return {} if fields[0] in "ZX" else {"pid": pid, "ticks": int(fields[19]), "boot": boot}
+
+
+def same(told: Mapping[str, Any]) -> bool:
+    """Whether the process that a file names is still running, and is that one."""
+    pid = told.get("pid")
+    return isinstance(pid, int) and pid > 0 and identity(pid) == dict(told)
+
+
+def alive(job: Job) -> bool:
+    """Whether it runs, or is just about to."""
+    told = _object(job.folder / PROCESS)
+    if told:
+        return same(told)
+    return 0.0 <= time.time() - job.started < _START_S
+
+
+def send(job: Job, number: int) -> bool:
+    """Send a signal to the process of a job, and to no other; returns whether it was there."""
+    return signal_process(_object(job.folder / PROCESS), number)
+
+
+def signal_process(told: Mapping[str, Any], number: int) -> bool:
+    """Send a signal to the process that a file names, and to no other; returns whether it was there."""
+    if not same(told):
+        return False
+    try:
+        handle = os.pidfd_open(told["pid"])
+    except OSError:
+        return False
+    try:
+        if same(told):  # the handle is that of this process, whatever becomes of its number
+            signal.pidfd_send_signal(handle, number)
+            return True
+    except OSError:
+        pass
+    finally:
+        os.close(handle)
+    return False
+
+
+def answer(job: Job, text: str) -> bool:
+    """Write a line to the standard input of a job; returns whether it took it."""
+    try:
+        pipe = os.open(job.folder / STDIN, os.O_WRONLY | os.O_NONBLOCK)
+    except OSError:
+        return False
+    try:
+        os.write(pipe, (" ".join(text.split()) + "\n").encode())
+    except OSError:
+        return False
+    finally:
+        os.close(pipe)
+    return True
+
+
+def state(job: Job) -> dict[str, Any]:
+    """What a page shows of a job: progress, question, figures, messages, how it ended. Plain values."""
+    running = alive(job)
+    told: dict[str, Any] = {
+        "name": job.name, "title": job.title, "command": " ".join(("hil", *job.words)),
+        "started": job.started,
+        "running": running, "stopping": running and (job.folder / STOPPED).exists(), "question": None,
+        "progress": None, "whole": None, "live": None, "held": None, "messages": [], "events": [],
+    }  # fmt: skip
+    for line in _tail(job.folder / STDERR):
+        _take(told, line)
+    del told["messages"][:-_MOST_TOLD], told["events"][:-_MOST_TOLD]
+    if not running:
+        told |= {"question": None, **_end(job, told)}
+    return told
+
+
+def _take(told: dict[str, Any], line: str) -> None:
+    """One line of standard error."""
+    try:
+        ((kind, data),) = json.loads(line).items()
+        fits = isinstance(data, _HOLDS[kind])
+    except (ValueError, AttributeError, KeyError, RecursionError):
+        fits = False
+    if not fits:
+        told["messages"].append(line)
+        return
+    if kind == "progress":
+        told["whole" if data.get("what") == "in all" else "progress"] = data
+    elif kind == "answered":
+        told["question"] = None
+    elif kind == "live":
+        told["live"] = data
+        told["events"] += data.get("events", ())
+    else:
+        told[kind] = data
+
+
+def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
+    """How a job ended, from the one object that it wrote."""
+    result = _object(job.folder / STDOUT)
+    error = result.get("error")
+    if result and "verdict" not in result and isinstance(error, dict):
+        verdict = "ABORTED" if error.get("exit_code") == 4 else "ERROR"
+        why = "; ".join(filter(None, (error.get("message"), error.get("remedy"))))
+    elif result:
+        verdict = str(result.get("verdict") or _judged(result))
+        why = error["message"] if isinstance(error, dict) else str(result.get("ended", ""))
+    else:
+        verdict, why = UNTOLD, "it ended without a result: it was killed, or could not start"
+    held = result.get("held") or told["held"]
+    pages: dict[str, Any] = {
+        k: v for k in ("report", "page", "folder") if isinstance(v := result.get(k), str)
+    }
+    if isinstance(result.get("findings"), list):
+        pages["findings"] = result["findings"]
+    return {"verdict": verdict, "why": why, "held": held, **pages}
+
+
+def _judged(result: Mapping[str, Any]) -> str:
+    """Verdict of a command that gives none: of doctor, or of the live loop, which says why it ended."""
+    if "ok" in result:
+        return "PASS" if result["ok"] else "FAIL"
+    ended = str(result.get("ended", _BY_ITSELF[0]))
+    return "DONE" if ended in _BY_ITSELF else "ABORTED" if ended.startswith("SIG") else "ERROR"
+
+
+def _tail(path: Path) -> list[str]:
+    """The last lines of a file that may be long; of the first of them the beginning may be missing."""
+    try:
+        with path.open("rb") as file:
+            size = file.seek(0, os.SEEK_END)
+            file.seek(max(0, size - _TAIL_BYTES))
+            lines = file.read().decode("utf-8", "replace").splitlines()
+    except OSError:
+        return []
+    return [line for line in lines[size > _TAIL_BYTES :] if line.strip()]
+
+
+def _object(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is none."""
+    with suppress(OSError, ValueError, RecursionError), path.open("rb") as file:
+        tree = json.loads(file.read(_MOST_RESULT_BYTES))
+        return tree if isinstance(tree, dict) else {}
+    return {}

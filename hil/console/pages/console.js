@@ -1,0 +1,256 @@
+// The console: offers, starts, shows what runs, answers its questions, lists devices and results.
+"use strict";
+let offer = null;
+let shown = "";
+let trail = [];
+let trailOf = "";
+let wasRunning = false;
+
+async function call(path, body) {
+  const post = { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
+  const reply = await fetch(path, body === undefined ? {} : post);
+  const tree = await reply.json();
+  if (!reply.ok) throw new Error(tree.error);
+  return tree;
+}
+
+const say = (error) => { at("trouble").textContent = error ? String(error.message || error) : ""; };
+const mm = (metres) => `${(1e3 * metres).toFixed(1)} mm`;
+const degrees = (radians) => `${((180 / Math.PI) * radians).toFixed(1)}°`;
+const known = (value, text) => (value === null || value === undefined ? "–" : text(value));
+
+// ---- starting
+
+function action() { return offer.actions.find((a) => a.name === at("action").value); }
+
+function choose(name) {
+  if (name) at("action").value = name;
+  at("summary").textContent = action().summary;
+  build(at("form"), action());
+  const bench = at("form").querySelector("[name='--bench']");
+  if (bench && offer.own) bench.value = offer.bench;
+  same();
+}
+
+function same() {
+  const values = filled(at("form"));
+  const plain = action().group === "procedures" && action().name !== "a procedure of your own";
+  const words = ["hil", ...(plain ? ["run", action().name] : action().name.includes(" ") ? ["run"] : [action().name])];
+  for (const field of action().fields) {
+    const value = values[field.name];
+    if (!value) continue;
+    const text = /^[\w.,:@+=/-]+$/.test(value) ? value : `'${value}'`;
+    if (field.kind === "flag") words.push(field.name);
+    else if (field.name === "SCRIPT") words.push(text);
+    else if (field.name.startsWith("--")) words.push(field.name, text);
+    else words.push("--set", `${field.name}=${text}`);
+  }
+  at("same").textContent = words.join(" ");
+}
+
+async function start(name, values) {
+  say("");
+  try {
+    const told = await call("/api/start", { action: name, values });
+    if (at("start") && name === action().name) complain(at("form"), told.problems || {});
+    else if (told.problems) say(Object.values(told.problems).join("; "));
+    await poll();
+  } catch (error) { say(error); }
+}
+
+// ---- what runs
+
+function bar(told) {
+  const left = told.left_s === null || told.left_s === undefined ? "" : `, about ${Math.ceil(told.left_s)} s left`;
+  const counted = told.total > 1 ? `: ${told.done} of ${told.total}` : "";
+  const strip = told.total > 1 ? [make("progress", { max: told.total, value: told.done, "aria-label": told.what })] : [];
+  return [make("p", {}, `${told.what}${counted}${left}`), ...strip];
+}
+
+function asking(job) {
+  const text = make("input", { "aria-label": "Answer", placeholder: "answer, or nothing" });
+  const form = make("form", {}, text, make("button", { class: "main" }, "Done"));
+  form.addEventListener("submit", async (event) => {
+    event.preventDefault();
+    try { await call("/api/answer", { job: job.name, text: text.value }); } catch (error) { say(error); }
+  });
+  return make("div", { class: "question" }, make("p", { role: "alert" }, make("strong", {}, job.question)), form);
+}
+
+function running(job) {
+  const finish = make("button", { type: "button" }, /^hil run|^hil comm/.test(job.command) ? "Finish the step, then end" : "End it");
+  finish.addEventListener("click", () => call("/api/finish", { job: job.name }).catch(say));
+  return [
+    make("p", {}, make("strong", {}, job.title), job.stopping ? " is stopping …" : " runs"),
+    ...(job.question ? [asking(job)] : []), ...(job.whole ? bar(job.whole) : []),
+    ...(job.progress ? bar(job.progress) : []), make("p", { class: "row" }, finish), ...viewer(job),
+  ];
+}
+
+function viewer(job) {
+  if (!/--rerun=\S*serve/.test(job.command)) return [];
+  const url = "http://127.0.0.1:9090/?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A9876%2Fproxy";
+  return [make("p", {}, make("a", { href: url, target: "_blank", rel: "noopener" }, "Open the view in space (Rerun)"))];
+}
+
+function ended(job) {
+  const held = job.held ? [make("p", {}, make("span", { class: `tag ${job.held.state}` }, job.held.state), ` ${job.held.why}`)] : [];
+  const link = job.link ? [make("p", {}, make("a", { href: job.link, target: "_blank", rel: "noopener" }, "Open the report"))] : [];
+  return [
+    make("p", {}, make("strong", {}, job.title), " ", make("span", { class: `tag ${job.verdict}`, id: "verdict" }, job.verdict)),
+    ...(job.why ? [make("p", {}, job.why)] : []), ...held, ...link,
+  ];
+}
+
+function show(jobs) {
+  const job = jobs[0];
+  const key = JSON.stringify(job ? { ...job, live: null, events: null } : null);
+  if (key !== shown) {
+    shown = key;
+    const parts = !job ? [make("p", {}, "Nothing runs.")] : job.running ? running(job) : ended(job);
+    const typed = at("now").contains(document.activeElement) && document.activeElement.tagName === "INPUT"
+      ? document.activeElement.value : null;
+    at("now").replaceChildren(...parts);
+    if (typed !== null && at("now").querySelector("input")) {
+      at("now").querySelector("input").value = typed;
+      at("now").querySelector("input").focus();
+    }
+    if (job && !job.running && job.findings) findings(job.findings);
+  }
+  const start = at("start");
+  if (start) start.disabled = Boolean(job && job.running);
+  at("examine").disabled = offer === null || Boolean(job && job.running);
+  at("live").hidden = !(job && job.live);
+  at("live-title").textContent = job && job.running ? "Live" : "Last figures";
+  if (job && job.live) live(job);
+  const lines = job ? [...job.messages, ...job.events] : [];
+  at("more").hidden = !lines.length;
+  at("log").textContent = lines.join("\n");
+  const isRunning = Boolean(job && job.running);
+  if (wasRunning && !isRunning) history();
+  wasRunning = isRunning;
+}
+
+// ---- live figures
+
+function table(head, rows) {
+  return [make("tr", {}, ...head.map((h) => make("th", { scope: "col" }, h))),
+    ...rows.map((r) => make("tr", {}, ...r.map((c) => make("td", {}, c))))];
+}
+
+let force = null;
+
+function live(job) {
+  const told = job.live;
+  if (told.adhesion_n !== null) force = [told.adhesion_n, told.adhesion_needed_n];
+  const figures = [
+    ["x (up a wall)", known(told.pose[0], mm)], ["y (across it)", known(told.pose[1], mm)],
+    ["heading", known(told.pose[2], degrees)], ["speed", known(told.twist[0], (x) => `${(1e3 * Math.hypot(x, told.twist[1])).toFixed(0)} mm/s`)],
+    ["bench time", `${told.t_s.toFixed(1)} s`], ["pressed on", force ? `${force[0].toFixed(0)} N (${known(force[1], (n) => n.toFixed(0))} needed)` : "–"],
+  ];
+  at("figures").replaceChildren(...figures.map(([name, value]) => make("div", {}, make("span", { class: "soft" }, name), make("b", {}, value))));
+  const wheels = ["front left", "back left", "back right", "front right"].map((name, i) => [
+    name, known(told.wheel_rad_s && told.wheel_rad_s[i], (w) => `${w.toFixed(2)} rad/s`), known(told.steering_rad && told.steering_rad[i], degrees)]);
+  at("wheels").replaceChildren(...table(["wheel", "turns", "steered"], wheels));
+  at("streams").replaceChildren(...table(["device", "samples since the last look", "state"],
+    Object.entries(told.devices).map(([name, d]) => [name, String(d.samples), d.status])));
+  map(job, told);
+}
+
+function map(job, told) {
+  if (trailOf !== job.name) [trail, trailOf, force] = [[], job.name, null];
+  const [x, y, heading] = told.pose;
+  if (x === null || y === null) return;
+  const last = trail.at(-1);
+  if (!last || Math.hypot(last[0] - x, last[1] - y) > 0.0005) trail.push([x, y]);
+  if (trail.length > 4000) trail = trail.filter((_, i) => i % 2);
+  const aim = told.reference;
+  const points = [...trail, [x, y], ...(aim ? [aim] : [])];
+  const low = [0, 1].map((k) => Math.min(...points.map((p) => p[k])));
+  const high = [0, 1].map((k) => Math.max(...points.map((p) => p[k])));
+  const scale = 1 / Math.max((high[0] - low[0]) / 190, (high[1] - low[1]) / 350, 0.0005);
+  const place = ([px, py]) => [200 - (py - (low[1] + high[1]) / 2) * scale, 120 - (px - (low[0] + high[0]) / 2) * scale];
+  const text = (p) => place(p).map((v) => v.toFixed(1)).join(",");
+  const [cx, cy] = place([x, y]);
+  const turn = (-heading * 180) / Math.PI;
+  const node = (tag, attributes) => {
+    const made = document.createElementNS("http://www.w3.org/2000/svg", tag);
+    for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
+    return made;
+  };
+  const tenth = 0.1 * scale > 300 ? 0.01 : 0.1;
+  const ruler = node("text", { x: 12, y: 224 });
+  ruler.textContent = `${1e3 * tenth} mm; x up, y to the left`;
+  const parts = [node("line", { x1: 12, y1: 230, x2: 12 + tenth * scale, y2: 230 }), ruler, node("polyline", { class: "path", points: trail.map(text).join(" ") })];
+  if (aim) {
+    const [ax, ay] = place(aim);
+    parts.push(node("circle", { class: "aim", cx: ax, cy: ay, r: 8 }));
+  }
+  parts.push(node("path", { class: "robot", d: "M0,-10 L7,8 L0,4 L-7,8 Z", transform: `translate(${cx},${cy}) rotate(${turn})` }));
+  at("map").replaceChildren(...parts);
+}
+
+// ---- devices
+
+async function devices() {
+  say("");
+  try {
+    const told = await call(`/api/bench?name=${encodeURIComponent(at("bench").value)}`);
+    at("bench-said").textContent = `${told.bench}: ${told.devices.length} devices${told.start ? "" : "; its start pose is unknown: fill in “start”"}`;
+    at("devices").replaceChildren(...table(["device", "model", "is", "at"], told.devices.map((d) => [d.name, d.model, d.backend, d.place])));
+  } catch (error) { say(error); }
+}
+
+function findings(found) {
+  const rows = found.map((f) => [
+    f.device, make("span", { class: `tag ${f.level}` }, f.level),
+    make("span", {}, `${f.check}: ${f.found}`, ...(f.level === "ok" ? [] : [make("div", { class: "soft" },
+      [f.expected && `expected ${f.expected}`, f.remedy].filter(Boolean).join("; "))]))]);
+  const bad = found.filter((f) => f.level === "failure").length;
+  at("bench-said").textContent = bad ? `${bad} of ${found.length} checks failed` : `${found.length} checks, none failed`;
+  at("devices").replaceChildren(...table(["device", "state", "found, and what to do"], rows));
+}
+
+// ---- history
+
+async function history() {
+  try {
+    const told = await call(`/api/results?words=${encodeURIComponent(at("words").value)}`);
+    at("found").textContent = told.found ? `${told.found} ${told.found === 1 ? "result" : "results"}, the latest first` : "Nothing yet that fits.";
+    at("history").hidden = !told.found;
+    at("history").replaceChildren(...table(["when", "what", "verdict", "bench, or why"], told.results.map((r) => [
+      r.when, r.link ? make("a", { href: r.link, target: "_blank", rel: "noopener", title: r.name }, r.procedure) : r.procedure || r.name,
+      make("span", { class: `tag ${r.verdict || r.kind}` }, r.verdict || r.kind), r.why || r.bench])));
+  } catch (error) { say(error); }
+}
+
+// ---- begin
+
+async function poll() { show((await call("/api/state")).jobs); }
+
+async function watch() {
+  try { await poll(); if (at("trouble").textContent.startsWith("No answer")) say(""); }
+  catch (error) { say("No answer from the console. What runs goes on, and STOP above works."); }
+  setTimeout(watch, 500);
+}
+
+async function begin() {
+  history();
+  watch();
+  offer = await call("/api/offer");
+  const groups = [...new Set(offer.actions.map((a) => a.group))].map((group) => make("optgroup", { label: group },
+    ...offer.actions.filter((a) => a.group === group).map((a) => make("option", { value: a.name }, a.name.replaceAll("_", " ")))));
+  at("action").replaceChildren(...groups);
+  at("benches").replaceChildren(...offer.benches.map((b) => make("option", { value: b })));
+  at("bench").value = offer.bench;
+  at("action").addEventListener("change", () => choose());
+  at("form").addEventListener("input", same);
+  at("form").addEventListener("submit", (event) => { event.preventDefault(); start(action().name, filled(at("form"))); });
+  at("look").addEventListener("click", devices);
+  at("examine").addEventListener("click", () => start("doctor", { "--bench": at("bench").value }));
+  at("search").addEventListener("submit", (event) => { event.preventDefault(); history(); });
+  choose("bring_up");
+  devices();
+  await poll();
+}
+begin().catch(say);

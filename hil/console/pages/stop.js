@@ -1,0 +1,58 @@
+// The bar with the button: asks the process that serves it, and that one alone.
+"use strict";
+const at = (id) => document.getElementById(id);
+const LOST = "No answer from the process behind STOP. Run “hil console --stop” in a terminal, or cut the power.";
+let shownPort = null;
+let asked = false;
+
+async function call(path, options) {
+  const reply = await fetch(path, { signal: AbortSignal.timeout(4000), ...options });
+  const tree = await reply.json();
+  if (!reply.ok) throw new Error(tree.error);
+  return tree;
+}
+
+function words(job) {
+  if (!job.running) return job.words;
+  if (job.stopping) return `${job.title}: stopping …`;
+  return job.question ? `${job.title} asks: ${job.question}` : `${job.title} runs`;
+}
+
+function show(state) {
+  const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing runs.";
+  if (at("now").textContent !== now) at("now").textContent = now;
+  const loose = state.jobs.some((job) => job.held && job.held.state === "NOT HELD");
+  at("alarm").textContent = loose ? "The robot is NOT HELD. Secure it before you do anything else." : "";
+  if (asked && state.jobs.every((job) => !job.running)) asked = false;
+  at("stop").textContent = asked ? "STOP …" : "STOP";
+  at("console").hidden = state.page === null;
+  at("alone").hidden = state.page !== null;
+  if (state.page !== null && state.page !== shownPort) at("console").src = `http://${location.hostname}:${state.page}/`;
+  shownPort = state.page;
+  at("jobs").replaceChildren(...state.jobs.map((job) => {
+    const line = document.createElement("li");
+    line.textContent = words(job);
+    return line;
+  }));
+}
+
+async function watch() {
+  try {
+    show(await call("/state"));
+  } catch (error) {
+    at("alarm").textContent = LOST;
+  }
+  setTimeout(watch, 500);
+}
+
+at("stop").addEventListener("click", async () => {
+  asked = true;
+  at("stop").textContent = "STOP …";
+  try {
+    await call("/stop", { method: "POST", headers: { "Content-Type": "application/json" }, body: "{}" });
+  } catch (error) {
+    asked = false;
+    at("alarm").textContent = LOST;
+  }
+});
+watch();

@@ -1,0 +1,132 @@
+"""`python -m hil.console.stop_process FOLDER`: serves the STOP button, and outlives the page.
+
+It starts before the page and shares nothing with it but a folder of files. What a browser opens is its page:
+the button, and the console in a frame below. When the page's process is dead, the button is still there,
+also after a reload. It is small and needs the standard library alone, so that little can go wrong in it.
+
+It ends with the console; when the console was killed, ten minutes after the last job.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hil.console import jobs
+from hil.console.stopping import in_words, put_private, stop_all
+from hil.console.web import NAMES, Reply, Request, Route, Server, as_json
+
+ASKED, STOP, PAGE = "asked.json", "stop.json", "page.json"
+IDENTITY = ("pid", "ticks", "boot")
+POLICY = (
+    "default-src 'self'; img-src data:; frame-ancestors 'none'; base-uri 'none'; form-action 'none'; "
+    "frame-src " + " ".join(f"http://{name}:*" for name in NAMES)
+)
+_LINGER_S, _START_S = 600.0, 60.0
+_LOOK_S = 0.5
+
+
+def asset(name: str) -> Reply:
+    """A file of the pages."""
+    kinds = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
+    content = (resources.files("hil.console") / "pages" / name).read_bytes()
+    return Reply(content, f"{kinds[name.rpartition('.')[2]]}; charset=utf-8")
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A JSON object of this console; empty where there is none."""
+    try:
+        tree = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return tree if isinstance(tree, dict) else {}
+
+
+def runs(told: dict[str, Any]) -> bool:
+    """Whether the process that such a file names is running."""
+    return jobs.same({key: told.get(key) for key in IDENTITY})
+
+
+class StopProcess:
+    """Routes of the page with the button, and when to end.
+
+    Args:
+        folder: of the console.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def routes(self) -> dict[tuple[str, str], Route]:
+        """By method and path."""
+        return {
+            ("GET", "/"): lambda _: asset("stop.html"),
+            ("GET", "/stop.js"): lambda _: asset("stop.js"),
+            ("GET", "/style.css"): lambda _: asset("style.css"),
+            ("GET", "/state"): self._state,
+            ("POST", "/stop"): self._stop,
+        }
+
+    def _stop(self, request: Request) -> Reply:
+        asked = stop_all(self._folder / "jobs")
+        return as_json({"asked": [job.title for job in asked]})
+
+    def _state(self, request: Request) -> Reply:
+        page = read(self._folder / PAGE)
+        latest = jobs.jobs(self._folder / "jobs", 1)
+        shown = [job for job in jobs.jobs(self._folder / "jobs") if jobs.alive(job)] or latest
+        told = []
+        for job in shown:
+            state = jobs.state(job)
+            keys = ("name", "title", "running", "stopping", "question", "held", "verdict", "why")
+            told.append(
+                {k: state.get(k) for k in keys} | {"words": "" if state["running"] else in_words(state)}
+            )
+        return as_json({"page": page.get("port") if runs(page) else None, "jobs": told})
+
+    def serve_until_it_is_over(self, server: Server) -> None:
+        """Watch page and jobs; stop serving when neither needs the button any more."""
+        begun_s = needed_s = time.monotonic()
+        while True:
+            page = read(self._folder / PAGE)
+            if runs(page) or any(map(jobs.alive, jobs.jobs(self._folder / "jobs"))):
+                needed_s = time.monotonic()
+            elif page.get("ended") or (not page and time.monotonic() - begun_s > _START_S):
+                break  # in order; or it never began
+            elif time.monotonic() - needed_s > _LINGER_S:
+                break
+            time.sleep(_LOOK_S)
+        server.shutdown()
+
+
+def main() -> None:
+    """Serve on the port that the console asked for."""
+    folder = Path(sys.argv[1])
+    asked = read(folder / ASKED)
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    process = StopProcess(folder)
+    try:
+        server = Server(int(asked["port"]), asked["token"], asked["cookie"], process.routes(), POLICY)
+    except (OSError, KeyError, ValueError) as error:
+        put_private(folder / STOP, {"error": getattr(error, "strerror", None) or str(error)})
+        return
+    told = jobs.identity(os.getpid()) | {
+        "token": asked["token"],
+        "cookie": asked["cookie"],
+        "port": server.port,
+    }
+    put_private(folder / STOP, told)
+    threading.Thread(target=process.serve_until_it_is_over, args=(server,), daemon=True).start()
+    server.serve_forever(poll_interval=0.2)
+
+
+if __name__ == "__main__":
+    main()

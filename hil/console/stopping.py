@@ -1,0 +1,83 @@
+"""Stops whatever the console has started, by the signals that a terminal sends; standard library alone.
+
+SIGINT first, as Ctrl-C, which every command knows; then SIGTERM, which a procedure takes in the middle of a
+step. Both end in wheels at rest, steering held and torque on. SIGKILL is never sent: it would leave the robot
+to the watchdogs of its servos.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from hil.console.jobs import STOPPED, UNTOLD, Job, alive, jobs, send, state
+
+_GRACE_S = 0.3
+_POLL_S = 0.02
+_MOST = 200
+
+
+def stop_all(root: Path) -> list[Job]:
+    """Ask every running job to stop now; returns them. Does not wait for their ends.
+
+    Args:
+        root: folder of the jobs.
+    """
+    asked = [job for job in jobs(root, _MOST) if alive(job)]
+    for job in asked:
+        with suppress(OSError):  # a full disk keeps nobody from stopping
+            (job.folder / STOPPED).write_text(json.dumps({"when": time.time()}), encoding="utf-8")
+        send(job, signal.SIGINT)
+    until_s = time.monotonic() + _GRACE_S
+    while time.monotonic() < until_s and any(map(alive, asked)):
+        time.sleep(_POLL_S)
+    for job in asked:
+        send(job, signal.SIGTERM)
+    return asked
+
+
+def finish(job: Job) -> bool:
+    """Ask one job to end after its step, as one Ctrl-C does; returns whether it was there."""
+    return send(job, signal.SIGINT)
+
+
+def wait_for(asked: Sequence[Job], limit_s: float) -> list[dict[str, Any]]:
+    """The states of jobs once all have ended, or when time is up.
+
+    Args:
+        asked: to wait for.
+        limit_s: of the clock on the wall.
+    """
+    until_s = time.monotonic() + limit_s
+    while time.monotonic() < until_s and any(map(alive, asked)):
+        time.sleep(_POLL_S)
+    return [state(job) for job in asked]
+
+
+def in_words(told: dict[str, Any]) -> str:
+    """One line of how a job that was stopped has left the robot."""
+    if told["running"]:
+        return f"{told['title']}: still stopping; secure the robot"
+    held = told.get("held")
+    if held:
+        return f"{told['title']}: {held['state']}: {held['why']}"
+    if told["verdict"] == UNTOLD:
+        return f"{told['title']}: {told['why']}; check whether the robot is held"
+    return f"{told['title']}: {told['verdict']}"
+
+
+def put_private(path: Path, tree: object) -> None:
+    """Have a JSON file appear at once that only its owner can read; raises `OSError`."""
+    partial = path.with_name(path.name + ".part")
+    with suppress(FileNotFoundError):
+        partial.unlink()
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        json.dump(tree, file)
+    partial.rename(path)

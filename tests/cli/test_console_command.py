@@ -1,0 +1,143 @@
+"""`hil console`: what it offers fits the commands; what it cannot do is said before anything is started."""
+
+import json
+import os
+import socket
+
+import pytest
+
+from hil.cli import forms, main
+from hil.console import jobs
+from hil.console.stop_process import PAGE, STOP, read, runs
+from hil.procedure.parameters import make_parameters
+from hil.procedure.scripts import load_procedure, shipped_names
+
+
+@pytest.fixture(scope="module")
+def offered(tmp_path_factory):
+    return {action.name: action for action in forms.actions(tmp_path_factory.mktemp("out"))}
+
+
+def test_every_shipped_procedure_and_the_commands_around_them_are_offered(offered):
+    assert set(offered) == {
+        "doctor",
+        "accept",
+        "commission",
+        "live",
+        *shipped_names(),
+        "a procedure of your own",
+    }
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
+    """Every default that is shown is accepted, and every limit that is shown is one."""
+    action, proc = offered[name], load_procedure(name)
+    fields = [f for f in action.fields if not f.name.startswith("--")]
+    given = {f.name: f.default for f in fields if f.default}
+    make_parameters(proc.parameters, given, name)
+    assert action.problems(given) == {}
+    assert action.problems({}) == {}
+    for field in fields:
+        for limit in (field.low, field.high):
+            if limit is not None:
+                beyond = limit - 1 if limit == field.low else limit + 1
+                wrong = action.problems({field.name: str(int(beyond) if field.kind == "integer" else beyond)})
+                assert list(wrong) == [field.name], field
+
+
+def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
+    words = offered["bring_up"].words(
+        {"--quick": "true", "watch_s": "3", "--fault": "imu:stuck@2 tracker:off@1"}
+    )
+    text = " ".join(words)
+    assert text.startswith("run bring_up ")
+    for part in (
+        "--quick",
+        "--fault=imu:stuck@2",
+        "--fault=tracker:off@1",
+        "--set watch_s=3",
+        "--answers -",
+        "--json",
+    ):
+        assert part in text
+    assert offered["doctor"].words({"--bench": "my.toml"}) == ("doctor", "--bench=my.toml", "--json")
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "field"),
+    [("bring_up", {"--seed": "-1"}, "--seed"), ("bring_up", {"--seed": "x"}, "--seed"),
+     ("live", {"--duration": "0"}, "--duration"), ("bring_up", {"watch_s": "many"}, "watch_s"),
+     ("bring_up", {"devices": "imu"}, ""), ("a procedure of your own", {}, "SCRIPT"),
+     ("a procedure of your own", {"SCRIPT": "absent.py"}, "SCRIPT")],
+)  # fmt: skip
+def test_what_is_wrong_is_named_beside_its_field(offered, name, values, field):
+    assert list(offered[name].problems(values)) == [field]
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_port_that_is_taken_is_named(place, capsys):
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        assert main(["console", "--port", str(taken.getsockname()[1])]) == 2
+    err = capsys.readouterr().err
+    assert "Address already in use" in err
+    assert str(taken) not in err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [(["--bench", "absent.toml"], "absent.toml"), (["--in", "file"], "file"),
+     (["--in", "/proc/absent"], "/proc/absent"), (["--stop", "--in", "absent"], "absent"),
+     (["--stop", "--bench", "emulated"], "--bench")],
+)  # fmt: skip
+def test_what_it_cannot_use_is_named_and_nothing_is_started(place, capsys, words, said):
+    (place / "file").write_text("mine")
+    assert main(["console", *words]) == 2
+    assert said in capsys.readouterr().err
+    assert not list(place.rglob(STOP))
+
+
+def test_a_second_console_of_the_same_folder_is_refused(place, capsys):
+    (place / "out" / "console").mkdir(parents=True)
+    (place / "out" / "console" / PAGE).write_text(json.dumps(jobs.identity(os.getpid()) | {"port": 1}))
+    assert main(["console"]) == 2
+    assert "running already" in capsys.readouterr().err
+
+
+def test_stop_from_a_shell_says_that_nothing_runs(place, capsys):
+    (place / "out").mkdir()
+    assert main(["console", "--stop"]) == 0
+    assert "nothing runs" in capsys.readouterr().out
+    assert main(["console", "--stop", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"stopped": []}
+
+
+def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, monkeypatch):
+    """Ctrl-C at once; the process with the button sees it and ends, because nothing runs."""
+    seen = []
+
+    def ended(seconds, sleep=jobs.time.sleep):
+        told = read(place / "out" / "console" / PAGE)
+        if told and not seen:
+            seen.append(told)
+            os.kill(os.getpid(), 2)
+        sleep(seconds)
+
+    monkeypatch.setattr("hil.cli.console.time.sleep", ended)
+    assert main(["console", "--json"]) == 0
+    out, err = capsys.readouterr()
+    stop = read(place / "out" / "console" / STOP)
+    assert json.loads(out)["url"] == f"http://127.0.0.1:{stop['port']}/?token={stop['token']}"
+    assert seen[0]["pid"] == os.getpid()
+    assert "goes on" not in err
+    end_s = jobs.time.monotonic() + 30.0
+    while runs(stop):
+        assert jobs.time.monotonic() < end_s
+        jobs.time.sleep(0.05)

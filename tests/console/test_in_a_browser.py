@@ -1,0 +1,165 @@
+"""A person at the page, in a real browser: starts, is asked, sees PASS; the page dies, and STOP works."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hil.console.jobs import signal_process
+from hil.console.stop_process import IDENTITY, PAGE, STOP, read
+from tests.console.browser import CHROMIUM, Browser
+from tests.console.test_jobs import wait_until
+
+pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
+
+ASKING = '''
+"""Asks for a colour."""
+from hil.procedure import procedure
+
+
+@procedure(name="asking", needs=())
+def run(ctx):
+    """Ask."""
+    with ctx.step("a question"):
+        ctx.note("the colour is " + ctx.prompt("which colour?"))
+'''
+SIZES = [(1280, 900, False), (390, 844, True)]
+
+
+class Console:
+    """`hil console` in a folder, as somebody starts it."""
+
+    def __init__(self, place):
+        self.folder = place / "out" / "console"
+        self._place = place
+        self.start()
+
+    def start(self):
+        (self.folder / PAGE).unlink(missing_ok=True)
+        command = [sys.executable, "-m", "hil", "console", "--json"]
+        self.process = subprocess.Popen(command, cwd=self._place, stdout=subprocess.PIPE, text=True)
+        self.url = json.loads(self.process.stdout.readline())["url"]
+        self.frame = f"http://127.0.0.1:{read(self.folder / PAGE)['port']}"
+
+    def kill(self):
+        self.process.kill()
+        self.process.communicate()
+
+    def end(self):
+        self.process.send_signal(signal.SIGINT)
+        self.process.communicate(timeout=30)
+
+
+@pytest.fixture
+def console(tmp_path):
+    (tmp_path / "asking.py").write_text(ASKING)
+    made = Console(tmp_path)
+    yield made
+    if made.process.poll() is None:
+        made.end()
+    subprocess.run([sys.executable, "-m", "hil", "console", "--stop"], cwd=tmp_path, check=True)
+    stop = read(made.folder / STOP)
+    if stop:
+        signal_process({key: stop.get(key) for key in IDENTITY}, signal.SIGTERM)
+
+
+def opened(console, profile, *size):
+    browser = Browser(profile, *size)
+    browser.open(console.url)
+    browser.until("document.querySelector('#form #start') !== null", console.frame)
+    return browser
+
+
+def start(browser, console, action, **values):
+    filled = "".join(
+        f"document.querySelector('[name=\"{name}\"]').value = '{v}';" for name, v in values.items()
+    )
+    code = f"choose('{action}'); {filled} document.querySelector('#start').click(); true"
+    assert browser.ask(code, console.frame)
+
+
+def test_a_person_starts_is_asked_sees_the_verdict_and_opens_the_report(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        start(browser, console, "bring_up", watch_s="1")
+        wrong = "document.querySelector('.field:has([aria-invalid=true])')?.innerText"
+        assert "greater than or equal to 2" in browser.until(wrong, console.frame)
+        start(browser, console, "a procedure of your own", SCRIPT="asking.py")
+        browser.until(
+            "document.querySelector('.question')?.innerText.includes('which colour?')", console.frame
+        )
+        assert "asking.py asks: which colour?" in browser.until("document.getElementById('now').innerText")
+        answer = "document.querySelector('.question input').value = 'blue';"
+        browser.ask(answer + "document.querySelector('.question button').click()", console.frame)
+        browser.until("document.getElementById('verdict')?.innerText === 'PASS'", console.frame)
+        link = browser.until("document.querySelector('#now a')?.href", console.frame)
+        browser.until("document.querySelectorAll('#history a').length === 1", console.frame)
+        browser.open(link)
+        browser.until("document.body.innerText.includes('the colour is blue')")
+        assert browser.told == []
+    finally:
+        browser.close()
+
+
+def test_stop_works_when_the_process_of_the_page_is_dead(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        start(
+            browser,
+            console,
+            "wall_tracking",
+            length_m="0.5",
+            duration_s="300",
+            feedbacks="ekf",
+            cases="x_line",
+        )
+        browser.until("document.querySelector('#figures')?.innerText.includes('needed')", console.frame, 60.0)
+        console.kill()
+        browser.until("!document.getElementById('alone').hidden")
+        browser.open(console.url.partition("?")[0])  # also a page that is loaded afresh has the button
+        assert "wall_tracking runs" in browser.until("document.getElementById('now').innerText")
+        time.sleep(1.0)
+        assert "wall_tracking runs" in browser.ask("document.getElementById('now').innerText")
+        browser.ask("document.getElementById('stop').click()")
+        browser.until("document.getElementById('now').innerText.startsWith('wall_tracking: HELD: torque on')")
+        console.start()
+        browser.until("!document.getElementById('console').hidden")  # the same page goes on with the new one
+        browser.until("document.getElementById('verdict')?.innerText === 'ABORTED'", console.frame)
+    finally:
+        browser.close()
+
+
+def test_the_button_comes_back_when_its_own_process_dies(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        before = read(console.folder / STOP)
+        os.kill(before["pid"], signal.SIGKILL)
+        wait_until(lambda: read(console.folder / STOP).get("pid", before["pid"]) != before["pid"])
+        after = read(console.folder / STOP)
+        assert (after["port"], after["token"]) == (before["port"], before["token"])
+        browser.until("document.getElementById('alarm').innerText === ''")
+        assert browser.ask("fetch('/state').then((r) => r.status)") == 200
+    finally:
+        browser.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_nothing_is_cut_off_and_stop_is_in_sight(console, tmp_path, size):
+    browser = opened(console, tmp_path / "profile", *size)
+    try:
+        browser.until("document.querySelectorAll('#devices tr').length > 3", console.frame)
+        wide = "document.documentElement.scrollWidth <= document.documentElement.clientWidth"
+        assert browser.ask(wide)
+        assert browser.ask(wide, console.frame)
+        seen = "(() => { const r = document.getElementById('stop').getBoundingClientRect();"
+        seen += " return r.top >= 0 && r.bottom <= 100 && r.width >= 100 && r.right <= innerWidth; })()"
+        assert browser.ask(seen)
+        browser.ask("document.documentElement.scrollTo(0, 1e6)", console.frame)
+        assert browser.ask(seen)
+        assert browser.told == []
+    finally:
+        browser.close()

@@ -1,0 +1,164 @@
+"""What the console has started: read from its files, answered, stopped, and never taken for another."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hil.console import jobs
+from hil.console.stopping import finish, in_words, stop_all, wait_for
+
+ASKING = '''
+"""Asks, then drives for a minute."""
+from hil.procedure import procedure
+from hil.robot.trajectories import line
+
+
+@procedure(name="asking", needs=("servos",))
+def run(ctx):
+    """Ask, then drive."""
+    with ctx.step("a question"):
+        ctx.note("the colour is " + ctx.prompt("which colour?"))
+    with ctx.step("a long drive"):
+        ctx.bench.drive(line((0, 0, 0), (0.3, 0, 0), duration_s=60.0), feedback="odometry")
+'''
+
+
+def job_in(root, name="20260101-000000-000000", process=None, out="", err="", **changes):
+    folder = root / name
+    folder.mkdir(parents=True)
+    told = {"words": ["run", "x", "--json"], "title": "x", "started": 0.0, **changes}
+    (folder / jobs.COMMAND).write_text(json.dumps(told))
+    (folder / jobs.PROCESS).write_text(json.dumps(process or {"pid": 1 << 22, "ticks": 1, "boot": ""}))
+    (folder / jobs.STDOUT).write_text(out)
+    (folder / jobs.STDERR).write_text(err)
+    return jobs.jobs(root)[0]
+
+
+@pytest.mark.parametrize("key", ["ticks", "boot"])
+def test_a_number_that_another_process_has_now_is_never_signalled(tmp_path, key):
+    stranger = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        told = jobs.identity(stranger.pid)
+        job = job_in(tmp_path, process=told | {key: 1 if key == "ticks" else "another"})
+        assert not jobs.alive(job)
+        assert not jobs.send(job, signal.SIGTERM)
+        assert stop_all(tmp_path) == []
+        assert not finish(job)
+        time.sleep(0.05)
+        assert stranger.poll() is None
+        assert jobs.same(told)
+    finally:
+        stranger.communicate(b"\n")
+    assert not jobs.same(told)
+
+
+def line(**told):
+    return json.dumps(told) + "\n"
+
+
+def test_what_a_running_job_says_is_its_state(tmp_path):
+    said = (
+        "a message\n" + line(progress={"what": "in all", "done": 1, "total": 9, "left_s": 4.0})
+        + line(progress={"what": "a step", "done": 2, "total": 5, "left_s": None}) + line(question="old?")
+        + line(answered="yes") + line(live={"pose": [1, 2, 3], "events": ["imu: stuck"]})
+        + line(question="ready?") + '{"live": {"po'
+    )  # fmt: skip
+    state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=said))
+    assert state["running"]
+    assert (state["whole"]["done"], state["progress"]["done"]) == (1, 2)
+    assert state["question"] == "ready?"
+    assert (state["live"]["pose"], state["events"]) == ([1, 2, 3], ["imu: stuck"])
+    assert state["messages"][0] == "a message"
+
+
+@pytest.mark.parametrize(
+    "text", ["1", "null", "[]", '"x"', "{}", '{"progress": 1}', '{"live": [], "b": 1}', "{"]
+)
+def test_a_line_that_is_no_object_of_ours_is_a_message(tmp_path, text):
+    state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=text + "\n"))
+    assert state["messages"] == [text]
+
+
+HELD = {"state": "HELD", "moved_m": 0.0, "why": "at rest"}
+
+
+@pytest.mark.parametrize(
+    ("out", "err", "verdict", "words"),
+    [
+        ({"verdict": "PASS", "error": None, "held": HELD}, "", "PASS", "x: HELD: at rest"),
+        ({"verdict": "ABORTED", "error": {"message": "."}, "held": HELD}, "", "ABORTED", "x: HELD: at rest"),
+        ({"ended": "SIGINT", "held": HELD | {"state": "NOT HELD"}}, "", "ABORTED", "x: NOT HELD: at rest"),
+        ({"ended": "duration", "held": HELD}, "", "DONE", "x: HELD: at rest"),
+        ({"ended": "robot stopped (stale)", "held": HELD}, "", "ERROR", "x: HELD: at rest"),
+        ({"ok": False, "findings": []}, "", "FAIL", "x: FAIL"),
+        ({"error": {"message": "no port", "remedy": "plug it in", "exit_code": 3}}, "", "ERROR", "x: ERROR"),
+        ({"error": {"message": "no", "exit_code": 4}}, line(held=HELD), "ABORTED", "x: HELD: at rest"),
+        (None, "", "ENDED", "x: it ended without a result: it was killed, or could not start; "
+         "check whether the robot is held"),
+    ],
+)  # fmt: skip
+def test_how_a_job_ended_is_in_what_it_wrote_last(tmp_path, out, err, verdict, words):
+    job = job_in(tmp_path, out="" if out is None else json.dumps(out), err=err)
+    state = jobs.state(job)
+    assert not state["running"]
+    assert state["verdict"] == verdict
+    assert in_words(state) == words
+
+
+def test_of_a_long_story_the_end_is_read(tmp_path):
+    story = "".join(
+        line(progress={"what": "long", "done": n, "total": 9999, "left_s": None}) for n in range(9999)
+    )
+    state = jobs.state(job_in(tmp_path, process=jobs.identity(os.getpid()), err=story))
+    assert (state["progress"]["done"], state["messages"]) == (9998, [])
+
+
+def test_folders_that_are_no_jobs_are_left_out(tmp_path):
+    job_in(tmp_path)
+    for name, text in (("a", "{"), ("b", '{"words": 1, "title": "x", "started": 0}'), ("c", "[]")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / jobs.COMMAND).write_text(text)
+    assert [job.name for job in jobs.jobs(tmp_path)] == ["20260101-000000-000000"]
+    assert jobs.jobs(tmp_path / "absent") == []
+
+
+def test_a_job_that_was_stopped_before_its_process_was_known_does_not_begin(tmp_path):
+    job = job_in(tmp_path, process={"pid": 0}, started=time.time())
+    (job.folder / jobs.PROCESS).unlink()
+    assert stop_all(tmp_path) == [job]
+    done = subprocess.run([sys.executable, "-m", "hil.console.launch", str(job.folder)], capture_output=True)
+    assert (done.returncode, done.stdout, done.stderr) == (0, b"", b"")
+    assert (job.folder / jobs.STDOUT).read_text() == ""
+
+
+def wait_until(condition, limit_s=60.0):
+    end_s = time.monotonic() + limit_s
+    while not condition():
+        assert time.monotonic() < end_s
+        time.sleep(0.02)
+
+
+def test_a_run_is_asked_for_answered_and_stopped_within_its_step_and_ends_held(tmp_path):
+    """By its files alone: nothing of the process that started it is needed."""
+    (tmp_path / "asking.py").write_text(ASKING)
+    words = ["run", str(tmp_path / "asking.py"), "--answers=-", "--json", "--out", str(tmp_path / "out")]
+    jobs.start(tmp_path / "jobs", words, "asking")
+    (job,) = jobs.jobs(tmp_path / "jobs")
+    try:
+        wait_until(lambda: jobs.state(job)["question"] == "which colour?")
+        assert jobs.answer(job, "blue\nand green")
+        wait_until(lambda: (jobs.state(job)["progress"] or {}).get("what") == "a long drive")
+        wait_until(lambda: jobs.state(job)["live"])
+    finally:
+        asked = stop_all(tmp_path / "jobs")
+    assert asked == [job]
+    (state,) = wait_for(asked, 60.0)
+    assert (state["verdict"], state["held"]["state"]) == ("ABORTED", "HELD")
+    notes = json.loads((tmp_path / "out" / "result.json").read_text())["notes"]
+    assert "the colour is blue and green" in notes
+    assert not jobs.answer(job, "more")

@@ -1,0 +1,140 @@
+"""The page: what it lists, what it refuses to show, and that it starts one thing at a time."""
+
+import json
+import os
+from http import HTTPStatus
+
+import pytest
+
+from hil.console import jobs
+from hil.console.actions import Action, Field
+from hil.console.page_process import PageProcess
+from hil.console.web import Refused, Request
+
+
+def words(values):
+    return ("info", *(f"{k}={v}" for k, v in values.items()))
+
+
+def problems(values):
+    return {"seed": "no number"} if values.get("seed") == "x" else {}
+
+
+ACTION = Action("idle", "procedures", "Does nothing.", (Field("seed", "integer"),), words, problems)
+
+
+@pytest.fixture
+def page(tmp_path, monkeypatch):
+    monkeypatch.setattr(jobs, "detached", lambda module, folder: None)
+    results = tmp_path / "out"
+    (results / "console").mkdir(parents=True)
+    process = PageProcess(results / "console", results, lambda: [ACTION], lambda: ["emulated"], None)
+
+    def ask(method, path, body=None, **query):
+        routes = process.routes()
+        above = next((place for place in ("/pages/", "/results/") if path.startswith(place)), path)
+        route = routes[method, above]
+        return route(Request(path, query, body or {}, "127.0.0.1"))
+
+    ask.results = results
+    return ask
+
+
+def tree(reply):
+    return json.loads(reply.content)
+
+
+def test_what_is_wrong_stands_by_its_field_and_nothing_is_started(page):
+    told = tree(page("POST", "/api/start", {"action": "idle", "values": {"seed": "x"}}))
+    assert told == {"problems": {"seed": "no number"}}
+    assert jobs.jobs(page.results / "console" / "jobs") == []
+
+
+@pytest.mark.parametrize(
+    "body", [{}, {"action": "idle"}, {"action": "rm", "values": {}}, {"action": "idle", "values": 1}]
+)
+def test_what_is_not_offered_is_not_started(page, body):
+    with pytest.raises(Refused) as refused:
+        page("POST", "/api/start", body)
+    assert refused.value.status == HTTPStatus.BAD_REQUEST
+
+
+def test_one_thing_at_a_time(page):
+    asked = {"action": "idle", "values": {"seed": " 3 ", "other": ""}}
+    name = tree(page("POST", "/api/start", asked))["job"]
+    (job,) = jobs.jobs(page.results / "console" / "jobs")
+    assert (job.name, job.words) == (name, ("info", "seed=3"))
+    with pytest.raises(Refused, match="idle is still running"):
+        page("POST", "/api/start", asked)
+    (job.folder / jobs.PROCESS).write_text(json.dumps({"pid": 1 << 22, "ticks": 1, "boot": ""}))  # has ended
+    page("POST", "/api/start", asked)
+
+
+def test_only_a_question_that_is_open_is_answered(page):
+    name = tree(page("POST", "/api/start", {"action": "idle", "values": {}}))["job"]
+    for body, said in (({"job": name, "text": "yes"}, "nothing is asked"), ({"job": "../x"}, "no such run")):
+        with pytest.raises(Refused, match=said):
+            page("POST", "/api/answer", body)
+
+
+def test_what_runs_and_how_it_ended_is_told_with_its_page(page):
+    tree(page("POST", "/api/start", {"action": "idle", "values": {}}))
+    (job,) = jobs.jobs(page.results / "console" / "jobs")
+    (job.folder / jobs.PROCESS).write_text(json.dumps(jobs.identity(os.getpid())))
+    assert tree(page("GET", "/api/state"))["jobs"][0]["running"]
+    (job.folder / jobs.PROCESS).write_text(json.dumps({"pid": 1 << 22, "ticks": 1, "boot": ""}))
+    report = page.results / "idle run" / "report.html"
+    (job.folder / jobs.STDOUT).write_text(
+        json.dumps({"verdict": "PASS", "report": str(report), "error": None})
+    )
+    (told,) = tree(page("GET", "/api/state"))["jobs"]
+    assert (told["verdict"], told["link"]) == ("PASS", "/pages/idle%20run/report.html")
+
+
+def test_the_history_names_a_foreign_page_as_what_it_is_and_does_not_lead_there(page):
+    (page.results / "notes").mkdir()
+    (page.results / "notes" / "mine.html").write_text("<title>My notes</title>")
+    (told,) = tree(page("GET", "/api/results"))["results"]
+    assert (told["kind"], told["procedure"], told["link"]) == ("foreign", "My notes", None)
+    assert "mine.html" in told["why"]
+    assert tree(page("GET", "/api/results", words="absent"))["found"] == 0
+
+
+def test_a_page_of_results_is_shown_without_the_rights_of_the_console(page):
+    (page.results / "run").mkdir()
+    (page.results / "run" / "report.html").write_text("<script>steal()</script>")
+    reply = page("GET", "/pages/run/report.html")
+    assert reply.content == b"<script>steal()</script>"
+    sandbox = reply.headers["Content-Security-Policy"].split()
+    assert sandbox[0] == "sandbox"
+    assert "allow-same-origin" not in sandbox
+    assert "default-src 'none';" in reply.headers["Content-Security-Policy"]
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["../secret.txt", "/etc/hostname", "run/../../secret.txt", "link.txt", "linked/secret.txt",
+     "console/stop.json", ".hidden.txt", "run", "", "absent.html", "run/tool.py", "nul\0l.html", "x" * 5000],
+)  # fmt: skip
+def test_nothing_else_of_this_computer_is_shown(page, tmp_path, name):
+    (tmp_path / "secret.txt").write_text("secret")
+    (page.results / "run").mkdir()
+    for path in (
+        page.results / "run" / "tool.py",
+        page.results / ".hidden.txt",
+        page.results / "console" / "stop.json",
+    ):
+        path.write_text("secret")
+    (page.results / "link.txt").symlink_to(tmp_path / "secret.txt")
+    (page.results / "linked").symlink_to(tmp_path)
+    with pytest.raises(Refused) as refused:
+        page("GET", f"/pages/{name}")
+    assert refused.value.status == HTTPStatus.NOT_FOUND
+
+
+def test_the_devices_of_a_bench_are_told_and_a_bench_that_is_wrong_is_named(page):
+    told = tree(page("GET", "/api/bench", name="emulated_floor"))
+    assert {row["name"] for row in told["devices"]} >= {"servos", "imu"}
+    assert {row["backend"] for row in told["devices"]} == {"emulated"}
+    with pytest.raises(Refused, match="nothing_like_that"):
+        page("GET", "/api/bench", name="nothing_like_that")
