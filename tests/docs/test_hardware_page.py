@@ -165,11 +165,13 @@ def emulator(folder, name, *options):
         with at_once(20):  # hardware waits for no program
             process = subprocess.Popen(command, stdout=told, stderr=told)
         try:
-            assert main(["emulate", "--wait", str(where)]) == 0
+            if main(["emulate", "--wait", str(where)]) != 0 and process.poll() == 3:
+                pytest.skip(f"another program has a standard port: {(folder / name).read_text()}")
             yield json.loads(where.read_text())
         finally:
             process.terminate()
-            assert process.wait(ENDS_S) == 0
+            process.wait(ENDS_S)
+        assert process.returncode == 0
 
 
 class Lab:
@@ -264,8 +266,8 @@ def test_the_page_can_be_walked(tmp_path, monkeypatch):
 
 
 def only_late(told):
-    """Whether a run measured its motions right, and failed by limits of punctuality alone, which a computer that
-    is shared cannot keep: what comes after them is then not measured."""
+    """Whether a run measured its motions right, and failed by limits of punctuality alone, which a computer
+    that is shared cannot keep: what comes after them is then not measured."""
     failed = [line.split()[1:3] for line in told.stdout.splitlines() if line.startswith("FAIL ")]
     wrong = [name for name, value in failed if value != "-"]
     late = all(name.endswith((".delivered", ".largest_gap", ".age")) for name in wrong)
