@@ -43,13 +43,10 @@ def raised(function):
         for step in attempt.body for raising in ast.walk(step) if isinstance(raising, ast.Raise)
     }  # fmt: skip
     for node in nodes:
-        if (
-            isinstance(node, ast.Raise)
-            and isinstance(node.exc, ast.Call)
-            and isinstance(node.exc.func, ast.Name)
-        ):
-            if (node, node.exc.func.id) not in caught:
-                yield node.exc.func.id
+        call = node.exc if isinstance(node, ast.Raise) else None
+        name = call.func.id if isinstance(call, ast.Call) and isinstance(call.func, ast.Name) else ""
+        if name and (node, name) not in caught:
+            yield name
 
 
 def typed(function):
