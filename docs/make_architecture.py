@@ -23,7 +23,7 @@ LEFT_OUT = ("__main__",)
 WIDTH, HEIGHT, BOX, TALL, ROW, COLUMN = 850, 660, 106, 34, 72, 122
 PLACES = {
     "cli": (1.0, 0), "procedures": (3.0, 0), "pytest_plugin": (4.4, 0),
-    "live": (0.2, 1), "replay": (1.6, 1), "procedure": (3.0, 1),
+    "live": (0.2, 1), "replay": (1.6, 1), "procedure": (3.0, 1), "console": (5.4, 1),
     "bench": (3.0, 2), "report": (5.2, 2),
     "devices": (2.0, 3),
     "monitor": (0.0, 4), "drivers": (1.0, 4), "fakes": (2.0, 4), "recording": (3.0, 4),
