@@ -66,11 +66,16 @@ def command(
     at free ports; it streams to [mocap] multicast, or to each client. With --standard-ports clients of
     Motive's multicast group are served beside them. Nothing leaves this host.
 
+    A serial port that the bench file names becomes a link to the terminal that serves the device, below
+    /dev with --standard-ports only; what is there already is left alone. A CAN bus with
+    interface = "udp_multicast" is served at its own group and port.
+
     Example: hil emulate --only servos,imu --out endpoints.json
     """
     from hil.bench import open_emulation
     from hil.bench.on_its_wall import OnItsWall
     from hil.cli.endpoints import EndpointsFile, await_endpoints
+    from hil.cli.port_links import PortLinks
     from hil.config.loading import load_bench
     from hil.vocabulary.kinds import kind_of
 
@@ -98,6 +103,9 @@ def command(
     )  # whoever awaits the start looks after it
     if robot is not None and (told := robot.at_the_start()):
         click.echo(told, err=True)
+    links = PortLinks(config, server.endpoints(), of_hardware=standard_ports)
+    for told in links.make():
+        click.echo(told, err=True)
     click.echo(line)
     sys.stdout.flush()
     if (answered := click.get_current_context().find_object(Answered)) is not None:
@@ -105,6 +113,7 @@ def command(
     try:
         server.run(ready=partial(file.write, line) if file is not None else None)
     finally:
+        links.remove()
         if file is not None:
             file.remove()
         if robot is not None and (told := robot.at_the_end()):

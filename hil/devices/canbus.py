@@ -48,9 +48,13 @@ def on_can(
         return Connection(values, parts=dict(parts or {}), close=opened.close)
 
     def serve() -> Face:
+        config = setting.config
         about: dict[str, Any] = {"dbc": dbc, "device": setting.kind, "listens": listens, "told": told}
+        if config.interface == "udp_multicast":
+            at = {"port": DEFAULT_PORT, **config.options}
+            return CanFace(channel, address=config.channel, options=at, **about)
         if setting.standard_ports:
-            bus = (setting.config.bus, setting.config.bitrate)
+            bus = (config.bus, config.bitrate)
             at = {"port": take_port(*bus, setting.kind)}
             leave = partial(leave_port, *bus)
             return CanFace(channel, address=DEFAULT_GROUP, options=at, at_close=leave, **about)
