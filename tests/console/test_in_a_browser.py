@@ -92,7 +92,7 @@ def test_a_person_starts_is_asked_sees_the_verdict_and_opens_the_report(console,
         browser.until(
             "document.querySelector('.question')?.innerText.includes('which colour?')", console.frame
         )
-        assert "asking.py asks: which colour?" in browser.until("document.getElementById('now').innerText")
+        browser.until("document.getElementById('now').innerText.includes('asking.py asks: which colour?')")
         answer = "document.querySelector('.question input').value = 'blue';"
         browser.ask(answer + "document.querySelector('.question button').click()", console.frame)
         browser.until("document.getElementById('verdict')?.innerText === 'PASS'", console.frame)
