@@ -121,7 +121,7 @@ def test_stop_works_when_the_process_of_the_page_is_dead(console, tmp_path):
         console.kill()
         browser.until("!document.getElementById('alone').hidden")
         browser.open(console.url.partition("?")[0])  # also a page that is loaded afresh has the button
-        assert "wall_tracking runs" in browser.until("document.getElementById('now').innerText")
+        browser.until("document.getElementById('now').innerText.includes('wall_tracking runs')")
         time.sleep(1.0)
         assert "wall_tracking runs" in browser.ask("document.getElementById('now').innerText")
         browser.ask("document.getElementById('stop').click()")
