@@ -10,7 +10,7 @@ BIN := $(VENV)/bin
 EXTRAS := fast rerun parquet campaign mujoco test lint docs
 CLIMB := out/demo/recording_x_line_ekf_seed_1
 
-.PHONY: help demo demo-calibration docs site dist pictures test test-slowest test-long lint lock bench clean
+.PHONY: help demo demo-calibration docs site dist notebooks pictures test test-slowest test-long lint lock bench clean
 
 help:
 	@echo "make demo       the robot climbs an emulated wall: report, recording, Rerun file, replay"
@@ -21,6 +21,7 @@ help:
 	@echo "make lint       ruff, mypy --strict, import-linter"
 	@echo "make docs       write docs/bench-file.md, docs/faults.md and the picture of the robot afresh"
 	@echo "make site       build the documentation site in out/site, every warning an error"
+	@echo "make notebooks  run both notebooks of docs/notebooks"
 	@echo "make dist       build wheel and source archive in dist/ and check them"
 	@echo "make pictures   the Rerun view and the console as pictures, without a screen (Vulkan driver, Chromium)"
 	@echo "make bench      print the measured ratios"
@@ -92,6 +93,9 @@ docs: $(BIN)/.installed
 site: $(BIN)/.installed
 	$(BIN)/python -m sphinx -q -W --keep-going -b html -c docs . out/site
 	@echo "open out/site/index.html"
+
+notebooks: $(BIN)/.installed
+	$(BIN)/python -m pytest -q -m long tests/docs/test_notebooks.py
 
 dist: $(BIN)/.installed
 	rm -rf build dist
