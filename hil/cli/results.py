@@ -206,9 +206,8 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
         click.echo(headline(found))
         for group in found:
             urgent = [s for s in group.series if s.chart.state in (DRIFTING, OUTSIDE)]
-            click.echo(
-                printable(f"{group.title}: {len(group.runs)} runs, {len(urgent) or 'none'} to look at")
-            )
+            runs = f"{len(group.runs)} run{'s' * (len(group.runs) != 1)}"
+            click.echo(printable(f"{group.title}: {runs}, {len(urgent) or 'none'} to look at"))
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
         click.echo(f"page: {page}")

@@ -231,6 +231,16 @@ def test_runs_that_can_be_compared_stand_together_and_the_drift_comes_first(drif
     assert headline([first]) == "2 measurements in 30 runs: 1 drifting, 1 steady."
 
 
+def test_another_emulated_robot_is_another_history(tmp_path):
+    """A seed is a robot: what differs between two is no drift of one."""
+    for number, seed in enumerate((7, 7, 8)):
+        write(tmp_path / f"{number}", number, seed=seed, emulated=["servos"], faults=["imu:off@1"])
+    one, other = sorted(groups(find_results(tmp_path)), key=lambda g: len(g.runs))
+    assert (len(one.runs), len(other.runs)) == (1, 2)
+    assert one.title.endswith(", faults imu:off@1; seed 8")
+    assert one.series[0].in_words() == "1 run: too few to judge"
+
+
 def test_the_page_draws_limits_calibrations_and_every_run(drifted):
     found = groups(find_results(drifted))
     art = drawing(found[0].series[0])
@@ -241,6 +251,8 @@ def test_the_page_draws_limits_calibrations_and_every_run(drifted):
     page = write_trends_page(drifted / "trends.html", found).read_text()
     assert page.count("<circle") == 30 * 2 + 2 * 2
     assert "version 2 (TrueTr)" in page
+    assert page.count('class="tick"') == 2 * sum(len(g.series) for g in found)
+    assert (art["top"], "2026-03-01 00:00" in page) == ("6 mm", True)
     assert "nan" not in page
     assert not re.search(r"https?://(?!www\.w3\.org)", page)
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
 from hil.report.history.series import Group, Series
-from hil.report.pages import environment, number
+from hil.report.pages import environment, number, quantity
 from hil.report.readings import MOST_POINTS, Curve, Readings, Scale, as_json
 from hil.vocabulary.files import write_text
 
@@ -54,9 +54,11 @@ def drawing(series: Series) -> dict[str, Any]:
 
     Returns:
         `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),
-        `control` (x, width, top, height, y of the centre), `calibrations` (x, words) and `readings` (JSON).
+        `control` (x, width, top, height, y of the centre), `calibrations` (x, words), `readings` (JSON), and
+        the values at `top` and `bottom`.
     """
     points, reach = series.points, _span(series)
+    top, bottom = (quantity(value, series.unit) for value in reversed(reach))
     step = (_WIDTH - 2 * _EDGE) / max(1, len(points) - 1)
 
     def y(value: float) -> float:
@@ -75,9 +77,9 @@ def drawing(series: Series) -> dict[str, Any]:
             dots.append({"x": x, "y": y(p.value), "tone": p.outcome, "words": words})
         lines.append(" ".join(f"{x},{y(p.value)}" for x, p in zip(xs, own, strict=True)))
         if chart.centre is not None and chart.low is not None and chart.high is not None:
-            top, bottom = y(chart.high), y(chart.low)
+            above, below = y(chart.high), y(chart.low)
             control.append(
-                {"x": xs[0] - 3, "width": xs[-1] - xs[0] + 6, "top": top, "height": max(1.0, bottom - top),
+                {"x": xs[0] - 3, "width": xs[-1] - xs[0] + 6, "top": above, "height": max(1.0, below - above),
                  "centre": y(chart.centre)}
             )  # fmt: skip
         if first:
@@ -93,6 +95,8 @@ def drawing(series: Series) -> dict[str, Any]:
         "control": control,
         "calibrations": calibrations,
         "readings": _readings(series, step),
+        "top": top,
+        "bottom": bottom,
     }
 
 

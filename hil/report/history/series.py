@@ -1,7 +1,8 @@
 """Each measurement over all runs of a bench, in stretches between two calibrations, and what it does.
 
 Only runs that can be compared stand in one series: of one procedure on one bench, on the same devices, with
-the same parameters and faults. Runs of a campaign are no history of a bench and are left out.
+the same parameters and faults, and of the same emulated robot (its seed). Runs of a campaign are no history
+of a bench and are left out.
 """
 
 from __future__ import annotations
@@ -66,7 +67,8 @@ class Series:
         chart, last = self.chart, self.points[-1].value
         unit = "" if self.unit == "1" else f" {self.unit}"
         if chart.state == TOO_FEW:
-            return f"{len(self.stretches[-1][0])} runs: too few to judge"
+            runs = len(self.stretches[-1][0])
+            return f"{runs} run{'s' * (runs != 1)}: too few to judge"
         if chart.state == DRIFTING:
             return self._drift(chart, unit)
         span = f"{number(chart.low)} to {number(chart.high)}{unit}"
@@ -100,7 +102,17 @@ class Group:
     def title(self) -> str:
         """What a reader knows it by."""
         how = f" ({self.where})" if self.where else ""
-        return f"{self.procedure} on {self.bench or 'a bench without a name'}{how}"
+        with_what = f", {self.in_words}" if self.settings != "{}" else ""
+        return f"{self.procedure} on {self.bench or 'a bench without a name'}{how}{with_what}"
+
+    @property
+    def in_words(self) -> str:
+        """Seed, faults and parameters that tell it from other runs of its procedure."""
+        told = []
+        for key, value in json.loads(self.settings).items():
+            shown = ", ".join(map(str, value)) if isinstance(value, list) else value
+            told.append(f"{key} {shown}")
+        return "; ".join(told)
 
 
 def groups(found: Sequence[Kept]) -> list[Group]:
@@ -113,7 +125,8 @@ def groups(found: Sequence[Kept]) -> list[Group]:
 
 def _key(kept: Kept) -> tuple[str, str, str, str]:
     tree = kept.result
-    settings = {**tree["parameters"], **({"faults": tree["faults"]} if tree["faults"] else {})}
+    settings = {"seed": tree["seed"]} if tree["emulated"] else {}
+    settings |= {**tree["parameters"], **({"faults": tree["faults"]} if tree["faults"] else {})}
     return kept.what, kept.bench, kept.where, json.dumps(settings, sort_keys=True, default=str)
 
 
