@@ -33,7 +33,8 @@ def only(ctx: Context, wanted: Sequence[str]) -> dict[str, object]:
     if lacking:
         raise ConfigError(
             f"this run looks at {', '.join(lacking)}, which the bench {config.name!r} lacks",
-            remedy="add the section(s) to the bench file, or say --set devices=... without them",
+            remedy="add the section(s) to the bench file, or say --set devices="
+            + ",".join(name for name in wanted if name not in lacking),
         )
     return leaving(wanted, kinds())
 
