@@ -16,6 +16,7 @@ from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 
 _RESTS_M_S = 0.001
+_FAR_M = 10.0
 
 
 class OnItsWall:
@@ -49,7 +50,8 @@ class OnItsWall:
         truth = self._truth()
         speed_m_s = math.hypot(*truth.twist_body[:2])
         moved_m = float(np.hypot(*(truth.pose_body_in_wall - self._first)[:2]))
-        told = f"{1e3 * moved_m:.0f} mm from where it began"
+        far = f"{1e3 * moved_m:.0f} mm" if moved_m < _FAR_M else f"{moved_m:.0f} m"
+        told = f"{far} from where it began"
         if getattr(self._world.plant, "by_hand", False):
             held = Held("NOT HELD", moved_m, "no client has enabled torque; the robot was held by hand")
         elif truth.fallen:

@@ -2,6 +2,10 @@
 
 The world follows the monotonic clock; a client's bytes are handed to the face they arrive at as
 soon as the kernel reports them. One thread, no sleeping beyond the next planned action.
+
+A process that got no processor time catches up in short pieces, and takes what has arrived meanwhile
+between them. In one piece a controller would wait in vain for commands that have long been there, and let the
+robot go.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ from hil.fakes.world import Scheduled, World
 from hil.vocabulary.clock import NS_PER_S, Clock
 
 _LONGEST_WAIT_S = 0.05
+_PIECE_NS = 20_000_000
 _TOO_SHORT_TO_SLEEP_S = 80e-6
 _WARM_UP_NS = 3_000_000
 
@@ -107,7 +112,7 @@ class EmulationServer:
         for error in self.world.failures.values():
             raise error
         if not self._waiting:
-            self.world.advance_to(self._now_ns())
+            self.world.advance_to(self._reached_ns())
         owners = {fd: face for face in self.faces.values() for fd in face.filenos()}
         wait_s = _LONGEST_WAIT_S
         if not self._waiting:
@@ -121,7 +126,7 @@ class EmulationServer:
                 self._running = bool(os.read(fd, 1))
                 self._begin()
                 continue
-            t_ns = self.world.now_ns if self._waiting else self._now_ns()
+            t_ns = self.world.now_ns if self._waiting else self._reached_ns()
             self.world.advance_to(t_ns)
             owners[fd].on_readable(fd, t_ns)
 
@@ -136,3 +141,7 @@ class EmulationServer:
 
     def _now_ns(self) -> int:
         return self.clock.now_ns() - self._start_ns
+
+    def _reached_ns(self) -> int:
+        """Now, or as far on the way there as the world may go before it listens again."""
+        return min(self._now_ns(), self.world.now_ns + _PIECE_NS)

@@ -251,3 +251,54 @@ def test_the_server_answers_and_ticks_on_world_time():
     server.run()
     assert face.closed
     face.far.close()
+
+
+class Listener(Face):
+    """Notes when it takes each byte of a pipe, as a controller does that lets go after too long a silence."""
+
+    def __init__(self):
+        self.read_end, self.write_end = os.pipe()
+        self.taken_ns = []
+
+    def next_due_ns(self):
+        return NEVER_NS
+
+    def on_due(self, t_ns):
+        raise AssertionError
+
+    def filenos(self):
+        return [self.read_end]
+
+    def on_readable(self, fd, t_ns):
+        os.read(fd, 1)
+        self.taken_ns.append(t_ns)
+
+    def endpoint(self):
+        return {}
+
+    def close(self):
+        os.close(self.read_end)
+        os.close(self.write_end)
+
+
+class JumpingClock(MonotonicClock):
+    """Stands still but for jumps, as for a process that gets no processor time."""
+
+    t_ns = 0
+
+    def now_ns(self):
+        return self.t_ns
+
+
+def test_an_emulator_that_was_starved_hears_what_came_meanwhile_before_its_time_is_over():
+    """200 commands of 4 s: taken at once, or none before the end, they would leave 4 s of silence."""
+    clock, face = JumpingClock(), Listener()
+    server = EmulationServer(World(StillPlant()), clock, {"fan": face})
+    begin_ns = server.world.now_ns
+    os.write(face.write_end, bytes(200))
+    clock.t_ns += nanoseconds(4.0)
+    while server.world.now_ns < begin_ns + nanoseconds(4.0):
+        server.step()
+    server.close()
+    silence_ns = np.diff([begin_ns, *face.taken_ns, begin_ns + nanoseconds(4.0)])
+    assert silence_ns.max() <= nanoseconds(0.05)
