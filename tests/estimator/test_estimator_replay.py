@@ -42,7 +42,7 @@ def test_the_table_holds_all_four_and_the_filters_beat_odometry(recording, tmp_p
     assert table["odometry"]["nis_tracker"] is None
     written = page.read_text(encoding="utf-8")
     assert "smoother" in written
-    assert "nees_pose" in written
+    assert "NEES: the squared error over the variance" in written
 
 
 def test_a_choice_of_estimators(recording, capsys):

@@ -24,7 +24,7 @@ def test_the_version_is_the_same_everywhere():
 
 def test_ci_builds_the_site_and_the_packages_with_the_targets_that_the_pages_name():
     ran = re.findall(r"^make (\w+)$", read(".ci/run"), re.M)
-    assert ran == ["lint", "site", "dist", "test"]
+    assert ran == ["lint", "site", "dist", "notebooks", "test"]
     targets = set(re.findall(r"^([a-z-]+):", read("Makefile"), re.M))
     assert {*ran, *re.findall(r"`?make ([a-z-]+)`?", read("docs/releases.md"))} - {"of"} <= targets
 
