@@ -25,12 +25,11 @@ from hil.procedure import BenchSource, Context, Measurement, PlannedStep, proced
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.tracking import stand
-from hil.procedure.workers import at_once
+from hil.procedure.workers import at_once, driven
 from hil.procedures.parts import headlines
 from hil.procedures.parts.surface_hold import hold_angle
 from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
 from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
 
@@ -131,8 +130,8 @@ def run(ctx: Context) -> None:
     p: Parameters = ctx.parameters
     _check_wall(ctx.source.config)
     titles = {k: f"repetition {k}" for k in range(1, p.repetitions + 1)}
-    with closing(_driven(ctx, p, [k for k, title in titles.items() if not ctx.finished(title)])) as driven:
-        rows = [ctx.checkpoint(title, lambda: next(driven)) for title in titles.values()]
+    with closing(_driven(ctx, p, [k for k, title in titles.items() if not ctx.finished(title)])) as lines:
+        rows = [ctx.checkpoint(title, lambda: next(lines)) for title in titles.values()]
     holds = {}
     if p.hold:
         search = (p.hold_from_deg, p.hold_to_deg, p.hold_step_deg)
@@ -154,8 +153,7 @@ Slips = dict[str, list[float]]
 
 
 def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Slips, None, None]:
-    filtered = all(name in ctx.source.config.devices() for name in _FOR_A_FILTER)
-    overrides = {"encoders": None} if filtered else _WITHOUT
+    overrides = {"encoders": None} if _filtered(ctx.source.config) else _WITHOUT
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
         for found, driven_s in at_once(_elsewhere, [(source, p, k) for k in numbers], p.processes):
@@ -168,12 +166,14 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
         yield repetition(bench, p, number, told)
 
 
+def _filtered(config: BenchConfig) -> bool:
+    """Whether a filter can hold the heading."""
+    return all(name in config.devices() for name in _FOR_A_FILTER)
+
+
 def _elsewhere(job: tuple[BenchSource, Parameters, int]) -> tuple[Slips, float]:
     source, p, number = job
-    with source.open() as bench:
-        begin_ns = bench.clock.now_ns()
-        found = repetition(bench, p, number, lambda done, total: None)
-        return found, (bench.clock.now_ns() - begin_ns) / NS_PER_S
+    return driven(source, lambda bench: repetition(bench, p, number, lambda done, total: None))
 
 
 def repetition(bench: Bench, p: Parameters, number: int, told: Callable[[int, int], object]) -> Slips:
@@ -189,7 +189,7 @@ def repetition(bench: Bench, p: Parameters, number: int, told: Callable[[int, in
         number: of the repetition, from 1.
         told: called with the number of lines driven, and of all.
     """
-    filtered = all(name in bench.config.devices() for name in _FOR_A_FILTER)
+    filtered = _filtered(bench.config)
     feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
     stand(bench, 0.5 + _STAGGER_S * number)
     found = {}

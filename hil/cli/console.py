@@ -66,9 +66,9 @@ def _stop(folder: Path, *, as_json: bool) -> int:
 
 def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: bool) -> int:
     from hil.config.loading import load_bench
+    from hil.console.objects import put_private, read
     from hil.console.page_process import PageProcess, policy
-    from hil.console.stop_process import PAGE, read, runs
-    from hil.console.stopping import put_private
+    from hil.console.stop_process import PAGE, runs
     from hil.console.web import HOST, Server
     from hil.vocabulary.files import check_folder
     from hil.vocabulary.stop_signals import StopRequest
@@ -121,8 +121,8 @@ def _open(server: Server, folder: Path) -> None:
     import threading
 
     from hil.console.jobs import identity
+    from hil.console.objects import put_private
     from hil.console.stop_process import PAGE
-    from hil.console.stopping import put_private
 
     threading.Thread(target=server.serve_forever, args=(0.2,), daemon=True).start()
     put_private(folder / PAGE, identity(os.getpid()) | {"port": server.port})
@@ -141,8 +141,8 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
         DataError: it does not start.
     """
     from hil.console.jobs import detached, signal_process
-    from hil.console.stop_process import ASKED, IDENTITY, PAGE, STOP, read, runs
-    from hil.console.stopping import put_private
+    from hil.console.objects import put_private, read
+    from hil.console.stop_process import ASKED, IDENTITY, PAGE, STOP, runs
 
     there = read(folder / STOP)
     if runs(there) and port in (0, there["port"]):

@@ -23,11 +23,12 @@ import sys
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
+
+from hil.console.objects import read
 
 COMMAND, PROCESS, STDIN, STDOUT, STDERR = "command.json", "process.json", "stdin", "stdout", "stderr"
 STOPPED = "stopped.json"
@@ -38,7 +39,6 @@ _HOLDS = {"progress": dict, "live": dict, "held": dict, "question": str, "answer
 _BY_ITSELF = ("duration", "trajectory")
 """Why a live loop ends that nobody and nothing has stopped."""
 _TAIL_BYTES = 1 << 17
-_MOST_RESULT_BYTES = 1 << 24
 _MOST_TOLD = 30
 _START_S = 20.0
 """Within which a job that was started has written its process.json."""
@@ -105,7 +105,7 @@ def jobs(root: Path, most: int = 12) -> list[Job]:
         return []
     found = []
     for folder in folders:
-        tree = _object(folder / COMMAND)
+        tree = read(folder / COMMAND)
         words, title, started = tree.get("words"), tree.get("title"), tree.get("started")
         if isinstance(words, list) and isinstance(title, str) and isinstance(started, (int, float)):
             found.append(Job(folder, tuple(map(str, words)), title, float(started)))
@@ -130,7 +130,7 @@ def same(told: Mapping[str, Any]) -> bool:
 
 def alive(job: Job) -> bool:
     """Whether it runs, or is just about to."""
-    told = _object(job.folder / PROCESS)
+    told = read(job.folder / PROCESS)
     if told:
         return same(told)
     return 0.0 <= time.time() - job.started < _START_S
@@ -138,7 +138,7 @@ def alive(job: Job) -> bool:
 
 def send(job: Job, number: int) -> bool:
     """Send a signal to the process of a job, and to no other; returns whether it was there."""
-    return signal_process(_object(job.folder / PROCESS), number)
+    return signal_process(read(job.folder / PROCESS), number)
 
 
 def signal_process(told: Mapping[str, Any], number: int) -> bool:
@@ -215,7 +215,7 @@ def _take(told: dict[str, Any], line: str) -> None:
 
 def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
     """How a job ended, from the one object that it wrote."""
-    result = _object(job.folder / STDOUT)
+    result = read(job.folder / STDOUT)
     error = result.get("error")
     if result and "verdict" not in result and isinstance(error, dict):
         verdict = "ABORTED" if error.get("exit_code") == 4 else "ERROR"
@@ -252,11 +252,3 @@ def _tail(path: Path) -> list[str]:
     except OSError:
         return []
     return [line for line in lines[size > _TAIL_BYTES :] if line.strip()]
-
-
-def _object(path: Path) -> dict[str, Any]:
-    """A JSON object; empty where there is none."""
-    with suppress(OSError, ValueError, RecursionError), path.open("rb") as file:
-        tree = json.loads(file.read(_MOST_RESULT_BYTES))
-        return tree if isinstance(tree, dict) else {}
-    return {}

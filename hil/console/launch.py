@@ -12,15 +12,14 @@ import sys
 from pathlib import Path
 
 from hil.console.jobs import COMMAND, PROCESS, STDERR, STDIN, STDOUT, STOPPED, identity
+from hil.console.objects import put_private
 
 
 def main() -> None:
     """Record this process, take the files of the job as standard streams, become `hil`."""
     folder = Path(sys.argv[1])
     words = json.loads((folder / COMMAND).read_text(encoding="utf-8"))["words"]
-    partial = folder / f"{PROCESS}.part"
-    partial.write_text(json.dumps(identity(os.getpid())), encoding="utf-8")
-    partial.rename(folder / PROCESS)
+    put_private(folder / PROCESS, identity(os.getpid()))
     if (folder / STOPPED).exists():  # by somebody who could not know this process yet
         return
     for descriptor, name, flags in (

@@ -9,7 +9,6 @@ It ends with the console; when the console was killed, ten minutes after the las
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import sys
@@ -20,7 +19,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.console import jobs
-from hil.console.stopping import in_words, put_private, stop_all
+from hil.console.objects import put_private, read
+from hil.console.stopping import in_words, stop_all
 from hil.console.web import NAMES, Reply, Request, Route, Server, as_json
 
 ASKED, STOP, PAGE = "asked.json", "stop.json", "page.json"
@@ -38,15 +38,6 @@ def asset(name: str) -> Reply:
     kinds = {"html": "text/html", "css": "text/css", "js": "text/javascript"}
     content = (resources.files("hil.console") / "pages" / name).read_bytes()
     return Reply(content, f"{kinds[name.rpartition('.')[2]]}; charset=utf-8")
-
-
-def read(path: Path) -> dict[str, Any]:
-    """A JSON object of this console; empty where there is none."""
-    try:
-        tree = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return tree if isinstance(tree, dict) else {}
 
 
 def runs(told: dict[str, Any]) -> bool:

@@ -8,7 +8,6 @@ to the watchdogs of its servos.
 from __future__ import annotations
 
 import json
-import os
 import signal
 import time
 from collections.abc import Sequence
@@ -70,14 +69,3 @@ def in_words(told: dict[str, Any]) -> str:
     if told["verdict"] == UNTOLD:
         return f"{told['title']}: {told['why']}; check whether the robot is held"
     return f"{told['title']}: {told['verdict']}"
-
-
-def put_private(path: Path, tree: object) -> None:
-    """Have a JSON file appear at once that only its owner can read; raises `OSError`."""
-    partial = path.with_name(path.name + ".part")
-    with suppress(FileNotFoundError):
-        partial.unlink()
-    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
-        json.dump(tree, file)
-    partial.rename(path)

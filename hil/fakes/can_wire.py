@@ -19,6 +19,7 @@ import can
 from hil.fakes.faults import STRIKES, Supported
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
+from hil.fakes.standard_can import DEFAULT_GROUP
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.emulated_bus import Mark, bus_name
@@ -228,7 +229,7 @@ class CanFace(Face):
         channel: CanChannel,
         *,
         interface: str = "udp_multicast",
-        address: str = "239.74.163.2",
+        address: str = DEFAULT_GROUP,
         dbc: Path | str = "",
         device: str = "encoders",
         listens: bool = False,

@@ -5,7 +5,13 @@ from __future__ import annotations
 import multiprocessing
 import signal
 from collections.abc import Callable, Generator, Sequence
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
+
+from hil.vocabulary.clock import NS_PER_S
+
+if TYPE_CHECKING:
+    from hil.bench import Bench
+    from hil.procedure.bench_source import BenchSource
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -25,6 +31,18 @@ def at_once(
         context = multiprocessing.get_context("spawn")
         with context.Pool(min(processes, len(jobs)), _ignore_interrupts) as pool:
             yield from pool.imap(work, jobs)
+
+
+def driven(source: BenchSource, drive: Callable[[Bench], Result]) -> tuple[Result, float]:
+    """What driving a bench of its own gives, and how long that took on its clock, s.
+
+    Args:
+        source: opened for it, and closed afterwards.
+        drive: called with the bench.
+    """
+    with source.open() as bench:
+        begin_ns = bench.clock.now_ns()
+        return drive(bench), (bench.clock.now_ns() - begin_ns) / NS_PER_S
 
 
 def _ignore_interrupts() -> None:

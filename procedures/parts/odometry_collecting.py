@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.procedure import BenchSource, Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.workers import at_once
+from hil.procedure.workers import at_once, driven
 from hil.recording.plain_csv import read_plain
-from hil.vocabulary.clock import NS_PER_S
 
 
 def read_round(folder: Path, names: Sequence[str]) -> list[Recording]:
@@ -61,10 +61,10 @@ def collect(
         whole = (so_far.before + len(names), so_far.expected)
         ctx.progress(f"{so_far.title}, recording", len(names), recordings, whole)
 
-    with ctx.step(label), closing(_driven(ctx, label, missing, calibration, processes)) as driven:
+    with ctx.step(label), closing(_driven(ctx, label, missing, calibration, processes)) as found:
         told()
         for title in titles:
-            names += ctx.checkpoint(title, lambda: next(driven))
+            names += ctx.checkpoint(title, lambda: next(found))
             told()
     return names
 
@@ -86,7 +86,4 @@ def _driven(
 
 def _elsewhere(job: tuple[BenchSource, Repetition]) -> tuple[list[str], float]:
     source, repetition = job
-    with source.open() as bench:
-        begin_ns = bench.clock.now_ns()
-        names = drive_repetition(bench, repetition)
-        return names, (bench.clock.now_ns() - begin_ns) / NS_PER_S
+    return driven(source, partial(drive_repetition, repetition=repetition))

@@ -10,7 +10,8 @@ from hil.bench import open_bench
 from hil.cli import forms, main
 from hil.cli.live import _recorder
 from hil.console import jobs
-from hil.console.stop_process import PAGE, STOP, read, runs
+from hil.console.objects import read
+from hil.console.stop_process import PAGE, STOP, runs
 from hil.procedure.parameters import make_parameters
 from hil.procedure.scripts import load_procedure, shipped_names
 from hil.vocabulary.errors import DataError

@@ -10,7 +10,8 @@ import time
 import pytest
 
 from hil.console.jobs import signal_process
-from hil.console.stop_process import IDENTITY, PAGE, STOP, read
+from hil.console.objects import read
+from hil.console.stop_process import IDENTITY, PAGE, STOP
 from tests.console.browser import CHROMIUM, Browser
 from tests.console.test_jobs import wait_until
 

@@ -1,0 +1,30 @@
+"""JSON objects that processes of the console leave for each other as files; standard library alone."""
+
+from __future__ import annotations
+
+import json
+import os
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+_MOST_BYTES = 1 << 24
+
+
+def read(path: Path) -> dict[str, Any]:
+    """A JSON object; empty where there is none."""
+    with suppress(OSError, ValueError, RecursionError), path.open("rb") as file:
+        tree = json.loads(file.read(_MOST_BYTES))
+        return tree if isinstance(tree, dict) else {}
+    return {}
+
+
+def put_private(path: Path, tree: object) -> None:
+    """Have a JSON file appear at once that only its owner can read; raises `OSError`."""
+    partial = path.with_name(path.name + ".part")
+    with suppress(FileNotFoundError):
+        partial.unlink()
+    descriptor = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+    with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+        json.dump(tree, file)
+    partial.rename(path)
