@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 
 from hil.console.objects import read  # noqa: E402
 from hil.console.stop_process import PAGE  # noqa: E402
-from tests.console.browser import Browser  # noqa: E402
+from tests.chromium import Browser  # noqa: E402
 
 IMAGES = ROOT / "docs" / "images"
 FILLED = {"length_m": "0.5", "duration_s": "30", "feedbacks": "ekf", "cases": "x_line"}

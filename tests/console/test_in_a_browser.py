@@ -12,7 +12,7 @@ import pytest
 from hil.console.jobs import signal_process
 from hil.console.objects import read
 from hil.console.stop_process import IDENTITY, PAGE, STOP
-from tests.console.browser import CHROMIUM, Browser
+from tests.chromium import CHROMIUM, Browser
 from tests.console.test_jobs import wait_until
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
@@ -101,7 +101,7 @@ def test_a_person_starts_is_asked_sees_the_verdict_and_opens_the_report(console,
         browser.until("document.querySelectorAll('#history a').length === 1", console.frame)
         browser.open(link)
         browser.until("document.body.innerText.includes('the colour is blue')")
-        assert browser.told == []
+        assert browser.complaints == []
     finally:
         browser.close()
 
@@ -161,6 +161,6 @@ def test_nothing_is_cut_off_and_stop_is_in_sight(console, tmp_path, size):
         assert browser.ask(seen)
         browser.ask("document.documentElement.scrollTo(0, 1e6)", console.frame)
         assert browser.ask(seen)
-        assert browser.told == []
+        assert browser.complaints == []
     finally:
         browser.close()

@@ -5,8 +5,9 @@ import re
 from pathlib import Path
 
 import pytest
-from browser import CHROMIUM, Browser
 from every_page import make_every_page
+
+from tests.chromium import CHROMIUM, Browser
 
 pytestmark = [
     pytest.mark.long,
@@ -56,7 +57,7 @@ def test_a_page_is_one_small_file_that_begins_with_a_sentence(pages, kind):
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_page_is_readable_and_asks_nobody(browser, pages, kind, width, dark):
-    browser.open(pages[kind], width, dark=dark)
+    browser.show(pages[kind], width, dark=dark)
     browser.run("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
     assert (browser.complaints, browser.requests) == ([], [])
     assert browser.run("matchMedia('(prefers-color-scheme: dark)').matches") == dark
@@ -84,7 +85,7 @@ def first_plot(browser):
 @pytest.mark.parametrize("width", [390, 1280])
 @pytest.mark.parametrize("kind", WITH_FIGURES)
 def test_pointing_at_a_figure_reads_its_values(browser, pages, kind, width):
-    browser.open(pages[kind], width)
+    browser.show(pages[kind], width)
     left, top, wide, tall = first_plot(browser)
     browser.mouse("Moved", left + wide / 2, top + tall / 2)
     said = browser.run("document.querySelector('.said').innerText")
@@ -102,7 +103,7 @@ def ticks(browser):
 
 
 def test_a_part_of_a_figure_is_enlarged_and_shown_whole_again(browser, pages):
-    browser.open(pages["replay"], 1280)
+    browser.show(pages["replay"], 1280)
     left, top, wide, tall = first_plot(browser)
     whole = browser.run(
         "JSON.parse(document.querySelector('[data-readings]').dataset.readings).axes[0].x.limits"
@@ -124,7 +125,7 @@ def test_a_part_of_a_figure_is_enlarged_and_shown_whole_again(browser, pages):
 
 
 def test_a_figure_is_read_by_keyboard(browser, pages):
-    browser.open(pages["run"], 1280)
+    browser.show(pages["run"], 1280)
     browser.run("document.querySelector('[data-readings]').focus()")
 
     def press(key):
@@ -143,7 +144,7 @@ def test_a_figure_is_read_by_keyboard(browser, pages):
 
 
 def test_two_fingers_enlarge_a_figure(browser, pages):
-    browser.open(pages["run"], 390)
+    browser.show(pages["run"], 390)
     left, top, wide, tall = first_plot(browser)
     middle, y = left + wide / 2, top + tall / 2
 
@@ -159,7 +160,7 @@ def test_two_fingers_enlarge_a_figure(browser, pages):
 
 
 def test_print_shows_what_is_folded(browser, pages, tmp_path: Path):
-    browser.open(pages["run"], 1280)
+    browser.show(pages["run"], 1280)
     browser.call("Emulation.setEmulatedMedia", media="print")
     hidden = browser.run("""[...document.querySelectorAll('details:not([open])')].filter(
         (d) => ![...d.children].some((e) => e.tagName !== "SUMMARY" && e.getClientRects().length)).length""")
