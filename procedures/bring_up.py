@@ -84,6 +84,9 @@ def measurements(p: Parameters, config: BenchConfig) -> Iterator[Measurement]:
     )
     yield Measurement("servos.warnings", "1", rationale="firmware, delays, limits; see the table")
     yield Measurement("servos.supply_lowest", "V", low=9.5, marginal=0.5, rationale="servos switch off below")
+    yield Measurement(
+        "loop.largest_gap", "ms", rationale="between two cycles; samples that miss then miss by this computer"
+    )
     yield Measurement("servos.hottest", "degC", high=70.0, marginal=5.0, rationale="servos switch off at 80")
     for name in p.devices:
         yield Measurement(f"{name}.rate", "Hz", rationale="usable samples")
@@ -225,6 +228,7 @@ def watch(ctx: Context, bench: Bench) -> None:
     p: Parameters = ctx.parameters
     stand(bench)
     motion = bench.observe(p.watch_s, feedback="odometry")
+    _measure_punctuality(ctx, motion)
     streams: dict[str, Stream] = {name: judge_stream(name, motion, bench.config) for name in p.devices}
     for name, stream in streams.items():
         _measure_stream(ctx, name, stream)
@@ -234,6 +238,17 @@ def watch(ctx: Context, bench: Bench) -> None:
     stream_table(ctx, streams)
     draw_streams(ctx, streams)
     draw_clocks(ctx, streams)
+
+
+def _measure_punctuality(ctx: Context, motion: Motion) -> None:
+    """How late this computer was itself: what it missed then, the devices are not to blame for."""
+    between_s = float(np.diff(motion.t_s).max(initial=0.0))
+    ctx.measure("loop.largest_gap", 1e3 * between_s)
+    if between_s > 1.5 / ctx.source.config.loop.rate_hz:
+        ctx.note(
+            f"This computer was late itself: up to {1e3 * between_s:.0f} ms passed between two cycles. Gaps and "
+            "missing samples of that size are not the devices' doing. `hil doctor` tells what helps."
+        )
 
 
 def _measure_stream(ctx: Context, name: str, stream: Stream) -> None:

@@ -267,11 +267,13 @@ def test_the_page_can_be_walked(tmp_path, monkeypatch):
 
 def only_late(told):
     """Whether a run measured its motions right, and failed by limits of punctuality alone, which a computer
-    that is shared cannot keep: what comes after them is then not measured."""
+    that is shared cannot keep: what comes after them is then not measured. Where samples come late, the clock
+    of a device cannot be told from them either."""
     failed = [line.split()[1:3] for line in told.stdout.splitlines() if line.startswith("FAIL ")]
     wrong = [name for name, value in failed if value != "-"]
-    late = all(name.endswith((".delivered", ".largest_gap", ".age")) for name in wrong)
-    return told.returncode == 1 and bool(wrong) and late and "not needed: " in told.stdout
+    late = [name for name in wrong if name.endswith((".delivered", ".largest_gap", ".age"))]
+    allowed = all(name in late or name.endswith(".clock_drift") for name in wrong)
+    return told.returncode == 1 and bool(late) and allowed and "not needed: " in told.stdout
 
 
 def accepted(path, emulated):

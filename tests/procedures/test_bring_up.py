@@ -18,6 +18,8 @@ from hil.config.loading import load_bench
 from hil.procedure.tracking import stand
 from hil.procedures.bring_up import Parameters, measurements
 from hil.procedures.parts.bring_up_streams import judge_stream
+from hil.ring.loop import ControlLoop
+from hil.vocabulary.clock import nanoseconds
 
 SHORT = {"watch_s": 4.0}
 BRIEF = {"watch_s": 2.0}
@@ -55,6 +57,23 @@ def clock_ratios(seed, done):
         (done.values[f"{n}.clock_drift"] - true_ppm[n]) / done.values[f"{n}.clock_drift_uncertainty"]
         for n in true_ppm
     ]
+
+
+@pytest.mark.parametrize("slept_s", [0.0, 0.06])
+def test_gaps_that_this_computer_made_are_told_as_its_own(tmp_path, monkeypatch, slept_s):
+    cycle, cycles = ControlLoop.cycle, iter(range(10**6))
+
+    def at_times_late(loop, deadline_ns):
+        if next(cycles) == 150:
+            loop.clock.sleep_until_ns(deadline_ns + nanoseconds(slept_s))
+        return cycle(loop, deadline_ns)
+
+    monkeypatch.setattr(ControlLoop, "cycle", at_times_late)
+    done = run("bring_up", tmp_path / "run", BRIEF, seed=1)
+    gap_ms = done.values["loop.largest_gap"]
+    assert gap_ms == pytest.approx(1e3 * slept_s + 10.0, abs=1.0)
+    told = [note for note in done.result.facts["notes"] if "This computer was late itself" in note]
+    assert [f"{gap_ms:.0f} ms" in note for note in told] == [True] * bool(slept_s)
 
 
 def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(tmp_path):
