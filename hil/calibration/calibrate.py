@@ -16,7 +16,7 @@ from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
 from hil.calibration.evaluation import Track, cost, track
 from hil.calibration.fitting import Fit, fit, twist_between
-from hil.calibration.identifiability import Identifiability, Jackknife, identifiability, jackknife
+from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
 from hil.calibration.nominal import Nominal
 from hil.calibration.problem import PAPER, Setting
 from hil.calibration.validation import (
@@ -53,7 +53,7 @@ class Calibration:
     robot: Nominal
     fit: Fit
     spectrum: Identifiability
-    intervals: Jackknife
+    intervals: StandardErrors
     choice: Choice | None
     cost_before: float
     cost_after: float
@@ -234,11 +234,11 @@ def _kept_cost(tracks: Sequence[Track], found: Fit) -> float:
 
 def _intervals(
     recordings: Sequence[Recording], found: Fit, cad: WheelGeometry, choice: Choice | None
-) -> Jackknife:
+) -> StandardErrors:
     """Those of a fit, as wide as its rivals' fits call for."""
     rivals = [_rival_fit(recordings, c) for c in choice.rivals] if choice is not None else []
-    return jackknife(found, cad).beside(
-        found.solution.z, [(other.solution.z, jackknife(other, cad)) for other in rivals]
+    return standard_errors(found, cad).beside(
+        found.solution.z, [(other.solution.z, standard_errors(other, cad)) for other in rivals]
     )
 
 

@@ -7,7 +7,7 @@ from hil.calibration import identifiability as judged
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.fitting import fit
-from hil.calibration.identifiability import data_information, jackknife
+from hil.calibration.identifiability import data_information, group_shift, standard_errors
 from hil.calibration.problem import RECOMMENDED, make_setting
 from hil.calibration.synthetic import hidden_robot, make_set
 from hil.robot.kinematics import WheelGeometry
@@ -27,15 +27,34 @@ def off(found, intervals, truth):
     return np.abs(ways.T @ (z - truth)) / half
 
 
+def test_the_spread_over_groups_is_the_covariance_of_independent_errors():
+    """Exact law: over all unit errors, what the groups add sums up to the inverse information, also where one
+    group alone shows a combination."""
+    rng = np.random.default_rng(0)
+    slopes = rng.normal(size=(40, 5))
+    slopes[:32, 4] *= 1e-3  # shown by the last group alone
+    groups = np.repeat(np.arange(5), 8)
+    total = slopes.T @ slopes
+    residuals = np.eye(40) - slopes @ np.linalg.solve(total, slopes.T)
+    spread = np.zeros((5, 5))
+    for group in range(5):
+        rows = slopes[groups == group]
+        moved = np.array(
+            [group_shift(total, rows.T @ rows, rows.T @ e[groups == group]) for e in residuals.T]
+        )
+        spread += moved.T @ moved
+    np.testing.assert_allclose(spread, np.linalg.inv(total), rtol=1e-9, atol=1e-12)
+
+
 def test_that_contacts_may_obey_another_law_is_in_the_intervals(monkeypatch):
     """Friction that goes with slip, read as dry friction: what only that law claims is far off."""
     robot = hidden_robot(1)
     recordings = make_set(robot, 1, BRIEF, repetitions=2, slip_share=0.0)
     found = fit(reduce_recordings(recordings, 0.3), make_setting("recommended", model="dry-friction"), CAD)
     truth = robot.geometry.vector()
-    assert off(found, jackknife(found, CAD), truth).max() < 1.5
+    assert off(found, standard_errors(found, CAD), truth).max() < 1.5
     monkeypatch.setattr(judged, "model_freedom", lambda fitted, inverse: np.zeros_like(inverse))
-    assert off(found, jackknife(found, CAD), truth).max() > 3.0
+    assert off(found, standard_errors(found, CAD), truth).max() > 3.0
 
 
 def test_what_the_data_do_not_show_is_as_uncertain_as_a_workshop_leaves_it():
@@ -47,7 +66,7 @@ def test_what_the_data_do_not_show_is_as_uncertain_as_a_workshop_leaves_it():
     )
     unseen = judged.identifiability(found).std_ratio > 0.97
     assert unseen.any()
-    std = jackknife(found, CAD).std[unseen]
+    std = standard_errors(found, CAD).std[unseen]
     assert np.all(std >= 0.9 * RECOMMENDED.tolerance * found.problem.prior_std[unseen])
 
 
