@@ -19,6 +19,7 @@ _BOUND_SLACK = 1e-4
 _DEGREES_OF_FREEDOM = 8
 _DIRECTION_NAMES = 3
 _LEAST_KEPT = 1e-7
+_LEAST_SHOWN = 1e-14
 
 
 @dataclass(frozen=True)
@@ -198,11 +199,12 @@ def group_shift(total: Array, own: Array, pull: Array) -> Array:
         own: (m, m) information S of the group, a part of A.
         pull: (m,) J'e of the group.
     """
-    root = np.linalg.cholesky(total)
-    half = np.linalg.solve(root, np.linalg.solve(root, own).T)
-    values, vectors = np.linalg.eigh((half + half.T) / 2.0)
-    kept = np.sqrt(np.maximum(1.0 - values, _LEAST_KEPT))
-    return np.linalg.solve(root.T, vectors @ (vectors.T @ np.linalg.solve(root, pull) / kept))
+    values, vectors = np.linalg.eigh(total)
+    shown = values > _LEAST_SHOWN * values.max()
+    root = vectors[:, shown] / np.sqrt(values[shown])
+    shares, ways = np.linalg.eigh(root.T @ own @ root)
+    kept = np.sqrt(np.maximum(1.0 - shares, _LEAST_KEPT))
+    return np.asarray(root @ ways @ (ways.T @ (root.T @ pull) / kept), dtype=np.float64)
 
 
 def _prior_pull(problem: Problem, inverse: Array) -> Array:

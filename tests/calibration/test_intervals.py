@@ -46,6 +46,11 @@ def test_the_spread_over_groups_is_the_covariance_of_independent_errors():
     np.testing.assert_allclose(spread, np.linalg.inv(total), rtol=1e-9, atol=1e-12)
 
 
+def test_what_nothing_shows_adds_no_spread():
+    moved = group_shift(np.diag([4.0, 0.0]), np.diag([2.0, 0.0]), np.array([1.0, 0.0]))
+    np.testing.assert_allclose(moved, [0.25 * np.sqrt(2.0), 0.0])
+
+
 def test_that_contacts_may_obey_another_law_is_in_the_intervals(monkeypatch):
     """Friction that goes with slip, read as dry friction: what only that law claims is far off."""
     robot = hidden_robot(1)
