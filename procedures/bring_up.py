@@ -247,7 +247,7 @@ def _measure_punctuality(ctx: Context, motion: Motion) -> None:
     if between_s > 1.5 / ctx.source.config.loop.rate_hz:
         ctx.note(
             f"This computer was late itself: up to {1e3 * between_s:.0f} ms passed between two cycles. Gaps "
-            "of that size, and samples missing there, are not the devices' doing. `hil doctor` tells what helps."
+            "of that size, and samples missing then, are its own. `hil doctor` says what helps."
         )
 
 
