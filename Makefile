@@ -24,7 +24,7 @@ help:
 	@echo "make notebooks  run both notebooks of docs/notebooks"
 	@echo "make dist       build wheel and source archive in dist/ and check them"
 	@echo "make pictures   the Rerun view and the console as pictures, without a screen (Vulkan driver, Chromium)"
-	@echo "make bench      print the measured ratios"
+	@echo "make bench      one table of speed, ours beside a peer, and how cost grows"
 	@echo "make lock       write $(LOCK) afresh, with the newest versions"
 
 $(BIN)/.installed: pyproject.toml $(LOCK)
@@ -81,9 +81,7 @@ lint: $(BIN)/.installed
 	$(BIN)/lint-imports
 
 bench: $(BIN)/.installed
-	@failed=0; \
-	for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script || failed=1; done; \
-	exit $$failed
+	$(BIN)/python benchmarks/table.py
 
 docs: $(BIN)/.installed
 	$(BIN)/python docs/make_bench_reference.py

@@ -10,6 +10,8 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
+import argparse
+import json
 import statistics
 import time
 from dataclasses import replace
@@ -34,6 +36,8 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.signals import Measurements
 
 ROUNDS = 15
+GOALS = {"ekf": 10, "ukf": 25}
+"""How many times faster than filterpy's each engine should be."""
 
 
 def seconds(work):
@@ -128,30 +132,49 @@ def rewind(kind, history_s):
     return work
 
 
-def main():
+def per_sample(kind):
+    """Time of a sample (us) by our engine and by filterpy's on the same model, and of a textbook filter."""
     start, parts = stream()
     short = parts[:60]
+    ours, count = per_event(kind, "compiled", start, short)
+    theirs, _ = per_event(kind, "filterpy", start, short)
+    book = textbook(kind)
+    ours()
+    a, b, c = medians([ours, theirs, lambda: [book() for _ in range(50)]])
+    return {"ours_us": 1e6 * a / count, "filterpy_us": 1e6 * b / count, "textbook_us": 1e6 * c / 50}
+
+
+def measured():
+    """Every figure, by engine."""
+    start, parts = stream()
+    found = {kind: per_sample(kind) for kind in GOALS}
+    works = [per_event(kind, "compiled", start, parts)[0] for kind in GOALS]
+    for kind, took in zip(GOALS, medians(works, 5), strict=True):
+        found[kind]["cycle_us"] = 1e6 * took / len(parts)
+    works = [rewind(kind, 1.5) for kind in GOALS]
+    for kind, took in zip(GOALS, medians(works, 25), strict=True):
+        found[kind]["replay_ms"] = 1e3 * took
+    return found
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="one JSON object")
+    as_json, found = parser.parse_args().json, measured()
+    if as_json:
+        print(json.dumps(found, indent=1))
+        return
     print("same model and samples, 20 states, eight wheel rows (per sample, the cycle's share included)")
-    for kind, goal in (("ekf", 10), ("ukf", 25)):
-        ours, count = per_event(kind, "compiled", start, short)
-        theirs, _ = per_event(kind, "filterpy", start, short)
-        book = textbook(kind)
-        ours()
-        a, b, c = medians([ours, theirs, lambda book=book: [book() for _ in range(50)]])
+    for kind, it in found.items():
         print(
-            f"  {kind}: ours {1e6 * a / count:7.1f} us, filterpy {1e6 * b / count:8.1f} us, "
-            f"ratio 1/{b / a:.0f} (goal 1/{goal}); "
-            f"textbook filterpy with 8 states {1e6 * c / 50:.0f} us per step"
+            f"  {kind}: ours {it['ours_us']:7.1f} us, filterpy {it['filterpy_us']:8.1f} us, "
+            f"ratio 1/{it['filterpy_us'] / it['ours_us']:.0f} (goal 1/{GOALS[kind]}); "
+            f"textbook filterpy with 8 states {it['textbook_us']:.0f} us per step"
         )
-    works = []
-    for kind in ("ekf", "ukf"):
-        work, _ = per_event(kind, "compiled", start, parts)
-        works.append(work)
-    for kind, took in zip(("ekf", "ukf"), medians(works, 5), strict=True):
-        print(f"control cycle of 10 ms with {kind}: {1e6 * took / len(parts):.0f} us")
-    works = [rewind(kind, 1.5) for kind in ("ekf", "ukf")]
-    for kind, took in zip(("ekf", "ukf"), medians(works, 25), strict=True):
-        print(f"replay of 1.5 s of history (600 samples) with {kind}: {1e3 * took:.2f} ms (goal 5 ms)")
+    for kind, it in found.items():
+        print(f"control cycle of 10 ms with {kind}: {it['cycle_us']:.0f} us")
+    for kind, it in found.items():
+        print(f"replay of 1.5 s of history (600 samples) with {kind}: {it['replay_ms']:.2f} ms (goal 5 ms)")
 
 
 if __name__ == "__main__":
