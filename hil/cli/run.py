@@ -146,6 +146,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 def text_of(result: Result) -> str:
     """What ended it first, then what was measured, and the verdict."""
     from hil.bench.holding import held_in_words
+    from hil.report.run_words import sentence
 
     lines = []
     for problem in (result.error, *result.teardown_errors):
@@ -159,5 +160,7 @@ def text_of(result: Result) -> str:
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     lines.append(held_in_words(result.facts["held"]))
-    lines.append(f"{result.verdict.value}: {result.procedure}, results in {result.folder}")
+    said = f"It ended early, in {result.error.step!r}." if result.error else sentence(result.to_json())
+    lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
+    lines.append(f"results: {result.folder}")
     return "\n".join(lines)

@@ -8,9 +8,9 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hil.procedure import hold_history, path_history
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.guard import LoopGuard, RunRecorder
-from hil.procedure.hold_history import CAPTION, HoldHistory
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
@@ -78,7 +78,8 @@ class Context(Notebook):
         self._on_recording_failure: OnFailure = on_recording_failure
         self._recorders: list[RunRecorder] = []
         self._recorder: RunRecorder | None = None
-        self._hold_history = HoldHistory()
+        self._hold_history = hold_history.HoldHistory()
+        self._path_history = path_history.PathHistory()
         self._seen: set[str] = set()
         self._bench: Bench | None = None
         self.held: Held | None = None
@@ -129,6 +130,7 @@ class Context(Notebook):
             self._record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
             bench.add_sink(self._hold_history)
+            bench.add_sink(self._path_history)
             with self._interrupts.deferred():
                 bench.__enter__()
                 self._bench = bench
@@ -154,11 +156,14 @@ class Context(Notebook):
                     name, why = self._recorder.path.name, self._recorder.shortfall
                     self._note_lost(f"{name} is not complete: {why}")
 
-    def show_hold(self) -> None:
-        """Leave a figure of how firmly the robot was pressed on its wall, where that was measured."""
-        figure = self._hold_history.figure()
-        if figure is not None:
-            self.figure(figure, "Adhesion", CAPTION)
+    def show_histories(self) -> None:
+        """Leave figures of the path, where the procedure left none at all, and of how the robot was held."""
+        path = None if self.findings.figures else self._path_history.figure()
+        if path is not None:
+            self.figure(path, "Path", path_history.CAPTION)
+        hold = self._hold_history.figure()
+        if hold is not None:
+            self.figure(hold, "Adhesion", hold_history.CAPTION)
 
     def unrecorded(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing from its recordings; None if it need not."""

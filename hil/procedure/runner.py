@@ -189,7 +189,7 @@ def _execute(
     try:
         with interrupts.heeded():
             proc.body(context)
-            context.show_hold()
+            context.show_histories()
     except (Exception, KeyboardInterrupt, SystemExit) as problem:
         error = _failure(problem, context)
     late: list[Failure] = []

@@ -16,6 +16,11 @@ from markupsafe import Markup
 from hil.report.figures import theme
 
 _PLAIN = 1e6
+_READ = {
+    "m": ("mm", 1e3, 0.5), "m/s": ("mm/s", 1e3, 0.5), "s": ("ms", 1e3, 0.5),
+    "rad": ("deg", math.degrees(1.0), math.inf), "rad/s": ("deg/s", math.degrees(1.0), math.inf),
+}  # fmt: skip
+"""Unit that people read, factor to it, and the size from which a value stays in its own unit."""
 
 
 @cache
@@ -34,8 +39,8 @@ def environment() -> Environment:
     return env
 
 
-def number(value: object) -> str:
-    """A figure with four significant digits, a dash for none."""
+def number(value: object, digits: int = 4) -> str:
+    """A figure with four significant digits unless told otherwise, a dash for none."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -43,13 +48,26 @@ def number(value: object) -> str:
     if isinstance(value, float):
         if not math.isfinite(value):
             return "–"
-        return f"{value:.0f}" if 1e3 <= abs(value) < _PLAIN else f"{value:.4g}"
+        return f"{value:.0f}" if digits <= 4 and 1e3 <= abs(value) < _PLAIN else f"{value:.{digits}g}"
     return str(value)
 
 
-def quantity(value: float | None, unit: str) -> str:
+def quantity(value: float | None, unit: str, digits: int = 4) -> str:
     """A number with its unit: `1.5 mm`; without one for a share."""
-    return number(value) if unit in ("1", "") or value is None else f"{number(value)} {unit}"
+    return number(value, digits) if unit in ("1", "") or value is None else f"{number(value, digits)} {unit}"
+
+
+def as_people_read(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Value and limits of a measurement in mm, ms and deg where it has small ones in m, s and rad.
+
+    Args:
+        row: with `unit`, `value`, `low` and `high`.
+    """
+    unit, factor, below = _READ.get(row["unit"], (row["unit"], 1.0, math.inf))
+    own = {key: row[key] for key in ("value", "low", "high")}
+    if any(v is not None and abs(v) >= below for v in own.values()):
+        return {"unit": row["unit"], **own}
+    return {"unit": unit, **{k: None if v is None else factor * v for k, v in own.items()}}
 
 
 def duration(seconds: float | None) -> str:

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from hil.report.pages import limit_words, quantity
+from hil.report.pages import as_people_read, limit_words, quantity
 
 _WHEEL = re.compile(r"^(?:steer|drive|wheel)_(FL|BL|BR|FR)$")
 _CASES = {"x_line": "up the wall (X line)", "y_line": "across the wall (Y line)", "scan": "scan"}
@@ -19,17 +19,20 @@ _NAMED = 3
 def sentence(tree: Mapping[str, Any]) -> str:
     """What happened: what ended the run early, else what its procedure says, and how its limits did.
 
+    A procedure that says nothing of its own has its values told, those nearest to their limits first.
+
     Args:
         tree: of `result.json`.
     """
     if tree["error"]:
         return f"The run ended early, in “{tree['error']['step']}”: {tree['error']['message']}"
     own = str(tree.get("headline") or "")
-    return f"{own} {_limits(tree['measurements'])}".strip()
+    return f"{own} {_limits(tree['measurements'], told=bool(own))}".strip()
 
 
-def _limits(rows: Sequence[Mapping[str, Any]]) -> str:
-    judged = [r for r in rows if r["value"] is not None and (r["low"] is not None or r["high"] is not None)]
+def _limits(rows: Sequence[Mapping[str, Any]], *, told: bool) -> str:
+    judged = [r for r in rows if r["low"] is not None or r["high"] is not None]
+    judged = [r for r in judged if r["value"] is not None or r["outcome"] == "FAIL"]
     failed = [r for r in judged if r["outcome"] == "FAIL"]
     near = [r for r in judged if r["outcome"] == "MARGINAL"]
     if failed:
@@ -38,7 +41,13 @@ def _limits(rows: Sequence[Mapping[str, Any]]) -> str:
         return ""
     if near:
         return f"{_of(near, judged, 'held by little')}: {_named(near)}."
-    return "Its one limit held." if len(judged) == 1 else f"All {len(judged)} limits held."
+    whole = "Its one limit held" if len(judged) == 1 else f"All {len(judged)} limits held"
+    if told:
+        return f"{whole}."
+    if len(judged) <= _NAMED:
+        return f"{whole}: {_named(judged)}."
+    tightest = sorted(judged, key=_room)[:_NAMED]
+    return f"{whole}; nearest to their limits: {_named(tightest)}."
 
 
 def _of(some: Sequence[object], every: Sequence[object], did: str) -> str:
@@ -47,9 +56,37 @@ def _of(some: Sequence[object], every: Sequence[object], did: str) -> str:
     return f"{len(some)} of {len(every)} limits {did}"
 
 
+def _room(row: Mapping[str, Any]) -> tuple[bool, float]:
+    """Orders kept limits by how near their values are; counts and answers, which often meet theirs, last."""
+    low, high, value = row["low"], row["high"], row["value"]
+    margin = min(abs(value - limit) for limit in (low, high) if limit is not None)
+    width = high - low if low is not None and high is not None else abs(low if high is None else high)
+    return row["unit"] == "1", margin / width if width else margin
+
+
 def _named(rows: Sequence[Mapping[str, Any]]) -> str:
-    said = [f"{r['name']} is {quantity(r['value'], r['unit'])}, {limit_words(r)}" for r in rows[:_NAMED]]
+    said = [_value_and_limit(r) for r in rows[:_NAMED]]
     return "; ".join(said) + (f"; and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
+
+
+def _value_and_limit(row: Mapping[str, Any]) -> str:
+    """`end error 2.3 mm, at most 10 mm`: in mm and deg, with digits enough to tell it from its limits."""
+    name = str(row["name"])
+    name = name if "." in name else name.replace("_", " ")
+    own = as_people_read(row)
+    limits = [own[k] for k in ("low", "high") if own[k] is not None]
+    value = own["value"]
+    if value is None:
+        return f"{name} was never measured, {limit_words(own)}"
+    digits = next(
+        (
+            n
+            for n in (3, 4, 6, 8)
+            if all(value == v or float(f"{value:.{n}g}") != float(f"{v:.{n}g}") for v in limits)
+        ),
+        12,
+    )
+    return f"{name} {quantity(float(f'{value:.{digits}g}'), own['unit'], max(digits, 4))}, {limit_words(own)}"
 
 
 def grouped(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

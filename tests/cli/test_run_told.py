@@ -16,11 +16,12 @@ def lines_of(tmp_path, values, error):
 
 def test_the_reason_comes_first_and_what_was_not_measured_is_one_line(tmp_path):
     error = Failure("DeviceTimeoutError", "adhesion: no VESC answers", "start", 3)
-    reason, missing, held, verdict = lines_of(tmp_path, {}, error)
+    reason, missing, held, verdict, results = lines_of(tmp_path, {}, error)
     assert reason == "DeviceTimeoutError in 'start': adhesion: no VESC answers"
     assert missing == "NOT MEASURED 33 of 33: the run ended before them"
     assert held.startswith("NOT HELD: nobody looked")
-    assert verdict.startswith("ERROR: bring_up")
+    assert verdict == "ERROR: bring_up. It ended early, in 'start'."
+    assert results == f"results: {tmp_path}"
 
 
 def test_what_was_measured_before_is_told_value_by_value(tmp_path):
@@ -32,6 +33,9 @@ def test_what_was_measured_before_is_told_value_by_value(tmp_path):
 
 
 def test_a_run_that_ended_well_tells_every_value_and_nothing_of_the_rest(tmp_path):
-    *rows, _held, _verdict = lines_of(tmp_path, {f"m{k}": 0.5 for k in range(33)}, None)
+    *rows, _held, verdict, _results = lines_of(tmp_path, {f"m{k}": 0.5 for k in range(33)}, None)
     assert len(rows) == 33
     assert not any("NOT MEASURED" in row for row in rows)
+    assert verdict.startswith(
+        "PASS: bring_up. All 33 limits held; nearest to their limits: m0 0.5 m, at most 1 m; m1"
+    )

@@ -1,0 +1,107 @@
+"""Where a run drove the robot: a figure of every procedure's report that draws none of its own."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.interfaces import Sink
+from hil.vocabulary.signals import CycleRecord
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_EVERY_NS = nanoseconds(0.05)
+_MOST = 4096
+_DRIVEN_M = 0.01
+_NOWHERE = (math.nan, math.nan)
+CAPTION = (
+    "Above: where the robot was meant to be, where the estimate had it, and where it was. Below: how far "
+    "two of them are apart. Benches that were opened one after the other follow each other."
+)
+
+Row = tuple[float, float, float, float, float, float, float]
+
+
+class PathHistory(Sink):
+    """Takes reference, estimate and true position, twenty times a second, from bench after bench.
+
+    The true position is the emulated robot's own where this process knows it, else that of motion capture.
+    """
+
+    def __init__(self) -> None:
+        self._rows: list[Row] = []
+        self._next_ns = self._last_ns = 0
+        self._driven_s = 0.0
+        self._thin = 1
+
+    def write(self, record: CycleRecord) -> None:
+        """Take one record."""
+        t_ns = record.inputs.t_ns
+        if t_ns < self._last_ns:
+            self._rows.append((self._driven_s, *_NOWHERE, *_NOWHERE, *_NOWHERE))
+            self._next_ns = t_ns
+        if t_ns < self._next_ns:
+            return
+        self._driven_s += min(max(t_ns - self._last_ns, 0), 2 * self._thin * _EVERY_NS) / NS_PER_S
+        self._last_ns, self._next_ns = t_ns, t_ns + self._thin * _EVERY_NS
+        reference = _NOWHERE if record.reference is None else _position(record.reference.pose_in_wall)
+        estimate = _position(record.state.pose_body_in_wall)
+        self._rows.append((self._driven_s, *reference, *estimate, *_true_position(record)))
+        if len(self._rows) > _MOST:
+            self._rows, self._thin = self._rows[::2], 2 * self._thin
+
+    def close(self) -> None:
+        """Nothing to let go of; the next bench goes on."""
+
+    def figure(self) -> Figure | None:
+        """Paths in the wall, and their distances over the time driven; None where nothing was driven."""
+        from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
+
+        if len(self._rows) < 2:
+            return None
+        rows = np.array(self._rows)
+        paths = {"reference": rows[:, 1:3], "estimate": rows[:, 3:5], "truth": rows[:, 5:7]}
+        paths = {name: path for name, path in paths.items() if np.isfinite(path).any()}
+        if max(float(np.nanmax(np.ptp(path[np.isfinite(path[:, 0])], axis=0))) for path in paths.values()) < (
+            _DRIVEN_M
+        ):
+            return None
+        colours = {"reference": PALETTE["reference"], "estimate": SERIES[0], "truth": PALETTE["truth"]}
+        figure = new_figure(5.2, 5.0)
+        axes = style(figure.add_subplot(2, 1, 1), "Y, left (m)", "X (m)")
+        for name, path in paths.items():
+            axes.plot(path[:, 1], path[:, 0], color=colours[name], lw=1.4, label=name)
+        axes.set_aspect("equal", adjustable="datalim")
+        axes.invert_xaxis()
+        legend(axes)
+        self._draw_distances(figure, rows[:, 0], paths)
+        return figure
+
+    @staticmethod
+    def _draw_distances(figure: Figure, t_s: Array, paths: dict[str, Array]) -> None:
+        from hil.report.run_plots import SERIES, legend, style
+
+        pairs = [(a, b) for a, b in (("truth", "reference"), ("estimate", "truth"), ("estimate", "reference"))
+                 if a in paths and b in paths][:2]  # fmt: skip
+        axes = style(figure.add_subplot(2, 1, 2), "time driven (s)", "distance (mm)")
+        for (a, b), colour in zip(pairs, SERIES[1:], strict=False):
+            apart_mm = 1e3 * np.linalg.norm(paths[a] - paths[b], axis=1)
+            axes.plot(t_s, apart_mm, color=colour, lw=1.3, label=f"{a} to {b}")
+        axes.set_ylim(bottom=0.0)
+        legend(axes)
+
+
+def _position(pose: Array) -> tuple[float, float]:
+    return float(pose[0]), float(pose[1])
+
+
+def _true_position(record: CycleRecord) -> tuple[float, float]:
+    if record.truth is not None:
+        return _position(record.truth["pose_body_in_wall"])
+    seen = [m.pose for m in record.measurements.mocap if m.valid]
+    return _position(seen[-1]) if seen else _NOWHERE

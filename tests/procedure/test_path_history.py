@@ -1,0 +1,61 @@
+"""The page of a procedure of one's own shows where the robot went, without being asked."""
+
+import json
+
+import pytest
+
+from hil.procedure import procedure
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.report.figures import themed_svg
+from hil.report.readings import taken_out
+from hil.report.run_plots import new_figure
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import MonotonicClock
+
+
+@procedure(name="climb", needs=("servos",))
+def climb(ctx):
+    """Four centimetres up, twice."""
+    ctx.bench.drive(line((0, 0, 0), (0.04, 0, 0), duration_s=1.2))
+    ctx.reopen()
+    ctx.bench.drive(line((0, 0, 0), (0.04, 0, 0), duration_s=1.2))
+
+
+@procedure(name="stand", needs=("servos",))
+def stand(ctx):
+    """Only stands there."""
+    ctx.bench.settle(0.5)
+
+
+@procedure(name="draws", needs=("servos",))
+def draws(ctx):
+    """Drives, and draws a figure of its own."""
+    ctx.bench.drive(line((0, 0, 0), (0.04, 0, 0), duration_s=1.2))
+    ctx.figure(new_figure(), "Own")
+
+
+def figures(proc, folder, bench="emulated_floor"):
+    run_procedure(proc, BenchSource(bench, seed=1), RunOptions(folder, MonotonicClock(), "now", {}))
+    found = json.loads((folder / "result.json").read_text())["figures"]
+    return {f["title"]: folder / f["path"] for f in found}
+
+
+def test_a_driven_path_is_drawn_with_reference_estimate_and_truth(tmp_path):
+    svg = figures(climb, tmp_path / "run")["Path"]
+    path, apart = json.loads(taken_out(themed_svg(svg))[1])["axes"]
+    lines = {s["name"]: s for s in path["series"]}
+    assert list(lines) == ["reference", "estimate", "truth"]
+    for one in lines.values():
+        up = [v for v in one["y"] if v is not None]
+        assert (min(up), max(up)) == pytest.approx((0.0, 0.04), abs=2e-3)
+    assert [s["name"] for s in apart["series"]] == ["truth to reference", "estimate to truth"]
+    worst = max(v for s in apart["series"] for v in s["y"] if v is not None)
+    assert 0.0 < worst < 5.0
+    again = figures(climb, tmp_path / "again")["Path"]
+    assert again.read_bytes() == svg.read_bytes()
+
+
+@pytest.mark.parametrize(("proc", "titles"), [(stand, []), (draws, ["Own"])])
+def test_there_is_none_where_nothing_was_driven_or_another_figure_is_there(tmp_path, proc, titles):
+    assert list(figures(proc, tmp_path / "run")) == titles
