@@ -112,8 +112,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except click.exceptions.Exit as leave:
         return leave.exit_code
     except click.ClickException as error:
-        error.show(sys.stderr)
-        told = error_as_json(UsageError(error.format_message()))
+        from hil.cli.mistyped import explained
+
+        better = explained(error)
+        better.show(sys.stderr)
+        told = error_as_json(UsageError(better.format_message()))
     except (click.exceptions.Abort, KeyboardInterrupt) as error:
         word = "interrupted" if isinstance(error, KeyboardInterrupt) else "aborted"
         click.echo(f"hil: {word}", err=True)

@@ -13,7 +13,7 @@ from typing import Any
 
 import click
 
-from hil.vocabulary.errors import UsageError, did_you_mean
+from hil.vocabulary.errors import UsageError
 
 SEED = click.IntRange(min=0)
 PROGRESS = ("auto", "json")
@@ -62,8 +62,9 @@ class SuggestingGroup(click.Group):
         """As click's, with a suggestion for a command that does not exist."""
         name, known = args[0], self.list_commands(ctx)
         if name not in known and not name.startswith("-"):
-            hint = did_you_mean(name, known) or f"one of {', '.join(known)}"
-            ctx.fail(f"no such command {name!r}; {hint}")
+            from hil.cli.mistyped import hint_for_command
+
+            ctx.fail(f"no such command {name!r}; {hint_for_command(name, known)}")
         return super().resolve_command(ctx, args)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import date
 from importlib import resources
 from itertools import takewhile
@@ -41,6 +42,13 @@ def profile_summary(name: str) -> str:
     return " ".join(line.strip("# ") for line in head).partition(".")[0]
 
 
+def _bench_files(folder: Path) -> list[str]:
+    """TOML files of a folder: what may have been meant by a name that is none."""
+    with suppress(OSError):
+        return sorted(str(found) for found in folder.glob("*.toml"))
+    return []
+
+
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     """Tables and printable origin of a bench file: a path, or the name of a shipped profile.
 
@@ -49,7 +57,8 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     """
     path = Path(source)
     if path.suffix == ".toml" or path.exists():
-        return read_toml(path, remedy="give a bench.toml or a profile name"), str(path)
+        near = did_you_mean(str(source), _bench_files(path.parent))
+        return read_toml(path, remedy=near or "give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
         origin = f"profile {source}"
         text = resources.files("hil.config.profiles").joinpath(f"{source}.toml").read_text(encoding="utf-8")
@@ -57,7 +66,8 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     raise ConfigError(
         f"bench {str(source)!r} is neither a file nor a shipped profile",
         expected="a path to a .toml file or one of " + ", ".join(profile_names()),
-        remedy=did_you_mean(str(source), profile_names()),
+        remedy=did_you_mean(f"{source}.toml", _bench_files(path.parent))
+        or did_you_mean(str(source), profile_names()),
     )
 
 

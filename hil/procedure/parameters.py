@@ -52,7 +52,7 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
     typed: dict[str, Any] = {}
     for key, value in values.items():
         if key not in hints:
-            known = f"known are {', '.join(hints) or 'none'}"
+            known = f"known are {', '.join(hints)}" if hints else f"{owner} has no parameters"
             problems.append(f"{key}: unknown parameter; {did_you_mean(key, hints) or known}")
             continue
         try:

@@ -14,6 +14,7 @@ import hil
 from hil.procedure.declaration import Procedure
 from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
 from hil.vocabulary.kinds import kinds
+from hil.vocabulary.mistaken import is_tests, meant
 
 SHIPPED = "hil.procedures"
 SHIPPED_FOLDER = (Path(hil.__file__).resolve().parent / "procedures").resolve()
@@ -54,7 +55,7 @@ def load_procedure(script: str) -> Procedure:
         raise ConfigError(
             f"procedure {script!r} is unknown",
             expected=_known(),
-            remedy=_near(target),
+            remedy=meant(path) or _near(target),
         )
     return _choose(module, wanted, script)
 
@@ -100,6 +101,8 @@ def _choose(module: ModuleType, wanted: str, script: str) -> Procedure:
     found = {p.name: p for p in vars(module).values() if isinstance(p, Procedure)}
     if wanted:
         found = {n: p for n, p in found.items() if n == wanted}
+    if not found and not wanted and is_tests(path := Path(script)):
+        raise ConfigError(f"{script}: holds no procedure", remedy=meant(path))
     if len(found) != 1:
         raise ConfigError(
             f"{script}: declares {len(found)} procedures ({', '.join(found) or 'none'})",

@@ -19,6 +19,7 @@ from hil.recording.mcap_file import CLOCK_AT_END, CLOCK_AT_START, LIBRARY, METAD
 from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
+from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import json_object
 from hil.vocabulary.signals import CycleRecord
 
@@ -69,7 +70,7 @@ class RecordingReader:
                 str(self.path),
                 "is not a recording of this project",
                 expected="a .mcap file",
-                remedy=NEEDS_TOPICS,
+                remedy=_in_place_of(self.path) or NEEDS_TOPICS,
             )
         problems: list[str] = []
         ours, at = False, 0
@@ -251,6 +252,18 @@ def _records(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
         raise DataError(str(path), f"cannot be read ({error.strerror or error})") from None
 
 
+def _in_place_of(path: Path) -> str:
+    """What to name instead: the recordings of a run where its folder was given, else what the path is for."""
+    inside = sorted(path.glob("*.mcap")) if path.is_dir() else []
+    return (
+        "name one of " + ", ".join(map(str, inside))
+        if inside
+        else meant(path)
+        if path.suffix != ".mcap"
+        else ""
+    )
+
+
 def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
     """Refuse a file of another kind, given what its first record failed with."""
     from mcap.exceptions import InvalidMagic
@@ -260,7 +273,9 @@ def _must_be_mcap(path: Path, reached: int, error: Exception | None) -> None:
     if reached == 0:
         raise DataError(str(path), "is empty", expected="a recording (.mcap)", remedy=_COPY)
     if isinstance(error, InvalidMagic) or reached < _MAGIC_BYTES:
-        raise DataError(str(path), "is not an MCAP file", expected="a recording (.mcap)")
+        raise DataError(
+            str(path), "is not an MCAP file", expected="a recording (.mcap)", remedy=_in_place_of(path)
+        )
 
 
 def _damage(at: int, reached: int, error: Exception) -> str:

@@ -10,6 +10,10 @@ from hil.calibration.nominal import Nominal
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.mistaken import meant
+
+_OTHERS = (".py", ".toml", ".json", ".html")
+"""Files of this project that hold no recording."""
 
 Job = Callable[[], Recording]
 
@@ -90,7 +94,9 @@ def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -
 
 def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
     if not path.exists():
-        raise DataError(str(path), "does not exist")
+        raise DataError(str(path), "does not exist", expected="a recording, or a folder of them")
+    if path.suffix in _OTHERS:
+        raise DataError(str(path), "is no recording", remedy=meant(path))
     if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":

@@ -12,6 +12,7 @@ from urllib.parse import quote
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.mistaken import meant
 from hil.vocabulary.reading import read_json
 
 SCHEMA = 1
@@ -131,7 +132,10 @@ def read_result(folder: Path) -> dict[str, Any]:
         DataError: missing, damaged, of another schema, or with values of the wrong kind.
     """
     path = folder / RESULT
-    tree = read_json(path, remedy="name a results folder of hil run")
+    remedy = "name a results folder of hil run"
+    if not path.is_file() and folder.exists():
+        raise DataError(str(folder), f"holds no {RESULT}", remedy=meant(folder) or remedy)
+    tree = read_json(path, remedy=remedy)
     try:
         found: dict[str, Any] = _Result.model_validate(tree).model_dump(by_alias=True)
     except ValidationError as error:

@@ -91,7 +91,7 @@ def test_faults_need_an_emulated_device_that_can_produce_them():
         hil.open_bench("emulated", faults=("imu:bus_off",))
     with pytest.raises(FaultNotSupportedError, match="no emulated device of that name"):
         hil.open_bench("emulated", faults=("camera:off",))
-    with pytest.raises(UsageError, match="unknown"):
+    with pytest.raises(FaultNotSupportedError, match="imu cannot produce the fault 'melted'"):
         hil.open_bench("emulated", faults=("imu:melted",))
 
 

@@ -138,6 +138,70 @@ def test_a_mistyped_script_is_answered_with_one_that_is_there(tmp_path, monkeypa
     assert "did you mean short_line.py?" in capsys.readouterr().err
 
 
+DATA = {
+    "test_gap.py": "def test_gap(bench):\n    pass\n",
+    "gap.py": "from hil.procedure import procedure\n\n\n@procedure(name='gap')\ndef run(ctx):\n    pass\n",
+    "lab.toml": 'schema = 1\nname = "lab"\n',
+    "recording.mcap": "",
+    "out/gap/one/result.json": "{}",
+    "out/gap/one/report.html": "",
+    "out/runs/campaign.json": "{}",
+}
+
+
+@pytest.mark.parametrize(
+    ("command", "meant"),
+    [
+        (
+            "run test_gap.py",
+            "test_gap.py: holds no procedure; it is a file of tests: python -m pytest test_gap.py",
+        ),
+        ("run lab.toml", "give a bench with --bench FILE"),
+        ("run recording.mcap", "it is a recording: hil replay recording.mcap"),
+        ("run out/gap/one", "hil report out/gap/one"),
+        ("report out", "the latest: hil report out/gap/one; all: hil results list --in out"),
+        ("report gap.py", "it is a script: hil run gap.py"),
+        ("report recording.mcap", "hil replay recording.mcap"),
+        ("report out/gap/one/report.html", "it belongs to a run: hil report out/gap/one"),
+        ("report out/runs", "it holds a campaign: open out/runs/campaign.html"),
+        ("replay gap.py", "gap.py: is no recording; it is a script: hil run gap.py"),
+        ("evaluate lab.toml", "lab.toml: is no recording; it is a TOML file"),
+        ("export gap.py", "hil run gap.py"),
+        ("doctor --bench lab", "did you mean lab.toml?"),
+        ("live --bench lub.toml", "did you mean lab.toml?"),
+        ("list fault", "did you mean faults?"),
+        ("export recording.mcap --format csvv", "did you mean csv?"),
+        ("doctor lab.toml", "did you mean --bench lab.toml?"),
+        ("live emulated", "did you mean --bench emulated?"),
+        ("results show", "did you mean open?"),
+        ("help run", "did you mean --help?"),
+        ("run", "Example: hil run bring_up --quick --set watch_s=2"),
+        ("run gap.py --seed many", "'many' is not a whole number."),
+        ("run gap.py --set width=3", "width: unknown parameter; gap has no parameters"),
+        ("run bring_up --fault imu:boff", "imu cannot produce the fault 'boff'; expected one of "),
+    ],
+)
+def test_what_is_for_another_command_is_answered_with_that_command(
+    tmp_path, monkeypatch, capsys, command, meant
+):
+    monkeypatch.chdir(tmp_path)
+    for name, text in DATA.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    before = sorted(tmp_path.rglob("*"))
+    assert main(command.split()) != 0
+    said = capsys.readouterr()
+    assert meant in " ".join(said.err.split())
+    assert (said.out, sorted(tmp_path.rglob("*"))) == ("", before)
+
+
+def test_a_mistyped_fault_is_answered_with_those_of_its_device_alone(refused):
+    said = refused("run", "bring_up", "--fault", "imu:stick")
+    assert "did you mean stuck?" in said
+    assert "adhesion_loss" not in said
+    assert "bus_off" not in said
+
+
 def test_a_value_in_place_of_a_table_is_told_in_words_of_the_file(refused):
     said = refused("run", "bring_up", "--set", "bench.servos=3")
     assert "servos: expected a table (found 3)" in said

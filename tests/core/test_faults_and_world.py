@@ -42,9 +42,7 @@ def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options
     assert parse_fault(describe(fault)) == fault
 
 
-@pytest.mark.parametrize(
-    "spec", ["", "imu", "imu:stuck@", "imu:stuck@x", "imu:stuck@1+0", "imu:melt", "imu:stuck,a=b"]
-)
+@pytest.mark.parametrize("spec", ["", "imu", "imu:stuck@", "imu:stuck@x", "imu:stuck@1+0", "imu:stuck,a=b"])
 def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
     with pytest.raises(UsageError, match="expected"):
         parse_fault(spec)
@@ -60,6 +58,10 @@ def test_unsupported_faults_and_unknown_devices_are_refused():
     plan.declare("imu", {"stuck": ()})
     with pytest.raises(FaultNotSupportedError, match="cannot produce"):
         plan.check()
+    with pytest.raises(
+        FaultNotSupportedError, match=r"imu cannot produce the fault 'melt'; expected one of stuck$"
+    ):
+        plan.add(parse_fault("imu:melt"))
     with pytest.raises(FaultNotSupportedError, match="no emulated device"):
         plan.add(parse_fault("tracker:jump"))
 
