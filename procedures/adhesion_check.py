@@ -31,10 +31,16 @@ class Parameters(BaseModel):
     """How many levels of force, and how long each is watched."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    levels: int = Field(5, ge=3, le=12)
-    dwell_s: float = Field(1.5, ge=0.5, le=20.0)
-    highest_n: float = Field(50.0, gt=0.0, le=500.0)
-    slide: bool = True
+    levels: int = Field(
+        5, ge=3, le=12, description="How many forces are set, from the least that holds up to the highest."
+    )
+    dwell_s: float = Field(1.5, ge=0.5, le=20.0, description="How long each force is watched, s.")
+    highest_n: float = Field(
+        50.0, gt=0.0, le=500.0, description="Highest force that the fan is asked for, N."
+    )
+    slide: bool = Field(
+        True, description="On an emulated fan, lower the force until the robot slides, to find where it does."
+    )
 
 
 def measurements(p: Parameters, config: BenchConfig) -> Iterable[Measurement]:

@@ -47,12 +47,18 @@ class Parameters(BaseModel):
     """Which devices there should be, how long to watch them, and how far to move."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    devices: tuple[Device, ...] = KINDS
-    watch_s: float = Field(20.0, ge=2.0, le=600)
-    steer_deg: float = Field(5.0, ge=2.0, le=20)
-    drive_rad_s: float = Field(0.5, ge=0.2, le=2.0)
-    step_m: float = Field(0.04, ge=0.02, le=0.5)
-    turn_deg: float = Field(6.0, ge=3.0, le=12.0)
+    devices: tuple[Device, ...] = Field(KINDS, description="Devices that must be there and answer.")
+    watch_s: float = Field(
+        20.0, ge=2.0, le=600, description="How long the robot stands while its samples are counted, s."
+    )
+    steer_deg: float = Field(
+        5.0, ge=2.0, le=20, description="How far each wheel is steered to see whether it answers, deg."
+    )
+    drive_rad_s: float = Field(
+        0.5, ge=0.2, le=2.0, description="How fast each wheel is turned to see whether it answers, rad/s."
+    )
+    step_m: float = Field(0.04, ge=0.02, le=0.5, description="How far the body moves along X and along Y, m.")
+    turn_deg: float = Field(6.0, ge=3.0, le=12.0, description="How far the body turns, deg.")
 
     @property
     def body(self) -> str:

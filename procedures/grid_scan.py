@@ -36,15 +36,21 @@ class Parameters(BaseModel):
     """Size of the scan, and how it is driven; `compare` drives it on odometry as well."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    lanes: int = Field(5, ge=1, le=50)
-    lane_length_m: float = Field(1.0, gt=0)
-    lane_spacing_m: float = Field(0.1, gt=0)
-    speed_m_s: float = Field(0.1, gt=0, le=3.5)
-    probe_width_m: float = Field(0.12, gt=0)
-    feedback: Literal["ekf", "ukf"] = "ekf"
-    law: Literal["nonlinear", "optimal"] = "optimal"
-    compare: bool = False
-    hold_s: float = Field(2.0, ge=0.5, le=600)
+    lanes: int = Field(5, ge=1, le=50, description="How many parallel lanes are driven.")
+    lane_length_m: float = Field(1.0, gt=0, description="Length of a lane, m.")
+    lane_spacing_m: float = Field(0.1, gt=0, description="Distance between neighbouring lanes, m.")
+    speed_m_s: float = Field(0.1, gt=0, le=3.5, description="Speed along a lane, m/s.")
+    probe_width_m: float = Field(
+        0.12,
+        gt=0,
+        description="Width that the probe sees, m; wider than the distance of lanes, or gaps remain.",
+    )
+    feedback: Literal["ekf", "ukf"] = Field("ekf", description="Filter whose pose the controller follows.")
+    law: Literal["nonlinear", "optimal"] = Field("optimal", description="Control law that follows the path.")
+    compare: bool = Field(False, description="Drive the same scan on odometry as well, for comparison.")
+    hold_s: float = Field(
+        2.0, ge=0.5, le=600, description="How long the robot stands at its end before it is measured, s."
+    )
 
     @model_validator(mode="after")
     def _overlapping(self) -> Parameters:

@@ -45,12 +45,23 @@ class Parameters(BaseModel):
     """How long to rest, and how far to turn on the wall."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    rest_s: float = Field(120.0, ge=5.0, le=7200)
-    learn_s: float = Field(20.0, ge=1.0, le=600)
-    heading_deg: float = Field(10.0, gt=1.0, le=60.0)
-    headings: int = Field(5, ge=4, le=21)
-    dwell_s: float = Field(3.0, ge=0.5, le=60)
-    turn_speed_m_s: float = Field(0.03, gt=0, le=3.5)
+    rest_s: float = Field(
+        120.0,
+        ge=5.0,
+        le=7200,
+        description="How long the robot rests while the noise of the gyro is measured, s.",
+    )
+    learn_s: float = Field(
+        20.0, ge=1.0, le=600, description="How long the chip may learn its own offsets at rest, s."
+    )
+    heading_deg: float = Field(
+        10.0, gt=1.0, le=60.0, description="On a wall, how far the robot turns to either side, deg."
+    )
+    headings: int = Field(5, ge=4, le=21, description="On a wall, at how many headings the robot stands.")
+    dwell_s: float = Field(3.0, ge=0.5, le=60, description="How long the robot stands at each heading, s.")
+    turn_speed_m_s: float = Field(
+        0.03, gt=0, le=3.5, description="Speed of the wheels while the robot turns, m/s."
+    )
 
 
 class StoresOffsets(Protocol):

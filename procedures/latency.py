@@ -58,11 +58,23 @@ class Parameters(BaseModel):
     """What to compare beside servos and motion capture, and how much to move."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    devices: tuple[Compared, ...] = ("encoders", "imu", "tracker")
-    reversals: int = Field(24, ge=8, le=400)
-    drive_rad_s: float = Field(1.5, ge=0.3, le=4.0)
-    steer_deg: float = Field(4.0, ge=1.0, le=15.0)
-    dwell_s: float = Field(0.4, ge=0.25, le=2.0)
+    devices: tuple[Compared, ...] = Field(
+        ("encoders", "imu", "tracker"),
+        description="Devices that are compared with the command, beside servos and motion capture.",
+    )
+    reversals: int = Field(
+        24,
+        ge=8,
+        le=400,
+        description="How often the command changes its direction; more of them give a narrower interval.",
+    )
+    drive_rad_s: float = Field(
+        1.5, ge=0.3, le=4.0, description="Rate of the fastest wheel while the robot turns to and fro, rad/s."
+    )
+    steer_deg: float = Field(
+        4.0, ge=1.0, le=15.0, description="How far the wheels are steered to either side, deg."
+    )
+    dwell_s: float = Field(0.4, ge=0.25, le=2.0, description="Mean time between two changes of direction, s.")
 
 
 @dataclass(frozen=True)

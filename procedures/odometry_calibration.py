@@ -55,21 +55,41 @@ class Parameters(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    motions: tuple[MotionName, ...] = MOTIONS
-    repetitions: int = Field(5, ge=2, le=20)
-    validation_repetitions: int = Field(2, ge=1, le=20)
-    line_m: float = Field(2.5, gt=0, le=10)
-    radius_m: float = Field(0.5, gt=0.1, le=5)
-    turns: float = Field(1.0, gt=0, le=3)
-    speed_m_s: float = Field(0.118, gt=0, le=3.5)
-    model: Literal["by evidence", "creep", "dry-friction", "exact"] = "by evidence"
-    steering_play_rad: float | None = Field(None, ge=0, le=_MOST_PLAY_RAD)
-    min_rounds: int = Field(2, ge=1)
-    max_rounds: int = Field(4, ge=1)
-    method: Literal["lm", "interior-point", "ga", "pso"] = "lm"
-    compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = ("interior-point", "ga", "pso")
-    processes: int = Field(2, ge=1, le=8)
-    install: str = ""
+    motions: tuple[MotionName, ...] = Field(MOTIONS, description="Motions of a repetition.")
+    repetitions: int = Field(5, ge=2, le=20, description="How often each motion is driven in a round.")
+    validation_repetitions: int = Field(
+        2, ge=1, le=20, description="How often each motion is driven anew to check the result."
+    )
+    line_m: float = Field(2.5, gt=0, le=10, description="Length of the lines, m.")
+    radius_m: float = Field(0.5, gt=0.1, le=5, description="Radius of the circles, m.")
+    turns: float = Field(
+        1.0, gt=0, le=3, description="How many turns a circle, and a rotation on the spot, has."
+    )
+    speed_m_s: float = Field(0.118, gt=0, le=3.5, description="Peak speed of the wheels, m/s.")
+    model: Literal["by evidence", "creep", "dry-friction", "exact"] = Field(
+        "by evidence",
+        description="How contradicting wheels are read; by evidence, held-out repetitions choose.",
+    )
+    steering_play_rad: float | None = Field(
+        None,
+        ge=0,
+        le=_MOST_PLAY_RAD,
+        description="Backlash of a steering gear to each side, rad; left out, that of the record.",
+    )
+    min_rounds: int = Field(2, ge=1, description="Rounds that are driven at least.")
+    max_rounds: int = Field(4, ge=1, description="Rounds that are driven at most.")
+    method: Literal["lm", "interior-point", "ga", "pso"] = Field(
+        "lm", description="Solver that finds the parameters."
+    )
+    compared_methods: tuple[Literal["interior-point", "ga", "pso"], ...] = Field(
+        ("interior-point", "ga", "pso"), description="Further solvers whose results are shown beside it."
+    )
+    processes: int = Field(
+        2, ge=1, le=8, description="How many repetitions are driven at once; in virtual time only."
+    )
+    install: str = Field(
+        "", description="A calibration.toml that takes the result as its next version if validation passes."
+    )
 
     @model_validator(mode="after")
     def _rounds(self) -> Parameters:

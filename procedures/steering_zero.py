@@ -40,12 +40,16 @@ class Parameters(BaseModel):
     """How far and how often to sweep, and how far to drive."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    sweep_deg: float = Field(100.0, ge=45.0, le=115.0)
-    sweep_s: float = Field(8.0, ge=2.0, le=120)
-    sweeps: int = Field(2, ge=1, le=10)
-    leg_m: float = Field(0.4, ge=0.1, le=3.0)
-    legs: int = Field(2, ge=1, le=10)
-    speed_m_s: float = Field(0.08, gt=0, le=3.5)
+    sweep_deg: float = Field(
+        100.0, ge=45.0, le=115.0, description="How far the wheels are swept to either side, deg."
+    )
+    sweep_s: float = Field(
+        8.0, ge=2.0, le=120, description="How long a sweep from one end to the other takes, s."
+    )
+    sweeps: int = Field(2, ge=1, le=10, description="How often the wheels are swept to and fro.")
+    leg_m: float = Field(0.4, ge=0.1, le=3.0, description="How far the robot drives in each direction, m.")
+    legs: int = Field(2, ge=1, le=10, description="How often each direction is driven.")
+    speed_m_s: float = Field(0.08, gt=0, le=3.5, description="Speed of the drives, m/s.")
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

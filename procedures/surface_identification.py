@@ -50,14 +50,18 @@ class Parameters(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    length_m: float = Field(0.6, gt=0.1, le=3.0)
-    speed_m_s: float = Field(0.1, gt=0, le=3.5)
-    repetitions: int = Field(3, ge=2, le=20)
-    processes: int = Field(1, ge=1, le=8)
-    hold: bool = True
-    hold_from_deg: float = Field(15.0, ge=0.0)
-    hold_to_deg: float = Field(60.0, le=80.0)
-    hold_step_deg: float = Field(0.5, gt=0.05, le=10.0)
+    length_m: float = Field(0.6, gt=0.1, le=3.0, description="Length of each line, m.")
+    speed_m_s: float = Field(0.1, gt=0, le=3.5, description="Speed along a line, m/s.")
+    repetitions: int = Field(3, ge=2, le=20, description="How often each line is driven.")
+    processes: int = Field(
+        1, ge=1, le=8, description="How many repetitions are driven at once; in virtual time only."
+    )
+    hold: bool = Field(
+        True, description="Also find the heading up to which the robot holds; you set a real robot by hand."
+    )
+    hold_from_deg: float = Field(15.0, ge=0.0, description="Heading at which that search begins, deg.")
+    hold_to_deg: float = Field(60.0, le=80.0, description="Heading at which that search ends, deg.")
+    hold_step_deg: float = Field(0.5, gt=0.05, le=10.0, description="How finely that heading is found, deg.")
 
     @model_validator(mode="after")
     def _range(self) -> Parameters:

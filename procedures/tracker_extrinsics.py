@@ -54,11 +54,21 @@ class Parameters(BaseModel):
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    turn_deg: float = Field(90.0, ge=5.0, le=180.0)
-    way_m: float = Field(0.4, ge=0.1, le=3.0)
-    repetitions: int = Field(2, ge=1, le=20)
-    speed_m_s: float = Field(0.1, gt=0, le=3.5)
-    session_spread: float = Field(0.001, gt=0, le=0.05)
+    turn_deg: float = Field(
+        90.0,
+        ge=5.0,
+        le=180.0,
+        description="How far the robot turns to either side, deg; on a wall, no further than it holds.",
+    )
+    way_m: float = Field(0.4, ge=0.1, le=3.0, description="How far the robot drives along X and along Y, m.")
+    repetitions: int = Field(2, ge=1, le=20, description="How often turns and drives are repeated.")
+    speed_m_s: float = Field(0.1, gt=0, le=3.5, description="Speed of the drives, m/s.")
+    session_spread: float = Field(
+        0.001,
+        gt=0,
+        le=0.05,
+        description="Share by which the camera's scale differs from session to session, one sigma.",
+    )
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

@@ -35,12 +35,18 @@ class Parameters(BaseModel):
     """What to drive; `single` are the parts of the record that are tried by themselves."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    cases: tuple[Case, ...] = ("x_line", "y_line")
-    length_m: float = Field(1.5, gt=0, le=3.0)
-    duration_s: float = Field(30.0, gt=1.0, le=3600)
-    hold_s: float = Field(1.0, ge=0.5, le=600)
-    single: tuple[str, ...] = tuple(PARTS)
-    processes: int = Field(2, ge=1, le=8)
+    cases: tuple[Case, ...] = Field(
+        ("x_line", "y_line"), description="Lines that are driven: x_line up the wall, y_line across it."
+    )
+    length_m: float = Field(1.5, gt=0, le=3.0, description="Length of the lines, m.")
+    duration_s: float = Field(30.0, gt=1.0, le=3600, description="How long a line takes, s.")
+    hold_s: float = Field(
+        1.0, ge=0.5, le=600, description="How long the robot stands at its end before it is measured, s."
+    )
+    single: tuple[str, ...] = Field(
+        tuple(PARTS), description="Parts of the robot's record that are also tried by themselves."
+    )
+    processes: int = Field(2, ge=1, le=8, description="How many drives run at once; in virtual time only.")
 
 
 def measurements(p: Parameters) -> Iterator[Measurement]:

@@ -44,18 +44,34 @@ class Parameters(BaseModel):
     """What to drive; `seeds` runs that many worlds, the first with the run's own seed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
-    cases: tuple[Case, ...] = ("x_line", "y_line")
-    feedbacks: tuple[Feedback, ...] = ("odometry", "ekf", "ukf")
-    optimal: bool = True
-    length_m: float = Field(1.5, gt=0, le=3.0)
-    duration_s: float = Field(30.0, gt=1.0, le=3600)
-    lanes: int = Field(5, ge=1, le=20)
-    lane_length_m: float = Field(1.0, gt=0)
-    lane_spacing_m: float = Field(0.1, gt=0)
-    scan_speed_m_s: float = Field(0.1, gt=0, le=3.5)
-    hold_s: float = Field(2.0, ge=0.5, le=600)
-    seeds: int = Field(1, ge=1, le=100)
-    processes: int = Field(1, ge=1, le=8)
+    cases: tuple[Case, ...] = Field(
+        ("x_line", "y_line"), description="Paths that are driven: x_line up the wall, y_line across it, scan."
+    )
+    feedbacks: tuple[Feedback, ...] = Field(
+        ("odometry", "ekf", "ukf"),
+        description="Estimators whose pose the controller follows, one drive each.",
+    )
+    optimal: bool = Field(True, description="Drive the line across the wall with the optimal law as well.")
+    length_m: float = Field(1.5, gt=0, le=3.0, description="Length of the lines, m.")
+    duration_s: float = Field(30.0, gt=1.0, le=3600, description="How long a line takes, s.")
+    lanes: int = Field(5, ge=1, le=20, description="How many lanes the scan has.")
+    lane_length_m: float = Field(1.0, gt=0, description="Length of a lane of the scan, m.")
+    lane_spacing_m: float = Field(
+        0.1, gt=0, description="Distance between neighbouring lanes of the scan, m."
+    )
+    scan_speed_m_s: float = Field(0.1, gt=0, le=3.5, description="Speed of the scan, m/s.")
+    hold_s: float = Field(
+        2.0, ge=0.5, le=600, description="How long the robot stands at the end before it is measured, s."
+    )
+    seeds: int = Field(
+        1,
+        ge=1,
+        le=100,
+        description="How many emulated worlds are driven, the first with the seed of the run.",
+    )
+    processes: int = Field(
+        1, ge=1, le=8, description="How many worlds are driven at once; in virtual time only."
+    )
 
     @model_validator(mode="after")
     def _something(self) -> Parameters:

@@ -50,16 +50,19 @@ def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: 
 
 def _stop(folder: Path, *, as_json: bool) -> int:
     """Stop every job by its own files: needs neither the page nor the process with the button."""
+    from hil.console.stop_process import end_without_page
     from hil.console.stopping import in_words, stop_all, wait_for
 
     ended = wait_for(stop_all(folder / "jobs"), _STOP_S)
+    button = end_without_page(folder)
     if as_json:
         keys = ("title", "running", "held", "verdict", "why")
-        click.echo(json.dumps({"stopped": [{k: told.get(k) for k in keys} for told in ended]}))
+        told = [{k: job.get(k) for k in keys} for job in ended]
+        click.echo(json.dumps({"stopped": told, "button_ended": button}))
     else:
-        click.echo(
-            "\n".join(map(in_words, ended)) or f"nothing runs that the console in {folder.parent} has started"
-        )
+        said = [in_words(job) for job in ended]
+        said = said or [f"nothing runs that the console in {folder.parent} has started"]
+        click.echo("\n".join(said + ["the STOP button of a console that died has ended"] * button))
     fine = all(not t["running"] and (t["held"] or {}).get("state") != "NOT HELD" for t in ended)
     return EXIT_PASS if fine else EXIT_DEVICE
 

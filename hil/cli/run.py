@@ -13,6 +13,7 @@ from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import SEED, results_folder
 from hil.cli.progress import reporting
+from hil.vocabulary.errors import HilError
 
 if TYPE_CHECKING:
     from hil.procedure.declaration import Procedure
@@ -21,7 +22,40 @@ if TYPE_CHECKING:
     from hil.recording.mcap_writer import OnFailure
 
 
-@click.command()
+_HELP_AT = 34
+_SCRIPT = "hil.cli.run.script"
+
+
+class _WithParameters(click.Command):
+    """Its help goes on with the parameters of the procedure that stands before `--help`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """As click's; keeps what may be a script for `format_epilog`."""
+        ctx.meta[_SCRIPT] = next((word for word in args if not word.startswith("-")), None)
+        return super().parse_args(ctx, args)
+
+    def format_epilog(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The parameters, with their defaults; of a procedure that cannot be read, why not."""
+        from hil.procedure.parameters import described
+        from hil.procedure.scripts import load_procedure
+
+        script = ctx.meta.get(_SCRIPT)
+        if script is None:
+            return
+        try:
+            proc = load_procedure(script)
+        except HilError as error:
+            formatter.write(f"\n{error}\n")
+            return
+        rows = [
+            (d.name, f"{d.help}  [default: {d.default or 'none'}]".strip())
+            for d in described(proc.parameters)
+        ]
+        with formatter.section(f"Parameters of {proc.name}, for --set NAME=VALUE"):
+            formatter.write_dl(rows or [("none", "")])
+
+
+@click.command(cls=_WithParameters)
 @click.argument("script")
 @click.option("--bench", help="Bench file, or a shipped profile [default: the procedure's, emulated].")
 @click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
@@ -51,6 +85,8 @@ def command(
     quick: bool, answers: Path | None, on_failure: OnFailure, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure: a path to a Python file, or the name of a shipped one.
+
+    `hil run SCRIPT --help` also lists the parameters of that procedure.
 
     Example: hil run bring_up --quick --set watch_s=2
     """
@@ -130,7 +166,8 @@ def _report_of(result: Result) -> tuple[str | None, int]:
 
 def _plan_text(plan: dict[str, Any]) -> str:
     lines = [f"{plan['procedure']}: {plan['summary']}", f"bench {plan['bench']}", "parameters:"]
-    lines += [f"  {key} = {value}" for key, value in plan["parameters"].items()]
+    for key, value in plan["parameters"].items():
+        lines.append(f"  {key} = {value}".ljust(_HELP_AT) + f" {plan['help'].get(key, '')}".rstrip())
     lines.append("steps:")
     for step in plan["steps"]:
         driven = ", ".join(f"{t['name']} {t['duration_s']:.1f} s" for t in step["trajectories"])

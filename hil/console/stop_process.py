@@ -4,7 +4,8 @@ It starts before the page and shares nothing with it but a folder of files. What
 the button, and the console in a frame below. When the page's process is dead, the button is still there,
 also after a reload. It is small and needs the standard library alone, so that little can go wrong in it.
 
-It ends with the console; when the console was killed, ten minutes after the last job.
+It ends with the console; when the console was killed, ten minutes after the last job, or at once by
+`hil console --stop`.
 """
 
 from __future__ import annotations
@@ -30,7 +31,8 @@ POLICY = (
     "frame-src " + " ".join(f"http://{name}:*" for name in NAMES)
 )
 _LINGER_S, _START_S = 600.0, 60.0
-_LOOK_S = 0.5
+_LOOK_S, _POLL_S = 0.5, 0.05
+_END_S = 10.0
 
 
 def asset(name: str) -> Reply:
@@ -43,6 +45,22 @@ def asset(name: str) -> Reply:
 def runs(told: dict[str, Any]) -> bool:
     """Whether the process that such a file names is running."""
     return jobs.same({key: told.get(key) for key in IDENTITY})
+
+
+def end_without_page(folder: Path) -> bool:
+    """End the process with the button where the page has died and nothing runs; returns whether it did.
+
+    Args:
+        folder: of the console.
+    """
+    button = read(folder / STOP)
+    if not runs(button) or runs(read(folder / PAGE)) or any(map(jobs.alive, jobs.jobs(folder / "jobs"))):
+        return False
+    put_private(folder / PAGE, {"ended": True})
+    until_s = time.monotonic() + _END_S
+    while runs(button) and time.monotonic() < until_s:
+        time.sleep(_POLL_S)
+    return not runs(button)
 
 
 class StopProcess:

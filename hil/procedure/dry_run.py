@@ -8,7 +8,7 @@ from typing import Any
 from hil.bench.settings import geometry_of, motion_limits
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.declaration import Procedure
-from hil.procedure.parameters import as_dict, make_parameters
+from hil.procedure.parameters import as_dict, described, make_parameters
 from hil.robot.motion_limits import check
 
 
@@ -21,7 +21,8 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
         settings: parameters by name.
 
     Returns:
-        JSON values: procedure, parameters, measurements with limits, steps with their trajectories.
+        JSON values: procedure, parameters, what each of them is (`help`), measurements with limits,
+        steps with their trajectories.
 
     Raises:
         ConfigError, TrajectoryError: the first thing that would go wrong.
@@ -42,6 +43,7 @@ def dry_run(proc: Procedure, source: BenchSource, settings: Mapping[str, Any]) -
         "summary": proc.summary,
         "bench": config.name,
         "parameters": as_dict(parameters),
+        "help": {d.name: d.help for d in described(proc.parameters) if d.help},
         "measurements": [
             {"name": m.name, "unit": m.unit, "low": m.low, "high": m.high, "rationale": m.rationale}
             for m in proc.declared(parameters, config)

@@ -2,7 +2,11 @@
 
 import json
 import os
+import re
+import signal
 import socket
+import subprocess
+import sys
 
 import pytest
 
@@ -48,6 +52,27 @@ def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
                 beyond = limit - 1 if limit == field.low else limit + 1
                 wrong = action.problems({field.name: str(int(beyond) if field.kind == "integer" else beyond)})
                 assert list(wrong) == [field.name], field
+
+
+@pytest.mark.parametrize("name", shipped_names())
+def test_every_parameter_of_a_procedure_is_explained_with_its_unit(offered, name, capsys):
+    fields = [f for f in offered[name].fields if not f.name.startswith("--")]
+    assert [f.name for f in fields if not re.search(r"^[A-Z].{15,}\.", f.help)] == []
+    assert [f.name for f in fields if f.unit and not re.search(rf", {f.unit}\b", f.help)] == []
+    assert main(["run", name, "--help"]) == 0
+    told = " ".join(capsys.readouterr().out.split())
+    for field in fields:
+        assert f" {field.name} {field.help.split('.')[0]}" in told
+    assert main(["run", name, "--dry-run"]) == 0
+    told = capsys.readouterr().out
+    assert all(field.help.split(".")[0] in told for field in fields)
+
+
+def test_the_help_of_a_run_says_why_a_script_cannot_be_read(capsys):
+    assert main(["run", "brng_up", "--help"]) == 0
+    told = capsys.readouterr().out
+    assert "did you mean bring_up?" in told
+    assert "--realtime" in told
 
 
 def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
@@ -115,12 +140,38 @@ def test_a_second_console_of_the_same_folder_is_refused(place, capsys):
     assert "running already" in capsys.readouterr().err
 
 
+def started(place):
+    console = subprocess.Popen(
+        [sys.executable, "-m", "hil", "console", "--json"], cwd=place, stdout=subprocess.PIPE, text=True
+    )
+    json.loads(console.stdout.readline())
+    return console
+
+
+def test_stop_ends_the_button_of_a_console_that_was_killed_and_of_no_other(place, capsys):
+    console = started(place)
+    button = read(place / "out" / "console" / STOP)
+    assert main(["console", "--stop"]) == 0
+    assert runs(button), "the page is there, and needs it"
+    console.kill()
+    console.communicate()
+    assert runs(button)
+    capsys.readouterr()
+    assert main(["console", "--stop"]) == 0
+    assert "the STOP button of a console that died has ended" in capsys.readouterr().out
+    assert not runs(button)
+    again = started(place)
+    again.send_signal(signal.SIGINT)
+    again.communicate(timeout=30)
+    assert again.returncode == 0
+
+
 def test_stop_from_a_shell_says_that_nothing_runs(place, capsys):
     (place / "out").mkdir()
     assert main(["console", "--stop"]) == 0
     assert "nothing runs" in capsys.readouterr().out
     assert main(["console", "--stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"stopped": []}
+    assert json.loads(capsys.readouterr().out) == {"stopped": [], "button_ended": False}
 
 
 def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, monkeypatch):
