@@ -164,3 +164,22 @@ def test_nothing_is_cut_off_and_stop_is_in_sight(console, tmp_path, size):
         assert browser.complaints == []
     finally:
         browser.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_no_word_of_the_devices_is_broken_and_no_half_of_a_desk_is_empty(console, tmp_path, size):
+    width, height, mobile = size
+    browser = opened(console, tmp_path / "profile")
+    try:
+        browser.resize(width, height, mobile=mobile)
+        browser.until("document.querySelectorAll('#devices td').length > 20", console.frame)
+        lines = """(() => [...document.querySelectorAll("#devices td")].map((cell) => {
+            const range = document.createRange(); range.selectNodeContents(cell);
+            return [cell.innerText, range.getClientRects().length];
+        }))()"""
+        broken = [text for text, n in browser.ask(lines, console.frame) if " " not in text and n > 1]
+        assert broken == []
+        left = "Math.round(document.querySelector('.devices').getBoundingClientRect().left)"
+        assert (browser.ask(left, console.frame) > width / 3) == (not mobile)
+    finally:
+        browser.close()

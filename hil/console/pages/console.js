@@ -197,7 +197,9 @@ async function devices() {
   try {
     const told = await call(`/api/bench?name=${encodeURIComponent(at("bench").value)}`);
     at("bench-said").textContent = `${told.bench}: ${told.devices.length} devices${told.start ? "" : "; its start pose is unknown: fill in “start”"}`;
-    at("devices").replaceChildren(...table(["device", "model", "is", "at"], told.devices.map((d) => [d.name, d.model, d.backend, d.place])));
+    const placed = told.devices.some((d) => d.place);
+    at("devices").replaceChildren(...table(["device", "model", "is", ...(placed ? ["at"] : [])],
+      told.devices.map((d) => [d.name, d.model, d.backend, ...(placed ? [d.place] : [])])));
   } catch (error) { say(error); }
 }
 
