@@ -14,6 +14,8 @@ from typing import Any
 import tomli_w
 from serial.tools import list_ports
 
+from hil.config.can_bus import CanConfig
+from hil.config.mocap import MocapConfig
 from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.clock import Clock
 from hil.vocabulary.kinds import DeviceModel, Found, Search, kinds
@@ -31,11 +33,13 @@ class Discovery:
         sections: tables of a bench file.
         parts: by kind, what the devices consist of (each servo of a bus).
         notes: what a person should know.
+        missing: by kind that was looked for and did not answer, where that was.
     """
 
     sections: dict[str, dict[str, Any]] = field(default_factory=dict)
     parts: dict[str, tuple[Any, ...]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    missing: dict[str, str] = field(default_factory=dict)
 
     def take(self, model: DeviceModel, found: Found) -> None:
         """Add a device that was found."""
@@ -87,17 +91,51 @@ def discover(
     found = Discovery()
     models = [model for kind in kinds().values() for model in kind.models]
     asking = sorted((m for m in models if m.ask is not None), key=lambda m: m.ask_after)
-    for port in serial_ports() if ports is None else ports:
+    asked = serial_ports() if ports is None else list(ports)
+    for port in asked:
         say(f"asking {port}")
         _ask_serial(found, port, clock, asking, say)
-    search = Search(given or {}, clock, say, sysfs, found.sections)
+    places: dict[str, list[str]] = {name: [] for name in kinds()}
     for model in models:
         if model.search is not None and model.kind not in found.sections:
-            answer = model.search(search)
+            told = places[model.kind]
+
+            def tell(text: str, told: list[str] = told) -> None:
+                say(text)
+                told.append(text)
+
+            answer = model.search(Search(given or {}, clock, tell, sysfs, found.sections))
             if answer is not None:
                 found.take(model, answer)
                 say(f"found {model.title}")
+    for name, kind in kinds().items():
+        if name not in found.sections:
+            found.missing[name] = "; ".join(_where(kind.models, asked, places[name]))
     return found
+
+
+def _where(models: Sequence[DeviceModel], ports: Sequence[str], told: Sequence[str]) -> list[str]:
+    """Where a kind was looked for, and what would have it looked for elsewhere."""
+    found = list(dict.fromkeys(told))
+    if any(model.ask for model in models):
+        found.insert(
+            0,
+            f"asked {', '.join(ports)}"
+            if ports
+            else "this computer has no serial port; name one with --port",
+        )
+    searched = [model for model in models if model.search is not None]
+    if not told and searched:
+        on_bus = any(issubclass(model.config, CanConfig) for model in searched)
+        at = (
+            "--mocap ADDRESS"
+            if issubclass(searched[0].config, MocapConfig)
+            else f"--at {searched[0].kind}.KEY=VALUE"
+        )
+        option = "--can INTERFACE:CHANNEL" if on_bus else at
+        lacks = "this computer has no CAN bus" if on_bus else "no place is known where it could be"
+        found.append(f"{lacks}; name one with {option}")
+    return found or ["is not looked for; add its table to the bench file by hand"]
 
 
 def _ask_serial(

@@ -61,6 +61,8 @@ def command(
         given=given,
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
+    for kind, where in found.missing.items():
+        click.echo(f"hil: not found: {kind}: {where}", err=True)
     text = found.to_toml()
     if out is not None and found.sections:
         write_text(out, text)
@@ -68,7 +70,17 @@ def command(
     if as_json:
         parts = {kind: [asdict(part) for part in parts] for kind, parts in found.parts.items() if parts}
         servos = {"servos": parts.pop("servos", [])}
-        click.echo(json.dumps({"sections": found.sections, **servos, **parts, "notes": found.notes}))
+        click.echo(
+            json.dumps(
+                {
+                    "sections": found.sections,
+                    **servos,
+                    **parts,
+                    "notes": found.notes,
+                    "missing": found.missing,
+                }
+            )
+        )
     elif out is None and found.sections:
         click.echo(text)
     if not found.sections:

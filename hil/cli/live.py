@@ -220,9 +220,12 @@ def _text(summary: dict[str, Any]) -> str:
     timing = summary["timing"]
     lines = [
         f"{summary['bench']} at {summary['rate_hz']:g} Hz, ended by: {summary['ended']}",
-        f"{timing['cycles']:.0f} cycles, {timing['late']:.0f} late, {timing['overruns']:.0f} overruns, "
+        f"{timing['cycles']:.0f} cycles, {timing['late']:.0f} late "
+        f"({100.0 * timing['late'] / max(timing['cycles'], 1.0):.1f} %), {timing['overruns']:.0f} overruns, "
         f"{timing['skipped']:.0f} skipped",
     ]
+    if "advice" in summary:
+        lines.append(summary["advice"])
     if timing["cycles"]:
         lines.append(f"{'section':10} {'mean ms':>9} {'p99 ms':>9} {'worst ms':>9}")
     for name in ("read", "estimate", "control", "write", "sinks", "work", "lateness"):

@@ -20,8 +20,8 @@ from typing import Any
 import serial
 from serial import rfc2217
 
-from hil.drivers.port_users import named, programs_with
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.port_users import named, programs_with
 
 RFC2217 = "rfc2217://"
 BY_ID = Path("/dev/serial/by-id")

@@ -11,10 +11,12 @@ import socket
 from dataclasses import dataclass
 
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.port_users import ending, named, programs_with_name
 
 DEFAULT_GROUP = "239.74.163.2"
 DEFAULT_PORT = 43113
 _MOST_BUSES = 16
+_NAME = "hil-can-{}"
 
 
 @dataclass
@@ -75,10 +77,12 @@ def _free(device: str) -> _Held:
     for number in range(DEFAULT_PORT, DEFAULT_PORT + (_MOST_BUSES if _HELD else 1)):
         if (right := _right_to(number)) is not None:
             return _Held(number, right)
+    users = programs_with_name(_NAME.format(DEFAULT_PORT))
+    other = f"{named(users)} of this computer serves" if users else "another emulator of this computer serves"
     raise DeviceError(
-        device, "another emulator of this computer serves CAN there", port=f"udp_multicast:{DEFAULT_GROUP}",
+        device, f"{other} CAN there", port=f"udp_multicast:{DEFAULT_GROUP}",
         expected=f"python-can's own port {DEFAULT_PORT} for this one alone",
-        remedy="end the other `hil emulate`, or leave --standard-ports out",
+        remedy=f"end it{ending(users)}, or leave --standard-ports out",
     )  # fmt: skip
 
 
@@ -90,7 +94,7 @@ def _right_to(number: int) -> socket.socket | None:
     """
     right = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        right.bind(f"\0hil-can-{number}")
+        right.bind("\0" + _NAME.format(number))
     except OSError:
         right.close()
         return None

@@ -15,6 +15,7 @@ from hil.bench import Bench
 from hil.bench.holding import untouched
 from hil.bench.settings import motion_limits
 from hil.live.commands import CommandLines
+from hil.live.lateness import LateWarning, advice
 from hil.live.references import MakeTrajectory
 from hil.live.samples import SampleCounter
 from hil.live.velocity import VelocityReference
@@ -87,6 +88,7 @@ class LiveSession:
         self.ended = ""
         self._stop = stop or StopRequest()
         self._samples = SampleCounter()
+        self._late = LateWarning(bench.config.loop.rate_hz)
         self._last: CycleRecord | None = None
         self._velocity: VelocityReference | None = None
         here = np.array(bench.config.environment.start_pose, dtype=np.float64)
@@ -121,6 +123,8 @@ class LiveSession:
                 bench.held or untouched("no device was opened: the robot is as it was before")
             ).to_json(),
         }
+        if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz):
+            found["advice"] = said
         if bench.real_time is not None:
             found["real_time"] = {
                 "warnings": list(bench.real_time.warnings),
@@ -204,6 +208,7 @@ class LiveSession:
 
         def over(record: CycleRecord) -> bool:
             self._last = record
+            self._late.look(self.bench.statistics)
             if not first_ns:
                 first_ns.append(record.start_ns)
             if self._stop.name:

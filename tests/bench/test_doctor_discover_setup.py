@@ -16,6 +16,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.drivers.servos import scan
 from hil.fakes.world import VirtualClock
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
 SETTLE_S = 0.6
@@ -157,6 +158,23 @@ def test_discover_writes_the_model_down_or_says_that_it_is_not_known(models, tol
     assert told in discover(VirtualClock(world), ports=[port], say=said.append).to_toml()
     assert said[:2] == [f"asking {port}", f"found Dynamixel X servos on RS-485 or TTL at {port}"]
     connected.close()
+
+
+def test_discover_says_what_it_did_not_find_and_where_it_looked(tmp_path, monkeypatch):
+    monkeypatch.setattr("can.detect_available_configs", lambda interfaces: [])
+    config = load_bench("emulated", overrides=dict.fromkeys(("encoders", "imu", "tracker", "mocap")))
+    world = build_world(config, seed=1)
+    connected = connect_in_process(config, world)
+    port = connected.connections["servos"].values["port"]
+    found = discover(VirtualClock(world), ports=[port], sysfs=tmp_path)
+    connected.close()
+    assert set(found.missing) == set(kinds()) - {"servos"}
+    assert found.missing["imu"] == f"asked {port}"
+    assert found.missing["encoders"] == "this computer has no CAN bus; name one with --can INTERFACE:CHANNEL"
+    assert found.missing["mocap"].endswith("name one with --mocap ADDRESS")
+    assert "udpin" in found.missing["tracker"]
+    none = discover(VirtualClock(world), ports=[], sysfs=tmp_path)
+    assert none.missing["servos"] == "this computer has no serial port; name one with --port"
 
 
 @pytest.mark.parametrize(

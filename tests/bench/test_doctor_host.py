@@ -12,8 +12,8 @@ from hil.bench.host import Host, host_findings, udev_rules
 from hil.bench.host.findings import _GRABBERS
 from hil.cli import main
 from hil.config.loading import load_bench
-from hil.drivers.port_users import programs_with
 from hil.drivers.serial_url import cannot_open
+from hil.vocabulary.port_users import programs_with
 
 ROOT = Path(__file__).resolve().parents[2]
 SYSTEM_COMMANDS = {  # with the Debian package that has each

@@ -1,7 +1,10 @@
 """At standard ports the devices of one CAN bus are on one: as a client and another emulator find it."""
 
 import contextlib
+import errno
 import socket
+import subprocess
+import sys
 import threading
 
 import can
@@ -11,6 +14,7 @@ from hil.bench import open_emulation
 from hil.config.loading import load_bench
 from hil.fakes import standard_can
 from hil.fakes.loopback import free_udp_port
+from hil.fakes.mocap.face import _cannot_serve
 from hil.vocabulary.errors import DeviceError
 
 NAMES = ("encoders", "adhesion", "load_cells")
@@ -65,6 +69,44 @@ def test_encoders_fan_and_load_cells_of_one_bus_are_heard_at_one_port(first_port
 def test_a_device_on_another_bus_has_the_next_port(first_port):
     with emulation(**{"load_cells.channel": "can1"}) as ports:
         assert ports == {"can": first_port, "adhesion": first_port, "load_cells": first_port + 1}
+
+
+HOLDER = """import socket, sys
+kind, place = (socket.AF_UNIX, "\\0hil-can-" + sys.argv[2]) if sys.argv[1] == "can" else (
+    socket.AF_INET, ("127.0.0.1", int(sys.argv[2])))
+held = socket.socket(kind, socket.SOCK_DGRAM)
+held.bind(place)
+print(flush=True)
+sys.stdin.read()
+"""
+
+
+@contextlib.contextmanager
+def held_elsewhere(what, port):
+    """A port that another program has; gives its process ID."""
+    command = [sys.executable, "-c", HOLDER, what, str(port)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        other.stdout.readline()
+        yield other.pid
+
+
+def test_the_program_that_has_the_port_of_the_bus_is_named(first_port):
+    with held_elsewhere("can", first_port) as pid:
+        with (
+            pytest.raises(DeviceError, match=rf"\(process {pid}\) of this computer serves CAN") as caught,
+            emulation(),
+        ):
+            pass
+        assert caught.value.remedy.startswith(f"end it (kill {pid}), or leave")
+
+
+def test_the_program_that_has_the_port_of_the_capture_server_is_named():
+    port = free_udp_port("127.0.0.1")
+    with held_elsewhere("udp", port) as pid:
+        said = _cannot_serve("mocap", "127.0.0.1", port, OSError(errno.EADDRINUSE, "in use")).remedy
+        assert f"(process {pid}) (kill {pid}), or choose another mocap.command_port" in said
+    said = _cannot_serve("mocap", "127.0.0.1", port, OSError(errno.EADDRINUSE, "in use")).remedy
+    assert "ss -lunp" in said
 
 
 def test_a_second_emulator_is_refused_with_what_to_do(first_port):

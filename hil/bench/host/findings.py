@@ -10,9 +10,9 @@ from pathlib import Path
 from hil.bench.host.usb import HUB_BUDGET_MA, UsbDevice, behind, plugged_in
 from hil.config.bench import BenchConfig
 from hil.config.tracker import T265Config
-from hil.drivers.port_users import PROC, named, programs_with, running
 from hil.drivers.serial_url import BY_ID
 from hil.vocabulary.finding import Finding
+from hil.vocabulary.port_users import PROC, named, programs_with, running
 
 T265_IDS = {("8087", "0b37")}
 _USB3_MBIT = 5000.0

@@ -62,7 +62,8 @@ def _search(search: Search) -> Found | None:
 
     try:
         library = realsense("tracker")
-    except HilError:
+    except HilError as error:
+        search.say(error.message)
         return None
     patience_s = _FIRMWARE_S if _plugged_in(search.sysfs) else 0.0
     waits = " (it may load its firmware for some seconds)" if patience_s else ""

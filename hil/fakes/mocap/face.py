@@ -16,6 +16,7 @@ from hil.fakes.mocap.server import NatNetServer, Outlet
 from hil.fakes.server import Face
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.port_users import ending, named, programs_with_udp
 
 _LARGEST = 65535
 _GROUPS = Path("/proc/net/igmp")
@@ -24,10 +25,15 @@ _GROUPS = Path("/proc/net/igmp")
 def _cannot_serve(device: str, host: str, port: int, error: OSError) -> DeviceError:
     remedy = "choose another host or command port"
     if error.errno == errno.EADDRINUSE:
-        remedy = (
-            f"end the program that holds it (`ss -lunp sport = :{port}` names it: another emulator, or "
-            "Motive), or choose another mocap.command_port"
+        users = programs_with_udp(port)
+        who = (
+            f"end {named(users)}{ending(users)}"
+            if users
+            else (
+                f"end the program that holds it (`ss -lunp sport = :{port}` names it: an emulator, or Motive)"
+            )
         )
+        remedy = f"{who}, or choose another mocap.command_port"
     return DeviceError(
         device,
         f"the emulated capture server cannot be served ({error.strerror or error})",

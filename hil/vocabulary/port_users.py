@@ -1,0 +1,98 @@
+"""Which programs have a port or a socket open, and which run: read from `/proc`, as far as this user may."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+PROC = Path("/proc")
+
+
+class Program(NamedTuple):
+    """A running program."""
+
+    pid: int
+    name: str
+
+
+def running(proc: Path = PROC) -> Iterator[Program]:
+    """All programs of this machine."""
+    for folder in proc.glob("[0-9]*"):
+        try:
+            yield Program(int(folder.name), (folder / "comm").read_text(errors="replace").strip())
+        except (OSError, ValueError):
+            continue
+
+
+def programs_with(port: str, proc: Path = PROC) -> list[Program]:
+    """Other programs that have a port open; those of other users are seen by root only.
+
+    Args:
+        port: device path, or a link to one.
+        proc: where the kernel tells of programs.
+    """
+    return _with_open({os.path.realpath(port)}, proc)
+
+
+def programs_with_udp(port: int, proc: Path = PROC) -> list[Program]:
+    """Other programs that have an IPv4 UDP port of this computer.
+
+    Args:
+        port: its number.
+        proc: where the kernel tells of programs.
+    """
+    rows = (line.split() for line in _lines(proc / "net" / "udp"))
+    return _with_open(
+        {f"socket:[{r[9]}]" for r in rows if len(r) > 9 and r[1].endswith(f":{port:04X}")}, proc
+    )
+
+
+def programs_with_name(name: str, proc: Path = PROC) -> list[Program]:
+    """Other programs that have an abstract Unix address.
+
+    Args:
+        name: of the address, without its leading zero byte.
+        proc: where the kernel tells of programs.
+    """
+    rows = (line.split() for line in _lines(proc / "net" / "unix"))
+    return _with_open({f"socket:[{r[6]}]" for r in rows if len(r) > 7 and r[7] == f"@{name}"}, proc)
+
+
+def _lines(table: Path) -> list[str]:
+    try:
+        return table.read_text(errors="replace").splitlines()
+    except OSError:
+        return []
+
+
+def _with_open(files: set[str], proc: Path) -> list[Program]:
+    """Other programs that have one of these open; nobody is asked where there is none."""
+    if not files:
+        return []
+    return sorted(p for p in running(proc) if p.pid != os.getpid() and _has_open(proc / str(p.pid), files))
+
+
+def _has_open(program: Path, files: set[str]) -> bool:
+    try:
+        links = list((program / "fd").iterdir())
+    except OSError:
+        return False
+    for link in links:
+        try:
+            if os.readlink(link) in files:
+                return True
+        except OSError:
+            continue
+    return False
+
+
+def ending(programs: list[Program]) -> str:
+    """How to end programs, as an insertion in a sentence: ` (kill 812)`; empty for none."""
+    return f" (kill {' '.join(str(program.pid) for program in programs)})" if programs else ""
+
+
+def named(programs: list[Program]) -> str:
+    """Programs in words: `minicom (process 812)`."""
+    return ", ".join(f"{program.name} (process {program.pid})" for program in programs)
