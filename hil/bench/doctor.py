@@ -13,6 +13,7 @@ from typing import Any
 
 from hil.bench.bench import Bench
 from hil.bench.drivers import model_of
+from hil.bench.force_findings import unexplained_force
 from hil.bench.host import Host, host_findings
 from hil.bench.promises import broken_promises
 from hil.bench.settings import wheel_model
@@ -41,12 +42,14 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         watch_s: how long each is read.
         host: where the machine tells of itself.
     """
+    seen: dict[str, list[Any]] = {}
     try:
         yield from host_findings(bench.config, host)
         bench.begin()
         yield from _calibration(bench)
         for kind in dict.fromkeys((*bench.rig.sensors, *bench.config.devices())):
-            yield from _examine_one(bench, kind, watch_s, host)
+            yield from _examine_one(bench, kind, watch_s, host, seen)
+        yield from unexplained_force(bench.config, seen)
     finally:
         bench.close()
 
@@ -62,7 +65,10 @@ def _calibration(bench: Bench) -> Iterator[Finding]:
     yield Finding("bench", "calibration", level, found, f"estimator.wheels.model {wanted}", remedy)
 
 
-def _examine_one(bench: Bench, kind: str, watch_s: float, host: Host) -> Iterator[Finding]:
+def _examine_one(
+    bench: Bench, kind: str, watch_s: float, host: Host, seen: dict[str, list[Any]]
+) -> Iterator[Finding]:  # fmt: skip
+    """Findings about one device; `seen` receives what it delivered."""
     device = bench.rig.get(kind)
     told = list(_latency_timer(bench, kind, host))
     yield from told
@@ -78,7 +84,7 @@ def _examine_one(bench: Bench, kind: str, watch_s: float, host: Host) -> Iterato
         told += own
         yield from own
         _watch(bench, device, _SETTLE_S, [])
-        for finding in _looks(bench, kind, device, watch_s):
+        for finding in _looks(bench, kind, device, watch_s, seen):
             yield _slowness_first(told, finding)
     except HilError as error:
         yield _slowness_first(told, _failure(device, "read", error))
@@ -86,11 +92,13 @@ def _examine_one(bench: Bench, kind: str, watch_s: float, host: Host) -> Iterato
         device.close()
 
 
-def _looks(bench: Bench, name: str, device: Any, watch_s: float) -> Iterator[Finding]:
+def _looks(
+    bench: Bench, name: str, device: Any, watch_s: float, seen: dict[str, list[Any]]
+) -> Iterator[Finding]:  # fmt: skip
     """What kind and model have to say of a device after it was read for a while."""
     kind, model, config = kinds()[name], model_of(bench.config, name), bench.config.devices()[name]
     waits_s: list[float] = []
-    samples = _watch(bench, device, watch_s, waits_s)
+    samples = seen[name] = _watch(bench, device, watch_s, waits_s)
     watched = Watched(kind, config, device, samples, watch_s, bench.clock, bench.config.loop.rate_hz)
     if model.package != OURS:
         yield from broken_promises(watched, waits_s)

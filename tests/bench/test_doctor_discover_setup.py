@@ -1,6 +1,7 @@
 """`hil doctor`, `hil discover` and `hil setup` against emulated devices, in process and at the wire."""
 
 import json
+import re
 import shlex
 import socket
 from functools import partial
@@ -59,6 +60,20 @@ def test_a_sick_device_is_named_and_does_not_hide_the_others(capsys, fault, devi
     failed = [f for f in result["findings"] if f["level"] == "failure"]
     assert all(f["found"] for f in failed)
     assert any(f["remedy"] for f in failed)
+
+
+@pytest.mark.parametrize(
+    ("start", "faults", "told"),
+    [("tethered", (), True), ("tethered", ("load_cells:wrong,factor=0.05",), False), ("running", (), False)],
+)
+def test_a_force_that_no_fan_makes_is_told_with_both_and_what_to_do(start, faults, told):
+    bench = hil.open_bench("emulated", faults=faults, overrides={"emulation.adhesion.start": start})
+    found = [f for f in examine(bench, watch_s=0.5) if f.check == "force without fan"]
+    assert len(found) == told
+    assert all(
+        re.match(r"the cells feel 45\.\d N, and the fan is at rest \(0 1/min\)", f.found) for f in found
+    )
+    assert all("hil adhesion on" in f.remedy and "hil run adhesion_check" in f.remedy for f in found)
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,14 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-ROOMS = ("hil/bench/doctor.py", "hil/bench/promises.py", "hil/bench/host", "hil/devices", "hil/drivers")
+ROOMS = (
+    "hil/bench/doctor.py",
+    "hil/bench/force_findings.py",
+    "hil/bench/promises.py",
+    "hil/bench/host",
+    "hil/devices",
+    "hil/drivers",
+)
 PROVOKED_BY = (
     "tests/bench/test_doctor_host.py", "tests/bench/test_doctor_discover_setup.py",
     "tests/bench/test_doctor_slow_adapter.py", "tests/bench/test_looks.py",
