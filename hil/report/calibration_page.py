@@ -80,7 +80,8 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         *_motion_figures(before, after),
         Drawn("parameters", "Parameters", _parameters(result),
               "Change from the robot on paper. Grey: how far off a part may be by its drawing."),
-        Drawn("weights", "Weights of the recordings", _weights(result), "Red: rejected."),
+        Drawn("weights", "Weights of the recordings", _weights(result),
+              "Red: does not fit the others." if result.fit.rejected else "Every recording fits the others."),
         Drawn("correlation", "Correlation of the estimates", _correlation(result),
               "Strong colours: only the combination of two parameters is known, not each of them."),
     ]  # fmt: skip
@@ -98,9 +99,16 @@ def _sentence(tables: tuple[Mapping[str, Any], Mapping[str, Any]], result: Calib
     said = f"Calibration brings the mean position error of odometry from {before} to {after} mm (RMSE)"
     unseen = result.validation.get("leave_one_repetition_out")
     if not unseen:
-        return f"{said} on the recordings that it was fitted to."
-    mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
-    return f"{said}; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
+        said += " on the recordings that it was fitted to."
+    else:
+        mean = float(np.mean([row["rmse_position_m"] for row in unseen.values()]))
+        said += f"; on recordings that the fit did not see it is {1e3 * mean:.1f} mm."
+    bad = result.fit.rejected
+    if bad:
+        of = f"{len(bad)} of {len(result.recordings)} recordings"
+        said += f" That includes {of} that {'does' if len(bad) == 1 else 'do'} not fit the others: "
+        said += f"{', '.join(bad)}."
+    return said
 
 
 def _mm(row: Mapping[str, Any]) -> str:
@@ -184,7 +192,7 @@ def _parameters(result: Calibration) -> Figure:
     limit = 1.2 * float(np.max(np.abs((z - nominal) / unit)) + max(1.0, float(np.max(prior))))
     axes.set_ylim(-limit, limit)
     axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
-    legend(axes, columns=2)
+    legend(axes, columns=2, above=True)
     return figure
 
 

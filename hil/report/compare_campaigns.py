@@ -161,8 +161,12 @@ def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
     Raises:
         DataError: it cannot be written.
     """
-    figures = [{"name": m["name"], "image": _figure(m)} for m in table["measurements"]]
-    page = environment().get_template("campaigns_compare.html").render(table=table, figures=figures)
+    differing = [m for m in table["measurements"] if any(m["changes"].values())]
+    figures = [{"name": m["name"], "image": _figure(m)} for m in differing]
+    alike = [m["name"] for m in table["measurements"] if m not in differing]
+    page = (
+        environment().get_template("campaigns_compare.html").render(table=table, figures=figures, alike=alike)
+    )
     return write_text(path, page)
 
 
@@ -173,6 +177,7 @@ def _figure(measured: Mapping[str, Any]) -> Markup:
     unit = measured["unit"].replace("$", r"\$")
     axes = style(figure.add_subplot(), "cases, by their difference", f"second minus first ({unit})")
     axes.plot(np.arange(1, len(change) + 1), change, "o", ms=4, color=PALETTE["c1"], mec="none")
+    axes.locator_params(axis="x", integer=True)
     axes.axhline(0.0, color=PALETTE["truth"], lw=1.0)
     if measured["interval"] is not None:
         axes.axhspan(*measured["interval"], color=PALETTE["c2"], alpha=0.25, lw=0)

@@ -102,7 +102,8 @@ def comparison_text(table: Mapping[str, Any]) -> str:
 
 
 def _change(row: Mapping[str, Any]) -> str:
-    return "" if row["change"] is None else f"{row['change']:+.4g}"
+    change = row["change"]
+    return "" if change is None else f"{change:+.4g}" if change else "0"
 
 
 def _sentence(table: Mapping[str, Any]) -> str:

@@ -119,7 +119,7 @@ def _errors(motions: Mapping[str, Motion]) -> Figure:
         for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
             axes.plot(*thin(motion.t_s, factor * _difference(motion)[:, k]), color=colour, lw=1.2, label=name)
         if k == 0:
-            legend(axes, columns=3)
+            legend(axes, columns=3, above=True)
     return figure
 
 
@@ -150,7 +150,7 @@ def _confidence(motions: Mapping[str, Motion]) -> Figure:
         axes.plot(*thin(motion.t_s, shown), color=colour, lw=1.1, label=name)
     axes.axhline(_IDEAL_NEES, color=PALETTE["truth"], lw=1.0, ls="--")
     plain_log(axes)
-    legend(axes, columns=3)
+    legend(axes, columns=3, above=True)
     return figure
 
 

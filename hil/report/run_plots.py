@@ -7,7 +7,7 @@ the same SVG reads well alone on white and in a dark report.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -67,10 +67,11 @@ def plain_log(axes: Axes, linear_below: float | None = None) -> None:
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
 
 
-def legend(axes: Axes, columns: int = 1) -> None:
-    """A legend without box."""
+def legend(axes: Axes, columns: int = 1, *, above: bool = False) -> None:
+    """A legend without box: where there is room, or above the axes, where it hides no curve."""
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)} if above else {}
     if axes.get_legend_handles_labels()[0]:
-        axes.legend(fontsize=8, frameon=False, ncols=columns)
+        axes.legend(fontsize=8, frameon=False, ncols=columns, **place)
 
 
 def thin(*columns: Array) -> list[Array]:

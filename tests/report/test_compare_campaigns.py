@@ -81,3 +81,13 @@ def test_equal_campaigns_have_no_difference_and_no_doubt(tmp_path, capsys):
     assert main(["report", *folders, "--json"]) == 0
     (found,) = json.loads(capsys.readouterr().out)["measurements"]
     assert (found["change"], found["interval"], found["p"]) == (0.0, None, None)
+
+
+def test_what_is_the_same_in_every_case_is_named_and_not_drawn(tmp_path, capsys):
+    values = {f"seed={k}": ("PASS", 5.0 + k) for k in range(4)}
+    first, second = campaign(tmp_path / "one", values), campaign(tmp_path / "two", values)
+    assert main(["report", first, second]) == 0
+    page = (tmp_path / "one" / "compare.html").read_text()
+    assert "The same in every case: end error." in page
+    assert '<div class="plot"' not in page
+    assert "<td>0</td>" in page

@@ -270,7 +270,7 @@ def test_the_bar_shows_inside_as_inside(value, low, width, both):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (None, "cannot be read"),
+        (None, "holds no result.json"),
         ("{", "is not JSON"),
         ("[]", "not the result"),
         ('{"schema": 1}', "not the result"),

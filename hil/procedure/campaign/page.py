@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
 
 _ROWS_SHOWN = 500
+_NAMED = 3
 
 
 def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]) -> Path:
@@ -41,12 +43,25 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, good=sum(tree["verdicts"].get(v, 0) for v in GOOD),
+            campaign=tree, sentence=_sentence(tree, rows),
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
     )  # fmt: skip
     return write_text(path, page)
+
+
+def _sentence(tree: Mapping[str, Any], rows: Sequence[Row]) -> str:
+    """How many runs were good, and what the others missed most often."""
+    good = sum(tree["verdicts"].get(v, 0) for v in GOOD)
+    said = f"{good} of {tree['cases']} runs kept their limits."
+    missed = Counter(name for row in rows for name, m in row.measurements.items() if m["outcome"] == "FAIL")
+    if missed:
+        most = missed.most_common(_NAMED)
+        more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
+        said += f" Beyond its limit: {', '.join(f'{name} in {n}' for name, n in most)}{more}."
+    ended = sum(bool(row.error) for row in rows)
+    return said + (f" {ended} ended early." if ended else "")
 
 
 def _report(row: Row) -> str:
@@ -66,7 +81,7 @@ def _figure(name: str, rows: Sequence[Row]) -> Markup:
         groups.setdefault(row.case.group, []).append(row)
     first = next(row.measurements[name] for row in rows if name in row.measurements)
     figure = new_figure(max(3.4, 1.4 + 0.8 * len(groups)), 2.4)
-    axes = style(figure.add_subplot(), "", f"{name} ({first['unit']})".replace("$", r"\$"))
+    axes = style(figure.add_subplot(), "", first["unit"].replace("$", r"\$") if first["unit"] != "1" else "")
     for column, own in enumerate(groups.values()):
         values = np.array(_values(name, own))
         if len(values) == 0:
@@ -78,6 +93,7 @@ def _figure(name: str, rows: Sequence[Row]) -> Markup:
         if first[key] is not None:
             axes.axhline(first[key], color=PALETTE["c5"], lw=1.0, ls="--")
     turned = 30 if len(groups) > 1 and max(map(len, groups)) > 10 else 0
-    axes.set_xticks(range(len(groups)), list(groups), fontsize=8, rotation=turned)
+    names = list(groups) if len(groups) > 1 else [""]
+    axes.set_xticks(range(len(groups)), names, fontsize=8, rotation=turned)
     axes.set_xlim(-0.6, len(groups) - 0.4)
     return drawn_image(figure, name)
