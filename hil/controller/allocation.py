@@ -92,7 +92,7 @@ class ModuleLayer:
         self._sent: Array | None = None
 
     def hold(self, measured_rad: Array) -> WheelSetpoint:
-        """Wheels at rest at the held (or measured) angles."""
+        """Wheels at rest at the held, or else the measured, steering angles (4,), rad."""
         held = measured_rad.copy() if self._held is None else self._held
         self._held = self._sent = held
         self.following = False

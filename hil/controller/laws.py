@@ -67,7 +67,7 @@ class NonlinearLaw(Law):
         return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
 
     def learn(self, error: Array) -> None:
-        """No integral."""
+        """Nothing: this law has no integral over the error (3,)."""
 
 
 @lru_cache(maxsize=4096)
@@ -167,7 +167,7 @@ class OptimalLaw(Law):
         return np.asarray(reference.twist_body + correction, dtype=np.float64)
 
     def learn(self, error: Array) -> None:
-        """One step of the integral, within its clamp."""
+        """One step of the integral over the error (3,), m, m, rad, body axes, within its clamp."""
         if self._integrates:
             self._integral = np.clip(self._integral + error * self._dt_s, -self._clamp, self._clamp)
 

@@ -91,7 +91,7 @@ def condition(
 
 @compiled
 def guard(p: Array) -> int:
-    """Repair variances that rounding made negative: zero them with their correlations; count them."""
+    """Zero variances of p (n, n) that rounding made negative, with their correlations; count them."""
     repaired = 0
     for i in range(STATES):
         if p[i, i] < 0.0:

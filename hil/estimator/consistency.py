@@ -55,7 +55,7 @@ def autocorrelation(innovation: Array, lags: int = 20) -> Array:
 
 
 def whiteness(innovation: Array, lags: int = 20) -> float:
-    """Probability that a white series would be as correlated as this one (Ljung-Box)."""
+    """Probability that a white series (n,) would be as correlated as this one (Ljung-Box)."""
     n = len(innovation)
     weight = n * (n + 2.0) / (n - np.arange(1, lags + 1))
     return float(chdtrc(lags, float(weight @ autocorrelation(innovation, lags) ** 2)))

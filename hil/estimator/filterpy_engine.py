@@ -52,14 +52,14 @@ def _symmetric(p: Array) -> Array:
 
 
 def upper_root(p: Array) -> Array:
-    """U with U' U = P, as filterpy wants it; a singular P is accepted."""
+    """U (n, n) with U' U = P (n, n), as filterpy wants it; a singular P is accepted."""
     return np.ascontiguousarray(square_root(p, len(p)).T)
 
 
 def centred_transform(
     points: Array, mean_weights: Array, spread_weights: Array, noise: Array, *_: object
 ) -> tuple[Array, Array]:
-    """Mean and covariance of sigma points, summed relative to the centre point.
+    """Mean (n,) and covariance (n, n) of 2 n + 1 sigma points (2 n + 1, n), relative to the centre point.
 
     With the plain sums W_0 = -1e6 cancels against the other weights; here it only weighs the square of
     the mean's offset from the centre.
@@ -82,7 +82,7 @@ class Rows:
 
 
 def accepted(nu: Array, s: Array, usable: Bools, gate: float, nis: Array) -> list[int]:
-    """Rows that pass their gate, each judged given the accepted rows before it; fills `nis`."""
+    """Rows of nu (8,), covariance s (8, 8), that pass their gate given those before; fills nis (8,)."""
     used: list[int] = []
     for i in np.flatnonzero(usable).tolist():
         known = s[np.ix_(used, used)]
@@ -112,7 +112,7 @@ def before(
 def counted(
     number: int, m: Records, par: Records, nu: Array, nis: Array, var: Array, count: int, gate: float
 ) -> None:
-    """`Sensor.account`."""
+    """`Sensor.account`, of `nu`, `nis` and `var` (8,)."""
     m[0].accepted += account(number, m[0], nu, nis, var, count, gate, par[0].filter.samples)
 
 
@@ -120,7 +120,7 @@ def counted(
 def after(
     number: int, use: int, t_ns: float, x: Array, p: Array, m: Records, row: Records, par: Records
 ) -> None:
-    """A sample of `events.run` behind the comparison."""
+    """A sample of `events.run` behind the comparison, on the state (20,) and its covariance (20, 20)."""
     if use == USED and let_in(number, par[0].filter.limit, t_ns, p, m[0], par[0]):
         use = NEW_FRAME
     if use == NEW_FRAME:
@@ -149,7 +149,7 @@ def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
 
 @compiled
 def rolling(t_ns: float, x: Array, m: Records, par: Records) -> Array:
-    """`sensors.wheels.nominal`."""
+    """`sensors.wheels.nominal`: velocity (2,), m/s, body frame, by the state (20,)."""
     return nominal(t_ns, x, m[0].wheels, par[0].wheels)
 
 
@@ -196,7 +196,7 @@ class FilterpyEngine(Engine):
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
-        """Filterpy's prediction."""
+        """Filterpy's prediction of the state (20,) and its covariance (20, 20), in place."""
         if dt_s <= 0.0:
             return
         f = self._filter

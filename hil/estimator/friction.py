@@ -40,7 +40,7 @@ class Contacts(Record):
 
 
 def contact_values(geometry: WheelGeometry) -> dict[str, Array]:
-    """Values of `Contacts`."""
+    """Values of `Contacts`, (4,) each."""
     g = geometry
     return {
         "radius_m": g.radius_m, "steering_zero_rad": g.steering_zero_rad, "x_m": g.x_m, "y_m": g.y_m,

@@ -25,7 +25,7 @@ FIRST, COUNT, LATE, DUPLICATE = range(4)
 def earlier(
     a_ns: int, a_number: int, a_seq: int, a: Array, b_ns: int, b_number: int, b_seq: int, b: Array
 ) -> int:
-    """-1, 0 or 1: whether event a comes before b, is the same, or comes after it."""
+    """-1, 0 or 1: whether event a, row (n,), comes before b, is the same, or comes after it."""
     if a_ns != b_ns:
         return -1 if a_ns < b_ns else 1
     if a_number != b_number:
@@ -49,7 +49,7 @@ def insert(
     first: int, count: int, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array,
     new_ns: int, new_number: int, new_seq: int, new: Array,
 ) -> int:  # fmt: skip
-    """Put one event into the ring of `count` events; its place, or -1 for one that is there already.
+    """Put one event (n,) into the ring (capacity, n) of `count` events; its place, -1 if it is there.
 
     The caller has made room. Event 0 is the base of the history: the new one comes after it.
     """

@@ -138,7 +138,7 @@ def shifts(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array, o
 
 @compiled
 def fade(x: Array, dt_s: float, slip_s: float) -> None:
-    """Headings and slip velocity after `dt_s`: what moves linearly."""
+    """Headings and slip velocity of the state (20,) after `dt_s`: what moves linearly."""
     x[THETA] += x[OMEGA] * dt_s
     x[SIGHT_THETA] += x[OMEGA] * dt_s
     decay = math.exp(-dt_s / slip_s)
@@ -214,7 +214,7 @@ def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None
 
 @compiled
 def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
-    """Add the process noise of a step that began at state x, with exact powers of its length."""
+    """Add the process noise of a step that began at state x (20,) to p (20, 20), exact in its length."""
     rolled = math.sqrt(x[V_X] * x[V_X] + x[V_Y] * x[V_Y]) * dt_s
     _add_motion(x, p, dt_s, par)
     p[BIAS, BIAS] += par.bias * dt_s
@@ -232,7 +232,7 @@ def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
 
 @compiled
 def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
-    """Extended Kalman prediction, in place; the product F P F' is written out for the rows that change."""
+    """Extended Kalman prediction of x (20,), p (20, 20), in place; F P F' only for rows that change."""
     wall, sight, longer = np.zeros((2, 4)), np.zeros((2, 4)), np.zeros(2)
     slopes(x, dt_s, par.scaled, nominal, wall, sight, longer)
     decay = math.exp(-dt_s / par.slip_s)

@@ -31,7 +31,7 @@ _TURNS = 8
 
 @compiled
 def is_unsure(number: int, p: Array, par: Parameters) -> bool:
-    """Whether a pose sensor's sample meets a heading so unsure that one linearisation is not enough."""
+    """Whether a pose meets a heading, covariance p (20, 20), too unsure for one linearisation."""
     unscented = par.filter.unscented > 0.0
     return GATED_TOGETHER[number] and not unscented and p[THETA, THETA] > UNSURE_RAD * UNSURE_RAD
 
@@ -46,7 +46,7 @@ def lean(before: Array, point: Array, v: Array, way: float) -> None:
 
 @compiled
 def follow(before: Array, x: Array) -> None:
-    """Turn `before` with a correction added into `before` corrected along the circle, in place."""
+    """Turn `before` (20,) with a correction added into one corrected along the circle, x (20,), in place."""
     for place in POSES:
         turn = x[place + 2] - before[place + 2]
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
@@ -76,7 +76,7 @@ def carry(before: Array, x: Array, p: Array) -> None:
 
 @compiled
 def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
-    """Carry what later samples say back through `carry`; as `hil.estimator.smoother.pull_update`."""
+    """Carry what later samples say, late (20,), spread (20, 20), back through `carry`, as `pull_update`."""
     for place in POSES:
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
         late[place + 2] += east * late[place + 1] - north * late[place]

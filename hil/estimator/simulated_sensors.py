@@ -62,11 +62,11 @@ class Path:
     pose: Array
 
     def at(self, t_s: Array) -> Array:
-        """Poses by linear interpolation."""
+        """Poses (n, 3) at times (n,), s, by linear interpolation."""
         return np.column_stack([np.interp(t_s, self.t_s, column) for column in self.pose.T])
 
     def yaw_rate(self, t_s: Array) -> Array:
-        """Yaw rate as the mean over 0.1 s, so that the path's own noise is not taken for motion."""
+        """Yaw rate (n,), rad/s, the mean over 0.1 s: the path's own noise is not taken for motion."""
         ahead = np.interp(t_s + 0.5 * _SMOOTH_S, self.t_s, self.pose[:, 2])
         behind = np.interp(t_s - 0.5 * _SMOOTH_S, self.t_s, self.pose[:, 2])
         return np.asarray((ahead - behind) / _SMOOTH_S, dtype=np.float64)
@@ -171,6 +171,6 @@ def cycles(
 
 
 def start_state(t_ns: int, pose: Array, position_m: float = 1e-3, heading_rad: float = 1e-3) -> RobotState:
-    """A start at rest whose pose is known this well."""
+    """A start at rest at a pose (3,) that is known this well."""
     sigma = np.array([position_m, position_m, heading_rad, 1e-3, 1e-3, 1e-3])
     return RobotState(t_ns, np.asarray(pose, dtype=np.float64), np.zeros(3), np.diag(sigma**2))

@@ -1,5 +1,8 @@
 """The four matrix operations that cost the most, each in two forms of one arithmetic.
 
+`p` (n, n) is a covariance, `root` (n,) or (n, n) what its square root is made of, `h` (8, n) a derivative,
+`odd` (n, 8) odd parts, `cross` (n, 8) and `own` (8, 8) covariances of rows.
+
 Loops are quickest when compiled: a library call or a temporary array costs more than the work on a 20x20
 matrix. Array expressions are quickest when interpreted. Tests hold both forms against each other.
 """
@@ -54,7 +57,7 @@ def square_root_loops(p: Array, columns: int) -> Array:
 
 
 def square_root_arrays(p: Array, columns: int) -> Array:
-    """As `square_root_loops`."""
+    """As `square_root_loops`, (n, n) from (n, n)."""
     n = p.shape[0]
     rest, out = p.copy(), np.zeros((n, n))
     for j in range(columns):

@@ -64,7 +64,7 @@ def weights(n: int, points: FilterParameters) -> Weights:
 
 @compiled
 def parts(high: Array, low: Array, centre: Array, k: int, count: int, odd: Array, even: Array) -> None:
-    """Row k of the odd and even parts of values at two opposite points."""
+    """Row k of the odd and even parts (n, 8) of values (8,) at two opposite points and the centre."""
     for i in range(count):
         odd[k, i] = 0.5 * (high[i] - low[i])
         even[k, i] = 0.5 * ((high[i] - centre[i]) + (low[i] - centre[i]))
@@ -90,7 +90,7 @@ def collect(
 
 @compiled
 def transpose(p: Array) -> None:
-    """Transpose in place."""
+    """Transpose (n, n) in place."""
     n = p.shape[0]
     for i in range(n):
         for j in range(i):
@@ -101,7 +101,7 @@ def transpose(p: Array) -> None:
 def advance_unscented(
     x: Array, p: Array, dt_s: float, points: FilterParameters, par: ProcessParameters, nominal: Array
 ) -> None:
-    """Unscented prediction, in place: points for the position, the rest of the model is linear."""
+    """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
     n = STATES
     w = weights(n, points)
     root = square_root(p, CURVED)
@@ -147,7 +147,7 @@ def moments_unscented(
     number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
     mean: Array, cross: Array, own: Array,
 ) -> None:  # fmt: skip
-    """Mean, covariance with the state and covariance of predicted rows, as `events.moments` fills them."""
+    """Mean (8,), covariance with the state (20, 8) and covariance (8, 8) of rows, as `events.moments`."""
     n = STATES
     w = weights(n, par.filter)
     root = square_root(p, n)

@@ -126,7 +126,11 @@ class VirtualClock(Clock):
         return self._world.now_ns
 
     def sleep_until_ns(self, t_ns: int) -> None:
-        """Advance the world to `t_ns` at once, with what was scheduled on the way."""
+        """Advance the world to `t_ns` at once, with what was scheduled on the way.
+
+        Raises:
+            UsageError: `t_ns` is never.
+        """
         if t_ns >= NEVER_NS:
             raise UsageError("the virtual clock was asked to sleep for ever")
         if self._planned and not self._acting:

@@ -171,5 +171,5 @@ def conditions(record: CycleRecord) -> dict[str, str]:
 
 
 def finite(values: Array) -> bool:
-    """Whether every value is a number."""
+    """Whether every value, of any shape, is a number."""
     return all(math.isfinite(v) for v in np.ravel(values))

@@ -132,6 +132,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         """All sample sets received since the last call, oldest first.
 
         Raises:
+            DeviceError: it is closed.
             DeviceTimeoutError: no sample set for `fail_after_s`.
         """
         if self._bus is None:

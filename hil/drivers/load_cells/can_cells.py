@@ -82,7 +82,12 @@ class CanCells(Sensor[LoadCellSample]):
         return self._identity
 
     def read(self) -> tuple[LoadCellSample, ...]:
-        """All conversions since the last call, oldest first; raises `DeviceTimeoutError`."""
+        """All conversions since the last call, oldest first.
+
+        Raises:
+            DeviceError: it is closed.
+            DeviceTimeoutError: none came for `fail_after_s`.
+        """
         if not self._link.is_open:
             raise DeviceError(
                 self.name, "used while closed", port=self._link.port, remedy="call open() first"

@@ -76,7 +76,12 @@ class LineCells(Sensor[LoadCellSample]):
         return self._identity
 
     def read(self) -> tuple[LoadCellSample, ...]:
-        """All conversions since the last call, oldest first; raises `DeviceTimeoutError`."""
+        """All conversions since the last call, oldest first.
+
+        Raises:
+            DeviceError: it is closed.
+            DeviceTimeoutError: none came for `fail_after_s`.
+        """
         if self._port is None:
             raise DeviceError(
                 self.name, "used while closed", port=self._config.port, remedy="call open() first"

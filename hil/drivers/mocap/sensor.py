@@ -126,6 +126,7 @@ class NatNetMocap(Sensor[MocapSample]):
         """One sample per new frame since the last call, oldest first.
 
         Raises:
+            DeviceError: it is closed.
             DeviceTimeoutError: no usable frame for `fail_after_s`.
         """
         session = self._session

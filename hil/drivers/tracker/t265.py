@@ -141,6 +141,7 @@ class T265Tracker(Sensor[TrackerSample]):
         """All poses since the last call, oldest first.
 
         Raises:
+            DeviceError: it is closed.
             DeviceTimeoutError: no usable pose for `fail_after_s`.
         """
         if self._running is None:

@@ -4,7 +4,9 @@ Notation of the kernels, the same for every sensor: `x` (20,) is the state and `
 the order of `hil.estimator.state`; `m`, `row` and `par` are the sensor's own memory, event row and
 parameters; `t_ns` is the sample's stamp, ns since the start. A sample is compared in `count` <= 8 rows: `z`
 (8,) what was measured, `var` (8,) its variances (negative: row not usable), `aux` (5,) figures that the
-prediction needs.
+prediction needs. `out` (8,) is what the state predicts, `h` (8, 20) its derivative by the state, `nu` (8,)
+measured minus predicted, `nis` (8,) its square over its variance. `late` (20,) and `spread` (20, 20) are what
+the smoother carries back. Units are those of the state and of the rows.
 """
 
 from __future__ import annotations
@@ -139,7 +141,7 @@ class Sensor(Protocol):
         """Values of `Parameters`."""
 
     def pack(self, sample: Any, row: Array) -> str:
-        """Write a sample into the floats of `Row`, all zero before; why it is refused, or ""."""
+        """Write a sample into the floats (n,) of `Row`, all zero before; why it is refused, or ""."""
 
     def admit(self, t_ns: float, m: Any, row: Any, par: Any) -> int:
         """One of `REFUSED` (and counted), `USED`, `NEW_FRAME`, `DUPLICATE`."""

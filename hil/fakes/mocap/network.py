@@ -79,7 +79,7 @@ class WorldNetwork:
         self._ports = [p for p in self._ports if p is not port]
 
     def send(self, port: WorldPort, data: bytes, address: Address) -> None:
-        """Carry a request; nobody but the server's command port listens."""
+        """Carry a request to the server's command port; nobody else listens. `OSError` for a closed port."""
         if port not in self._ports:
             raise OSError(errno.EBADF, "the port is closed")
         if address[1] == self._server.command_port:

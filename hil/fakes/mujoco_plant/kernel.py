@@ -1,8 +1,9 @@
 """What happens before every step of MuJoCo: servos act, friction goes by place, and the fall is judged.
 
 Plain Python on indexed numbers, compiled by numba where that is installed. The servos are those of the own
-plant (`hil.fakes.plant.kernel`: firmware, motor, limits, play), with its vectors `c`, `s` and `q`; body and
-wheels are MuJoCo's (`qpos`, `qvel`), found by the indices `a`. A steering servo takes its fork along: the
+plant (`hil.fakes.plant.kernel`: firmware, motor, limits, play), with its vectors `c` (106 + 5 per patch,),
+`s` (138,) and `q` (40,); body and wheels are MuJoCo's, `qpos` (nq,) and `qvel` (nv,), found by the indices
+`a` (28,). `friction` (4, 5) is that of the wheels' contacts. A steering servo takes its fork along: the
 torque of a step is what brings it to where servo and play want it at the step's end. On a spring, however
 stiff, it would overshoot whenever the play is taken up. A drive servo turns its wheel by its torque.
 """

@@ -34,7 +34,7 @@ def compiled_advance() -> Advance:
 
 
 def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:
-    """The same physics in plain Python."""
+    """The same physics in plain Python, on the vectors `c` (n,), `s` (138,) and `q` (40,) of the kernel."""
     state = s.tolist()
     kernel.advance(n, adhesion_factor, c.tolist(), state, q.tolist())
     s[:] = state

@@ -88,7 +88,7 @@ class RecordedRobot(Plant):
         return np.asarray(low + (place - before) * (high - low), dtype=np.float64)
 
     def joints(self) -> tuple[Array, Array, Array]:
-        """Recorded angles and rates; currents are not known."""
+        """Recorded angles (8,), rad, and rates (8,), rad/s; currents (8,), A, are not known and zero."""
         return self._row[_JOINTS], self._row[_RATES], np.zeros(8)
 
     def truth(self) -> PlantState:

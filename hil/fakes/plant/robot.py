@@ -91,7 +91,7 @@ def _start(p: TrueParameters, pose: Array) -> Array:
 
 
 def make_constants(p: TrueParameters, patches: tuple[Patch, ...], tilt_rad: float, dt_s: float) -> Array:
-    """True parameters in the form of the physics: inclined gravity, load distribution, flat numbers."""
+    """True parameters in the form of the physics: shape (106 + 5 per patch,), with gravity and loads."""
     x, y, height = p.centre_of_mass_m
     press_n = p.mass_kg * GRAVITY_M_S2 * math.cos(tilt_rad)
     contact, joints = p.contact, p.joints

@@ -80,11 +80,11 @@ class Sensing:
         return [int(a * k) for a, k in zip(amps, self._counts_per_a, strict=True)]
 
     def currents_a(self) -> Array:
-        """True motor currents, A."""
+        """True motor currents (8,), A."""
         return self._plant.joints()[2]
 
     def duty(self, voltage_v: float) -> Array:
-        """Duty cycle that the motors are driven with, -1..1 (stall and no-load rows of the data sheet)."""
+        """Duty cycle (8,) of the motors, -1..1, by the stall and no-load rows of the data sheet."""
         _, velocity, current = self._plant.joints()
         return np.clip(
             (current * self.resistance_ohm + velocity * self._back_emf_v_s_rad) / voltage_v, -1.0, 1.0

@@ -127,7 +127,7 @@ class VisualOdometry:
             body: its true motion.
             dt_s: since the last pose.
             scale: factor on what is seen.
-            by_wheels: velocity in the camera's axes as the wheels tell it; its weight beside what is seen.
+            by_wheels: velocity (2,), camera axes, m/s, as the wheels tell it; its weight beside what is seen.
         """
         x, y, theta, vx, vy, omega, _, _, tilt = body
         c, s = math.cos(theta), math.sin(theta)

@@ -80,7 +80,11 @@ class T265(Scheduled):
         return WorldPipeline(self)
 
     def start_stream(self, callback: FrameCallback) -> None:
-        """Begin to deliver poses to a callback; the first one starts the tracking."""
+        """Begin to deliver poses to a callback; the first one starts the tracking.
+
+        Raises:
+            RuntimeError: no camera is plugged in, as the library says it.
+        """
         if self._faults.find("unplug", self._world.now_ns) is not None:
             raise RuntimeError("No device connected")
         if not self._callbacks:

@@ -126,6 +126,7 @@ class MavlinkTracker(Sensor[TrackerSample]):
         """All poses since the last call, oldest first.
 
         Raises:
+            DeviceError: it is closed.
             DeviceTimeoutError: no usable pose for `fail_after_s`.
         """
         session = self._session

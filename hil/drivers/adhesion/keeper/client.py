@@ -90,7 +90,11 @@ def ask(connection: socket.socket, request: Mapping[str, object], spec: Spec) ->
 
 
 def understood(packet: bytes, spec: Spec) -> Status:
-    """An answer of the keeper; raises what it refused with."""
+    """An answer of the keeper.
+
+    Raises:
+        UsageError, DeviceError: what it refused with, or an answer that cannot be understood.
+    """
     try:
         answer = json_object(packet)
         error = answer.get("error")

@@ -39,7 +39,7 @@ class Link:
         """What was asked and its answer, once; None before it has come.
 
         Raises:
-            OSError: the keeper has hung up.
+            OSError: the keeper has hung up (ConnectionResetError), or cannot be reached.
         """
         if self.asked is None:
             return None
