@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 _HELP_AT = 34
-_SCRIPT = "hil.cli.run.script"
+_SCRIPT = "the script of this line"
 
 
 class _WithParameters(click.Command):
