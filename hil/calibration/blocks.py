@@ -51,8 +51,8 @@ class Blocks:
         return Blocks(
             tuple(self.names[k] for k in i),
             tuple(self.motions[k] for k in i),
-            self.wheel_rad[i][:, :n],
-            self.truth[i][:, :n],
+            np.ascontiguousarray(self.wheel_rad[i][:, :n]),
+            np.ascontiguousarray(self.truth[i][:, :n]),
             self.start[i],
             counts,
             self.block_s,
@@ -67,7 +67,7 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
         block_s: length of a block, s.
         signal: `position` or `velocity`: which wheel signal is summed.
     """
-    rows = [_reduce(r, block_s, signal) for r in recordings]
+    rows = [_reduced(r, block_s, signal) for r in recordings]
     counts = np.array([len(w) for w, _, _ in rows])
     n = int(counts.max())
     wheel, truth = np.zeros((len(rows), n, 8)), np.zeros((len(rows), n, 3))
@@ -82,6 +82,15 @@ def reduce_recordings(recordings: Sequence[Recording], block_s: float, signal: s
         counts,
         block_s,
     )
+
+
+def _reduced(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Array]:
+    """Wheel vectors, poses at the blocks' ends and pose at the start of a recording."""
+    key = ("reduced", block_s, signal)
+    if key not in recording.derived:
+        recording.derived[key] = _reduce(recording, block_s, signal)
+    found: tuple[Array, Array, Array] = recording.derived[key]
+    return found
 
 
 def _reduce(recording: Recording, block_s: float, signal: str) -> tuple[Array, Array, Array]:

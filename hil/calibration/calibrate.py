@@ -14,7 +14,7 @@ from hil.calibration.caveats import caveats
 from hil.calibration.choice import Candidate, Choice, can_choose, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import Driven, check_geometry, driven
-from hil.calibration.evaluation import Track, cost, track
+from hil.calibration.evaluation import Track, cost, track_all
 from hil.calibration.fitting import Fit, fit, twist_between
 from hil.calibration.identifiability import Identifiability, StandardErrors, identifiability, standard_errors
 from hil.calibration.nominal import Nominal
@@ -195,8 +195,8 @@ def calibrate(
     setting = found.problem.setting
     evaluations = found.problem.evaluations
     spectrum = identifiability(found)
-    before = [track(r, cad, setting.model, setting.signal) for r in recordings]
-    after = [track(r, found.geometry, setting.model, setting.signal) for r in recordings]
+    before = track_all(recordings, cad, setting.model, setting.signal)
+    after = track_all(recordings, found.geometry, setting.model, setting.signal)
     intervals = _intervals(recordings, found, cad, choice)
     fitted_ns = clock.now_ns()
     paper = _paper_fit(recordings, cad) if setting.name != PAPER.name else None

@@ -6,9 +6,9 @@ type. `build_recording` repairs what can be repaired, counts each repair, and re
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-from typing import SupportsInt
+from typing import Any, SupportsInt
 
 import numpy as np
 
@@ -52,6 +52,7 @@ class Recording:
         truth_pose: (m, 3) m, m, rad unwrapped.
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: what was repaired, by name and count.
+        derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Recording:
     sources: tuple[str, ...] = ()
     sha256: tuple[str, ...] = ()
     repairs: Mapping[str, int] = field(default_factory=dict)
+    derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def has_rates(self) -> bool:

@@ -104,6 +104,27 @@ def truth_window(recording: Recording) -> tuple[Array, Array]:
     return recording.truth_t_s[inside], recording.truth_pose[inside]
 
 
+@dataclass(frozen=True)
+class Steps:
+    """What odometry of a recording needs that no wheel parameter changes.
+
+    Attributes:
+        t_s: (n,) instants of the ground truth, and
+        truth: (n, 3) the poses there.
+        edges_s: (k + 1,) edges of the steps, s.
+        wheel_rad: (k, 8) wheel vectors of each step, rad.
+        start: (3,) pose at the first edge.
+        by_the_paper: integrated by forward Euler.
+    """
+
+    t_s: Array
+    truth: Array
+    edges_s: Array
+    wheel_rad: Array
+    start: Array
+    by_the_paper: bool = False
+
+
 def track(
     recording: Recording, geometry: WheelGeometry, model: str = "exact", signal: str = "position",
     correction: Array | None = None,
@@ -117,19 +138,48 @@ def track(
         signal: `position` or `velocity` (the lagging, truncated register).
         correction: 3x3 matrix that multiplies each body displacement, from a twist calibration.
     """
-    if model == "paper" and correction is None:
-        return _paper_track(recording, geometry, signal)
-    at_s, truth = truth_window(recording)
-    step_s = at_s if model != "dry-friction" else block_edges(at_s, FRICTION_BLOCK_S)
-    wheel_rad = block_vectors(recording, step_s, signal)
-    u = rolled(geometry.vector(), wheel_rad)
+    return track_all([recording], geometry, model, signal, correction)[0]
+
+
+def track_all(
+    recordings: Sequence[Recording], geometry: WheelGeometry, model: str = "exact",
+    signal: str = "position", correction: Array | None = None,
+) -> list[Track]:  # fmt: skip
+    """`track` of several recordings, their wheels read in one go."""
+    paper = model == "paper" and correction is None
+    kind = "paper" if paper else "blocks" if model == "dry-friction" else "stamps"
+    every = [_steps(r, kind, signal) for r in recordings]
+    if not every:
+        return []
+    u = rolled(geometry.vector(), np.concatenate([s.wheel_rad for s in every]))
     motion = twist_of_vectors(geometry, u, model)
     if correction is not None:
         motion = motion @ correction.T
-    poses = integrate(rest_pose(recording), motion)
-    if model == "dry-friction":
-        poses = sample_path(at_s, step_s, poses, motion)
-    return Track(recording, at_s - at_s[0], poses, truth)
+    parts = np.split(motion, np.cumsum([len(s.wheel_rad) for s in every])[:-1])
+    return [_along(r, s, part) for r, s, part in zip(recordings, every, parts, strict=True)]
+
+
+def _along(recording: Recording, steps: Steps, motion: Array) -> Track:
+    """The track of body displacements (k, 3)."""
+    poses = integrate(steps.start, motion, "euler" if steps.by_the_paper else "exponential")
+    if steps.edges_s is not steps.t_s:
+        poses = sample_path(steps.t_s, steps.edges_s, poses, motion)
+    return Track(recording, steps.t_s - steps.t_s[0], poses, steps.truth)
+
+
+def _steps(recording: Recording, kind: str, signal: str) -> Steps:
+    """Steps from stamp to stamp of the ground truth, in `blocks` of 0.3 s, or as the `paper` has them."""
+    known = recording.derived.get((kind, signal))
+    if known is None:
+        if kind == "paper":
+            known = _paper_steps(recording, signal)
+        else:
+            at_s, truth = truth_window(recording)
+            edges_s = at_s if kind == "stamps" else block_edges(at_s, FRICTION_BLOCK_S)
+            wheel_rad = block_vectors(recording, edges_s, signal)
+            known = Steps(at_s, truth, edges_s, wheel_rad, rest_pose(recording))
+        recording.derived[kind, signal] = known
+    return known
 
 
 def block_edges(at_s: Array, block_s: float) -> Array:
@@ -159,13 +209,22 @@ def block_vectors(recording: Recording, edges_s: Array, signal: str) -> Array:
 
 def rolled(z: Array, wheel_rad: Array) -> Array:
     """Wheel displacement vectors (n, 8), m, of raw wheel vectors (n, 8), rad, under parameters z."""
-    radius = z[8:12]
-    zero = z[12:16] if len(z) == 16 else np.zeros(4)
-    c, s = radius * np.cos(zero), radius * np.sin(zero)
     out = np.empty_like(wheel_rad)
-    out[:, 0::2] = c * wheel_rad[:, 0::2] + s * wheel_rad[:, 1::2]
-    out[:, 1::2] = c * wheel_rad[:, 1::2] - s * wheel_rad[:, 0::2]
+    roll(turned_wheels(z), wheel_rad.T, out.T)
     return out
+
+
+def turned_wheels(z: Array) -> Array:
+    """(2, 4): r cos d and r sin d of each wheel of parameters z, by which `roll` turns its vectors."""
+    zero = z[12:16] if len(z) == 16 else np.zeros(4)
+    return np.stack([z[8:12] * np.cos(zero), z[8:12] * np.sin(zero)])
+
+
+def roll(turned: Array, q: Array, u: Array) -> None:
+    """Put displacement vectors u, m, of raw wheel vectors q, rad, in place; (8,), or (8, n) for n steps."""
+    for i in range(4):
+        c, s, qx, qy = turned[0, i], turned[1, i], q[2 * i], q[2 * i + 1]
+        u[2 * i], u[2 * i + 1] = c * qx + s * qy, c * qy - s * qx
 
 
 def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Array:
@@ -188,7 +247,7 @@ def sample_path(at_s: Array, edges_s: Array, poses: Array, motion: Array) -> Arr
     return np.column_stack([x, y, poses[k, 2] + part[:, 2]])
 
 
-def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> Track:
+def _paper_steps(recording: Recording, signal: str) -> Steps:
     at_s = recording.truth_receive_s[_PAPER_DROPPED:]
     truth = recording.truth_pose[_PAPER_DROPPED:]
     steering = interpolate(at_s, recording.receive_s, recording.steering_rad)[:-1]
@@ -199,9 +258,7 @@ def _paper_track(recording: Recording, geometry: WheelGeometry, signal: str) -> 
         rotation = rate * np.diff(at_s)[:, None]
     else:
         rotation = np.diff(interpolate(at_s, recording.receive_s, recording.wheel_angle_rad), axis=0)
-    u = wheel_vectors(rotation * geometry.radius_m, steering - geometry.steering_zero_rad)
-    motion = twist_of_vectors(geometry, u, "paper")
-    return Track(recording, at_s - at_s[0], integrate(truth[0], motion, "euler"), truth)
+    return Steps(at_s, truth, at_s, wheel_vectors(rotation, steering), truth[0], by_the_paper=True)
 
 
 def metrics(tracks: Sequence[Track]) -> dict[str, float]:

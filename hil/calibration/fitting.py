@@ -107,9 +107,9 @@ def fit(
 
 
 def _linear(stage: Problem) -> Problem:
-    """At exponent 2 the dry-friction model is the exact one, which is a hundred times quicker.
+    """At exponent 2 the dry-friction model is the exact one, but for unequal loads, which weigh wheels there.
 
-    Unequal loads weigh wheels there as well; as a start for the next exponent it is near enough without.
+    As a start for the next exponent it is near enough without them.
     """
     if stage.setting.model != "dry-friction":
         return stage

@@ -2,219 +2,228 @@
 
 A parameter vector z holds x_1..4, y_1..4, r_1..4 and, with offsets, the steering zeros
 d_1..4 (`WheelGeometry.vector`). With wheel vectors q that do not depend on z,
-u_i = r_i R(-d_i) q_i, and the motion is F(x, y) u for the linear models, for the others what the
-contacts let happen (`hil.robot.contact_laws`).
+u_i = r_i R(-d_i) q_i, and the motion is what the contacts let happen (`hil.robot.contact_laws`), for the
+model `paper` a mean. Least squares is dry friction at exponent 2.
+
+The functions are written for numbers and for arrays (n,) alike, as those of the contact laws are.
 """
 
 from __future__ import annotations
 
-from abc import abstractmethod
-from typing import Protocol
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hil.calibration.evaluation import rolled
+from hil.calibration.evaluation import roll, turned_wheels
 from hil.robot.contact_laws import (
-    contact_curvature,
-    contact_weight,
+    Symmetric,
+    Triple,
+    continued,
     creep_balance,
-    creep_motion,
-    creep_weights,
-    displacement_scale,
-    dissipation_derivatives,
+    creep_stiffness,
+    dissipation_slopes,
     inverse3,
-    least_dissipation,
-    polish_dissipation,
+    polished,
+    reweighted,
+    rolled_mean,
+    slip,
+    stiffness,
 )
-from hil.robot.kinematics import WheelGeometry, forward_matrix, forward_matrix_derivative, projection
+from hil.robot.kinematics import WheelGeometry, forward_matrix
 from hil.vocabulary.geometry import Array
 
+PAPER, FRICTION, CREEP = 0, 1, 2
+COLD, WARM, KNOWN = 0, 1, 2
 _NEAR = 2e-3
 """Parameters closer than this (m or rad) start from the last solution."""
 
 
-class MotionModel(Protocol):
-    """Motion of blocks (n, 8) as a function of z (12,) or (16,)."""
+@dataclass(frozen=True)
+class Law:
+    """What decides the motion: `kind` (PAPER, FRICTION or CREEP), loads (4,), exponent, tyre ratio."""
 
-    @abstractmethod
+    kind: int
+    load: Array
+    power: float
+    ratio: float
+
+    @classmethod
+    def named(cls, name: str, tyres: WheelGeometry, power: float = 1.0) -> Law:
+        """The law of a forward model.
+
+        Args:
+            name: of the model.
+            tyres: loads, which `dry-friction` and `creep` ask for, and creep ratio; its wheel parameters do
+                not count.
+            power: exponent of dry friction.
+        """
+        if name == "exact":
+            return cls(FRICTION, np.ones(4), 2.0, 1.0)
+        kinds = {"paper": PAPER, "dry-friction": FRICTION, "creep": CREEP}
+        return cls(kinds[name], np.array(tyres.load), power, tyres.creep_ratio)
+
+
+def settled(
+    kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, last: Triple, start: int
+) -> Triple:
+    """Body motion of wheel vectors u, from a last solution where `start` is WARM, or that itself if KNOWN."""
+    if start == KNOWN:
+        return last
+    if kind == PAPER:
+        return mean_motion(z, u)
+    scale = rolled_mean(u)
+    if kind == CREEP:
+        return creep_balance(z, u, scale, load, ratio)[0]
+    if power == 2.0:
+        return reweighted(z, u, last, scale, load, 2.0)
+    if start == COLD:
+        last = continued(z, u, scale, load, power)
+    return polished(z, u, last, scale, load, power)
+
+
+def mean_motion(z: Array, u: Array) -> Triple:
+    """The paper's mean velocities and K_i."""
+    vx, vy, turn = 0.0 * u[0], 0.0 * u[0], 0.0 * u[0]
+    for i in range(4):
+        x, y = z[i], z[4 + i]
+        vx, vy = vx + 0.25 * u[2 * i], vy + 0.25 * u[2 * i + 1]
+        turn = turn + (x * u[2 * i + 1] - y * u[2 * i]) / (4.0 * (x * x + y * y))
+    return vx, vy, turn
+
+
+def respond(
+    kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, b: Triple, out: Array
+) -> None:
+    """Put the derivative (3, len(z)) or (3, len(z), n) of the motion b by z into `out`.
+
+    Implicit: at b the forces P_i' f_i balance, and with their slope H, H db = -(dG/dz) dz. The scale of dry
+    friction's smoothing is treated as fixed: its influence on the minimiser is of second order.
+    """
+    if kind == PAPER:
+        mean_response(z, u, out)
+        return
+    scale = rolled_mean(u)
+    creeping = kind == CREEP
+    inverse = creep_balance(z, u, scale, load, ratio)[1] if creeping else (
+        inverse3(dissipation_slopes(z, u, b, scale, load, power)[1])
+    )  # fmt: skip
+    for i in range(4):
+        e = slip(z, u, b, i)
+        if creeping:
+            c = creep_stiffness(u[2 * i], u[2 * i + 1], scale, load[i], ratio)
+            force = (c[0] * e[0] + c[1] * e[1], c[1] * e[0] + c[2] * e[1])
+        else:
+            weight, c = stiffness(e, scale, load[i], power)
+            force = (weight * e[0], weight * e[1])
+        contact_response(z, u, b[2], i, inverse, c, e, force, creeping, out)
+
+
+def contact_response(
+    z: Array, u: Array, omega: Array, i: int, inverse: Symmetric, c: Triple, e: Triple,
+    force: tuple[Array, Array], creeping: bool, out: Array,
+) -> None:  # fmt: skip
+    """Columns of contact i: its force changes with its slip, its torque with its lever too.
+
+    Creep stiffness follows the wheel: it turns with the zero and weakens with the way rolled, as the radius
+    grows.
+    """
+    ux, uy, r = u[2 * i], u[2 * i + 1], z[8 + i]
+    put_column(z, i, inverse, c[1] * omega, c[2] * omega, force[1], out, i)
+    put_column(z, i, inverse, -c[0] * omega, -c[1] * omega, -force[0], out, 4 + i)
+    mx, my = -(c[0] * ux + c[1] * uy) / r, -(c[1] * ux + c[2] * uy) / r
+    if creeping:
+        mx, my = mx - force[0] / r, my - force[1] / r
+    put_column(z, i, inverse, mx, my, 0.0 * omega, out, 8 + i)
+    if len(z) == 16:
+        qx, qy = -uy, ux
+        if creeping:
+            qx, qy = qx - e[1], qy + e[0]
+        mx, my = c[0] * qx + c[1] * qy, c[1] * qx + c[2] * qy
+        if creeping:
+            mx, my = mx + force[1], my - force[0]
+        put_column(z, i, inverse, mx, my, 0.0 * omega, out, 12 + i)
+
+
+def put_column(
+    z: Array, i: int, inverse: Symmetric, mx: Array, my: Array, torque: Array, out: Array, k: int
+) -> None:
+    """Put the change of the motion in place when the force of contact i changes by (mx, my)."""
+    mt = z[i] * my - z[4 + i] * mx + torque
+    out[0, k] = -(inverse[0] * mx + inverse[1] * my + inverse[2] * mt)
+    out[1, k] = -(inverse[1] * mx + inverse[3] * my + inverse[4] * mt)
+    out[2, k] = -(inverse[2] * mx + inverse[4] * my + inverse[5] * mt)
+
+
+def mean_response(z: Array, u: Array, out: Array) -> None:
+    """As `respond`, for `mean_motion`."""
+    for i in range(4):
+        x, y, r, ux, uy = z[i], z[4 + i], z[8 + i], u[2 * i], u[2 * i + 1]
+        far = x * x + y * y
+        turn = (x * uy - y * ux) / (4.0 * far)
+        for axis in range(2):
+            out[axis, i] = out[axis, 4 + i] = 0.0 * ux
+        out[2, i] = uy / (4.0 * far) - 2.0 * x / far * turn
+        out[2, 4 + i] = -ux / (4.0 * far) - 2.0 * y / far * turn
+        out[0, 8 + i], out[1, 8 + i], out[2, 8 + i] = 0.25 * ux / r, 0.25 * uy / r, turn / r
+        if len(z) == 16:
+            out[0, 12 + i], out[1, 12 + i] = 0.25 * uy, -0.25 * ux
+            out[2, 12 + i] = -(x * ux + y * uy) / (4.0 * far)
+
+
+@dataclass
+class Motions:
+    """Motion of blocks as a function of z; it remembers the last one, since a fit asks for neighbouring z.
+
+    Attributes:
+        law: of the contacts.
+        wheel_rad: (n, 8) raw wheel vectors, rad.
+        last: (3, n) the last motion.
+    """
+
+    law: Law
+    wheel_rad: Array
+    last: Array = field(init=False, repr=False)
+    _at: Array | None = field(default=None, init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        self.last = np.zeros((3, len(self.wheel_rad)))
+
+    def start(self, z: Array) -> int:
+        """What the last solution is worth at z: COLD, WARM or KNOWN. From now on it is that of z."""
+        at, self._at = self._at, z.copy()
+        if at is None or len(at) != len(z):
+            return COLD
+        if np.array_equal(at, z):
+            return KNOWN
+        return WARM if np.max(np.abs(at - z)) < _NEAR else COLD
+
     def motion(self, z: Array) -> Array:
         """Body displacement per block, (n, 3)."""
-
-    @abstractmethod
-    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Motion (n, 3) and its derivative (n, 3, len(z))."""
-
-
-class LinearModel(MotionModel):
-    """`exact` and `paper`."""
-
-    def __init__(self, name: str, wheel_rad: Array) -> None:
-        self.name, self._q = name, wheel_rad
-
-    def motion(self, z: Array) -> Array:
-        """Body displacement (n, 3) by one product with the 3x8 matrix M(z)."""
-        return np.asarray(self._q @ linear_matrix(z, self.name).T, dtype=np.float64)
+        self._settle(z)
+        return np.ascontiguousarray(self.last.T)
 
     def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Motion (n, 3) and its derivative (n, 3, m): product rule over F(x, y), r and the steering zeros."""
-        u = rolled(z, self._q)
-        f = forward_matrix(z[0:4], z[4:8], self.name)
-        df = forward_matrix_derivative(z[0:4], z[4:8], self.name)
-        jacobian = np.empty((len(u), 3, len(z)))
-        jacobian[:, :, :8] = (u @ df.reshape(24, 8).T).reshape(-1, 8, 3).transpose(0, 2, 1)
-        for i in range(4):
-            fi, ui = f[:, 2 * i : 2 * i + 2], u[:, 2 * i : 2 * i + 2]
-            jacobian[:, :, 8 + i] = ui @ fi.T / z[8 + i]
-            if len(z) == 16:
-                jacobian[:, :, 12 + i] = np.column_stack([ui[:, 1], -ui[:, 0]]) @ fi.T
-        return u @ f.T, jacobian
+        """Motion (n, 3) and its derivative (3, len(z), n)."""
+        u, law = self._settle(z), self.law
+        out = np.empty((3, len(z), len(self.wheel_rad)))
+        respond(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), out)
+        return np.ascontiguousarray(self.last.T), out
+
+    def _settle(self, z: Array) -> Array:
+        law, u = self.law, np.empty((8, len(self.wheel_rad)))
+        roll(turned_wheels(z), np.ascontiguousarray(self.wheel_rad.T), u)
+        b = settled(law.kind, law.load, law.power, law.ratio, z, u, tuple(self.last), self.start(z))
+        self.last = np.array(b)
+        return u
+
+
+def make_model(name: str, wheel_rad: Array, tyres: WheelGeometry, power: float = 1.0) -> Motions:
+    """Motion model by name for blocks (n, 8); arguments as for `Law.named`."""
+    return Motions(Law.named(name, tyres, power), wheel_rad)
 
 
 def linear_matrix(z: Array, model: str = "exact") -> Array:
     """M(z) (3, 8): body displacement of raw wheel vectors, for the linear models."""
-    return np.asarray(forward_matrix(z[0:4], z[4:8], model) @ rolled(z, np.eye(8)).T, dtype=np.float64)
-
-
-class CreepModel(MotionModel):
-    """Creep forces in balance; loads and tyres are given, not fitted.
-
-    Args:
-        wheel_rad: (n, 8) wheel vectors of the blocks, rad.
-        load: (4,) relative normal loads.
-        ratio: sideways over lengthwise creep stiffness.
-    """
-
-    def __init__(self, wheel_rad: Array, load: Array, ratio: float) -> None:
-        self._q, self._load, self._ratio = wheel_rad, load, ratio
-
-    def motion(self, z: Array) -> Array:
-        """Body displacement (n, 3) by weighted least squares, each block with its own weights."""
-        return creep_motion(projection(z[0:4], z[4:8]), rolled(z, self._q), self._load, self._ratio)
-
-    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Motion (n, 3) and its derivative (n, 3, m), implicit from the balance sum_i P_i' W_i e_i = 0.
-
-        W follows the wheel: it turns with the zero and weakens with the way rolled, as the radius grows.
-        """
-        p, u = projection(z[0:4], z[4:8]), rolled(z, self._q)
-        wxx, wxy, wyy = weights = creep_weights(u, self._load, self._ratio)
-        b, inverse = creep_balance(p, u, weights)
-        slip = u - b @ p.T
-        ex, ey, ux, uy = slip[:, 0::2], slip[:, 1::2], u[:, 0::2], u[:, 1::2]
-        fx, fy = wxx * ex + wxy * ey, wxy * ex + wyy * ey
-        omega, r = b[:, 2:3], z[8:12]
-        moves = [(-wxy * omega, -wyy * omega), (wxx * omega, wxy * omega)]
-        moves.append(((wxx * ux + wxy * uy - fx) / r, (wxy * ux + wyy * uy - fy) / r))
-        if len(z) == 16:
-            qx, qy = uy - ey, ex - ux
-            moves.append((wxx * qx + wxy * qy + fy, wxy * qx + wyy * qy - fx))
-        return b, np.matmul(inverse, _wrench_derivative(z, moves, fx, fy))
-
-
-class DryFrictionModel(MotionModel):
-    """Least dissipation; warm-started, since a fit asks for neighbouring z one after the other.
-
-    Args:
-        wheel_rad: (n, 8) wheel vectors of the blocks, rad.
-        load: (4,) relative normal loads; given, not fitted.
-        power: exponent of the law.
-    """
-
-    def __init__(self, wheel_rad: Array, load: Array, power: float = 1.0) -> None:
-        self._q, self._load, self._power = wheel_rad, load, power
-        self._moving = np.any(wheel_rad != 0.0, axis=1)
-        self._last: tuple[Array, Array] | None = None
-
-    def motion(self, z: Array) -> Array:
-        """Body displacement (n, 3) by Newton from a near last solution, else the full continuation."""
-        out = np.zeros((len(self._q), 3))
-        out[self._moving] = self._solve(z)[0]
-        return out
-
-    def _solve(self, z: Array) -> tuple[Array, Array, Array, Array]:
-        u = rolled(z, self._q[self._moving])
-        p, scale = projection(z[0:4], z[4:8]), displacement_scale(u)
-        last = self._last
-        if last is not None and np.array_equal(last[0], z):
-            b = last[1]
-        elif last is not None and np.max(np.abs(last[0] - z)) < _NEAR:
-            b = polish_dissipation(p, u, last[1], scale, self._load, power=self._power)
-        else:
-            b = least_dissipation(p, u, self._load, power=self._power)
-        self._last = (z.copy(), b)
-        return b, u, p, scale
-
-    def motion_jacobian(self, z: Array) -> tuple[Array, Array]:
-        """Implicit derivative: H db = -(dG/dz) dz at the stationary point G(b, z) = 0."""
-        b, u, p, scale = self._solve(z)
-        e = (b @ p.T - u).reshape(-1, 4, 2)
-        size = np.sqrt(np.einsum("nij,nij->ni", e, e))
-        _, hessian = dissipation_derivatives(p, u, b, scale, self._load, self._power)
-        weight = contact_weight(size, scale, self._load, self._power)
-        curvature = contact_curvature(e, size, scale, self._load, self._power)
-        pull = _pull(z, b, u.reshape(-1, 4, 2), e * weight[..., None], curvature)
-        motion, jacobian = np.zeros((len(self._q), 3)), np.zeros((len(self._q), 3, len(z)))
-        motion[self._moving] = b
-        jacobian[self._moving] = -np.matmul(inverse3(hessian), pull)
-        return motion, jacobian
-
-
-def _pull(z: Array, b: Array, u: Array, force: Array, curvature: Array) -> Array:
-    """Derivative (n, 3, len(z)) of the dissipation's gradient by z at fixed motion b.
-
-    The smoothing scale is treated as fixed: its influence on the minimiser is of second order.
-
-    Args:
-        z: parameter vector.
-        b: (n, 3) body motion.
-        u: (n, 4, 2) wheel vectors.
-        force: (n, 4, 2) of each contact.
-        curvature: (n, 4, 2, 2) its derivative by the slip.
-    """
-    omega, zero = np.broadcast_to(b[:, 2:3], force.shape[:2]), np.zeros(force.shape[:2])
-    slips = [
-        np.stack([zero, omega], axis=-1),
-        np.stack([-omega, zero], axis=-1),
-        -u / z[8:12, None],
-    ]
-    if len(z) == 16:
-        slips.append(np.stack([-u[..., 1], u[..., 0]], axis=-1))
-    moved = [np.einsum("niab,nib->nia", curvature, slip) for slip in slips]
-    moves = [(m[..., 0], m[..., 1]) for m in moved]
-    return _wrench_derivative(z, moves, force[..., 0], force[..., 1])
-
-
-def _wrench_derivative(z: Array, moves: list[tuple[Array, Array]], fx: Array, fy: Array) -> Array:
-    """Derivative (n, 3, len(z)) of the contacts' total force and torque by z.
-
-    Args:
-        z: parameter vector; its x and y are the levers.
-        moves: change of each contact's force (n, 4), (n, 4) by x, y, r and the zeros, in turn.
-        fx: (n, 4) forces themselves, whose levers x and y change, and
-        fy: (n, 4).
-    """
-    out = np.empty((len(fx), 3, len(z)))
-    for k, (mx, my) in enumerate(moves):
-        columns = slice(4 * k, 4 * k + 4)
-        out[:, 0, columns], out[:, 1, columns] = mx, my
-        out[:, 2, columns] = -z[4:8] * mx + z[0:4] * my
-    out[:, 2, 0:4] += fy
-    out[:, 2, 4:8] -= fx
-    return out
-
-
-def make_model(name: str, wheel_rad: Array, tyres: WheelGeometry, power: float = 1.0) -> MotionModel:
-    """Motion model by name for blocks (n, 8).
-
-    Args:
-        name: forward model.
-        wheel_rad: (n, 8) raw wheel vectors.
-        tyres: loads, which `dry-friction` and `creep` ask for, and creep ratio; its wheel parameters do not
-            count.
-        power: exponent of the dry-friction law.
-    """
-    if name == "dry-friction":
-        return DryFrictionModel(wheel_rad, tyres.load, power)
-    if name == "creep":
-        return CreepModel(wheel_rad, tyres.load, tyres.creep_ratio)
-    return LinearModel(name, wheel_rad)
+    rolled = np.empty((8, 8))
+    roll(turned_wheels(z), np.eye(8), rolled)
+    return np.asarray(forward_matrix(z[0:4], z[4:8], model) @ rolled, dtype=np.float64)

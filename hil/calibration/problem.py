@@ -11,14 +11,19 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from hil.calibration.blocks import Blocks
-from hil.calibration.motion_models import MotionModel, make_model
+from hil.calibration.evaluation import turned_wheels
+from hil.calibration.motion_models import Motions, make_model
+from hil.calibration.passes import compiled_pass
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
+
+Terms: TypeAlias = tuple[Array, Array, Array]
 
 PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
 
@@ -75,6 +80,25 @@ RECOMMENDED = Setting(
 SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 
 
+class _Known:
+    """What problems that differ in weights alone share: terms of the last parameters, and memory."""
+
+    def __init__(self) -> None:
+        self.z: Array | None = None
+        self.terms: Terms | None = None
+        self._rows: tuple[Array, Array] | None = None
+
+    def of(self, z: Array) -> Terms | None:
+        """The terms of parameters z, if they are those known."""
+        return self.terms if self.z is not None and np.array_equal(self.z, z) else None
+
+    def rows(self, shape: tuple[int, ...], size: int) -> tuple[Array, Array]:
+        """Room for errors (R, N, 3) and slopes (R, N, 3, m), 0 where nothing was put yet."""
+        if self._rows is None:
+            self._rows = np.zeros(shape), np.zeros((*shape, size))
+        return self._rows
+
+
 class Problem:
     """Weighted residuals of z over blocks of recordings, with prior rows appended.
 
@@ -100,17 +124,17 @@ class Problem:
         half = _REACH * self.prior_std if setting.bounds is None else setting.bounds * self.sizes
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
-        self._count = [0]
-        self._model: MotionModel = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8), nominal)
+        self._count, self._known = [0], _Known()
+        self._model: Motions = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8), nominal)
         self._scale = self._row_scale()
 
     def _row_scale(self) -> Array:
-        """(R, N, 3) factor of each residual without the recording's weight; 0 for padding."""
-        mask = self.blocks.mask[..., None] * np.ones(3)
+        """(R, 3) factor of each recording's residuals without its weight."""
+        count = len(self.blocks.names)
         if self.setting.sigma is None:
-            return np.asarray(mask * np.sqrt(self.blocks.block_s / 0.01), dtype=np.float64)
+            return np.full((count, 3), np.sqrt(self.blocks.block_s / 0.01))
         share = np.sqrt(_EFFECTIVE_OBSERVATIONS / self.blocks.counts)
-        return np.asarray(mask * share[:, None, None] / np.array(self.setting.sigma), dtype=np.float64)
+        return np.asarray(share[:, None] / np.array(self.setting.sigma), dtype=np.float64)
 
     @property
     def evaluations(self) -> int:
@@ -132,6 +156,7 @@ class Problem:
         """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
         other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
+        other._known = _Known()
         return other
 
     def errors(self, z: Array) -> Array:
@@ -154,7 +179,7 @@ class Problem:
         """
         errors, slopes = self.errors_and_jacobian(z)
         rows = np.concatenate([slopes, others, errors[..., None]], axis=-1)
-        rows *= (self._scale * np.sqrt(self.weights)[:, None, None])[..., None]
+        rows *= (self._row_factors() * np.sqrt(self.weights)[:, None, None])[..., None]
         flat = rows.reshape(-1, rows.shape[-1])
         return np.asarray(flat.T @ flat, dtype=np.float64)
 
@@ -164,21 +189,48 @@ class Problem:
         r, n, _ = self.blocks.wheel_rad.shape
         motion, jacobian = self._model.motion_jacobian(z)
         poses, slopes = integrate_with_jacobian(
-            self.blocks.start, motion.reshape(r, n, 3), jacobian.reshape(r, n, 3, -1)
+            self.blocks.start, motion.reshape(r, n, 3), jacobian.reshape(3, len(z), r, n)
         )
-        return poses[:, 1:] - self.blocks.truth, slopes
+        return poses[:, 1:] - self.blocks.truth, np.ascontiguousarray(slopes.transpose(2, 3, 0, 1))
 
-    def normal_terms(self, z: Array) -> tuple[Array, Array, Array]:
+    def _row_factors(self) -> Array:
+        """(R, N, 3) factor of each residual without the recording's weight; 0 for padding."""
+        return np.asarray(self.blocks.mask[..., None] * self._scale[:, None], dtype=np.float64)
+
+    def normal_terms(self, z: Array) -> Terms:
         """Per recording and unweighted: cost (R,), J'e (R, m) and J'J (R, m, m), without the prior."""
-        errors, slopes = self.errors_and_jacobian(z)
-        e = (errors * self._scale).reshape(len(errors), -1)
-        j = (slopes * self._scale[..., None]).reshape(*e.shape, len(z))
-        jt = j.transpose(0, 2, 1)
-        return (e**2).sum(axis=1), (jt @ e[..., None])[..., 0], jt @ j
+        known = self._known.of(z)
+        if known is None:
+            errors, slopes = self._residuals(z, with_slopes=True)
+            e, j = errors.reshape(len(errors), -1), slopes.reshape(len(errors), -1, len(z))
+            jt = j.transpose(0, 2, 1)
+            known = (e**2).sum(axis=1), (jt @ e[..., None])[..., 0], jt @ j
+            self._known.z, self._known.terms = z.copy(), known
+        return known
 
     def recording_costs(self, z: Array) -> Array:
         """Unweighted squared residuals (R,) of each recording."""
-        return np.asarray(((self.errors(z) * self._scale) ** 2).sum(axis=(1, 2)), dtype=np.float64)
+        known = self._known.of(z)
+        return known[0] if known is not None else (self._residuals(z)[0] ** 2).sum(axis=(1, 2))
+
+    def _residuals(self, z: Array, with_slopes: bool = False) -> tuple[Array, Array]:
+        """Scaled pose errors (R, N, 3), if wanted derivatives (R, N, 3, m); valid until the next call."""
+        run = compiled_pass()
+        if run is None:
+            factors = self._row_factors()
+            if not with_slopes:
+                return self.errors(z) * factors, np.empty(0)
+            errors, slopes = self.errors_and_jacobian(z)
+            return errors * factors, slopes * factors[..., None]
+        self._count[0] += 1
+        blocks, model, law = self.blocks, self._model, self._model.law
+        errors, slopes = self._known.rows(self.blocks.truth.shape, len(z))
+        run(
+            law.kind, law.load, law.power, law.ratio, z, turned_wheels(z), model.start(z),
+            blocks.wheel_rad, blocks.start, blocks.truth, blocks.counts, self._scale,
+            model.last, errors, slopes if with_slopes else slopes[:0],
+        )  # fmt: skip
+        return errors, slopes
 
     def prior_cost(self, z: Array) -> float:
         """Squared prior residual of parameters z (m,); 0 under a hard box."""

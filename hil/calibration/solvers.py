@@ -122,14 +122,12 @@ def _box_step(
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-12))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale) + damping * np.eye(len(z)))
     root = np.sqrt(np.maximum(values, 1e-14))
-    found = lsq_linear(
-        root[:, None] * vectors.T,
-        -(vectors.T @ (gradient / scale)) / root,
-        (scale * (problem.lower - z), scale * (problem.upper - z)),
-        method="bvls",
-        max_iter=10 * len(z),
-    )
-    trial = problem.clip(z + found.x / scale)
+    wanted = -(vectors.T @ (gradient / scale)) / root
+    trial = z + vectors @ (wanted / root) / scale
+    if np.any(trial < problem.lower) or np.any(trial > problem.upper):
+        box = scale * (problem.lower - z), scale * (problem.upper - z)
+        found = lsq_linear(root[:, None] * vectors.T, wanted, box, method="bvls", max_iter=10 * len(z))
+        trial = problem.clip(z + found.x / scale)
     moved = trial - z
     return trial, float(-(2 * gradient @ moved + moved @ hessian @ moved))
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import Track, metrics, track
+from hil.calibration.evaluation import Track, metrics, track_all
 from hil.calibration.fitting import fit
 from hil.calibration.problem import Setting
 from hil.calibration.solvers import Progress
@@ -56,8 +56,9 @@ def left_out(
         inside = [k for k, g in enumerate(groups) if g != label]
         if inside:
             geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
-            for k in (k for k, g in enumerate(groups) if g == label):
-                found[k] = track(recordings[k], geometry, setting.model, setting.signal)
+            outside = [k for k, g in enumerate(groups) if g == label]
+            runs = track_all([recordings[k] for k in outside], geometry, setting.model, setting.signal)
+            found.update(zip(outside, runs, strict=True))
         if progress is not None:
             progress(number, len(labels))
     return [found[k] for k in sorted(found)]
@@ -77,8 +78,7 @@ def score(
         setting: forward model and signal.
         correction: (3, 3) of the body twist, applied after the geometry.
     """
-    runs = [track(r, geometry, setting.model, setting.signal, correction) for r in recordings]
-    return table_of(runs)
+    return table_of(track_all(recordings, geometry, setting.model, setting.signal, correction))
 
 
 @dataclass(frozen=True)
@@ -125,10 +125,11 @@ def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
 
 def table_of(runs: Sequence[Track]) -> Table:
     """Errors by motion, and their mean over motions."""
-    tracks: dict[str, list[Track]] = {}
+    motions: dict[str, list[Track]] = {}
     for run in runs:
-        tracks.setdefault(run.recording.motion, []).append(run)
-    table = {m: {k: metrics(own)[k] for k in _KEYS} for m, own in tracks.items()}
+        motions.setdefault(run.recording.motion, []).append(run)
+    errors = {m: metrics(own) for m, own in motions.items()}
+    table = {m: {k: found[k] for k in _KEYS} for m, found in errors.items()}
     if table:
         table["mean"] = {k: float(np.mean([row[k] for row in table.values()])) for k in _KEYS}
     return table

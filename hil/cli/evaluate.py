@@ -103,12 +103,12 @@ def _tracks(
     recordings: list[Recording], file: CalibrationFile | None, robot: Nominal, model: str, signal: str,
     deploy: str,
 ) -> list[Track]:  # fmt: skip
-    from hil.calibration.evaluation import track
+    from hil.calibration.evaluation import track_all
 
     if file is not None and deploy == "twist":
-        return [track(r, file.nominal_geometry, "exact", signal, file.twist) for r in recordings]
+        return track_all(recordings, file.nominal_geometry, "exact", signal, file.twist)
     geometry = file.geometry if file is not None else robot.geometry
-    return [track(r, geometry, model, signal) for r in recordings]
+    return track_all(recordings, geometry, model, signal)
 
 
 def _doubts(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import click
 
@@ -21,7 +23,16 @@ _PACKAGES = (
 
 
 def _compile() -> None:
-    """Run everything that numba compiles for a moment."""
+    """Run everything that numba compiles for a moment, what fits recordings in a process beside the rest."""
+    from hil.calibration.passes import compile_pass
+
+    with ProcessPoolExecutor(1, get_context("spawn")) as beside:
+        fitting = beside.submit(compile_pass)
+        _compile_benches()
+        fitting.result()
+
+
+def _compile_benches() -> None:
     from hil.bench import open_bench
     from hil.replay.comparison import smoothed
 
@@ -52,7 +63,7 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Ends with 2 when an installed package adds a device that cannot be used.
 
-    With --compile the machine code of estimators, smoother and emulated wall is made now (about a minute,
+    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (about a minute,
     once for each version) instead of at the start of the first run.
 
     Example: hil info --json

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hil.calibration.calibrate import Calibration
-from hil.calibration.evaluation import Track, evaluate, track
+from hil.calibration.evaluation import Track, evaluate, track_all
 from hil.calibration.problem import PARAMETER_NAMES
 from hil.report.overview import Drawn, Overview, Table, write_overview_folder
 from hil.report.pages import number
@@ -67,8 +67,8 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
         DataError: they cannot be written.
     """
     setting = result.setting
-    before = [track(r, result.nominal, setting.model, setting.signal) for r in result.recordings]
-    after = [track(r, result.geometry, setting.model, setting.signal) for r in result.recordings]
+    before = track_all(result.recordings, result.nominal, setting.model, setting.signal)
+    after = track_all(result.recordings, result.geometry, setting.model, setting.signal)
     tables = (evaluate(before), evaluate(after))
     facts = [
         f"method {result.method}, setting {setting.name}, model {setting.model}, signal {setting.signal}",

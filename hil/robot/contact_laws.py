@@ -1,7 +1,7 @@
 """How a body moves whose wheels contradict each other: the law of the contacts decides.
 
 No set of four wheels agrees exactly on a body motion b: P b = u (`hil.robot.kinematics`) has eight rows and
-three unknowns, and what is left over is slip e_i = u_i - P_i b. Two laws:
+three unknowns, and what is left over is slip e_i = P_i b - u_i. Two laws:
 
 * dry friction: each contact resists with a force that grows with its load N_i and not with slip; least
   dissipation, b = argmin sum_i N_i |e_i|.
@@ -11,9 +11,17 @@ three unknowns, and what is left over is slip e_i = u_i - P_i b. Two laws:
   between wheels whose zeros are a degree off; the forces balance at a weighted least-squares motion.
 
 Forces along a wheel count like those across: its servo holds the rotation that is measured.
+
+`creep_motion` and `least_dissipation` take rows of wheel vectors. What stands below them is written once for
+one row and for many: a quantity is a number, or an array (n,) with one number for each row; wheel vectors
+u (8,) or (8, n) hold their quantities along the first axis. numba compiles this for numbers
+(`hil.calibration.passes`), numpy runs it on arrays. Wheel positions are the first eight numbers of a
+parameter vector z: x_1..4, y_1..4, m. A symmetric 3x3 matrix is (xx, xy, xt, yy, yt, tt).
 """
 
 from __future__ import annotations
+
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,49 +31,12 @@ FRICTION_EPSILON = 2e-3
 LEAST_ROLLED = 0.05
 _POWERS = (2.0, 1.5, 1.2, 1.0)
 _ITERATIONS = (1, 3, 3, 8)
+_LEAST = 1e-30
+_TIE = 1e-15
+_SETTLED, _ARM = 1e-8, 0.1
 
-
-def creep_weights(u: Array, load: Array, ratio: float) -> tuple[Array, Array, Array]:
-    """Force per slip of each contact in the body frame: entries xx, xy, yy of a matrix, (n, 4) each.
-
-    A wheel that hardly rolls counts as if it rolled a twentieth of the mean, so that it stays finite.
-
-    Args:
-        u: (n, 8) wheel vectors.
-        load: (4,) relative normal loads.
-        ratio: sideways over lengthwise creep stiffness.
-    """
-    ux, uy = u[:, 0::2], u[:, 1::2]
-    size = np.hypot(ux, uy)
-    weight = load / np.maximum(size / displacement_scale(u)[:, None], LEAST_ROLLED)
-    safe = np.maximum(size, 1e-30)
-    nx, ny = ux / safe, uy / safe
-    bend = (1.0 - ratio) * weight
-    plain = ratio * weight
-    return plain + bend * nx * nx, bend * nx * ny, plain + bend * ny * ny
-
-
-def creep_balance(p: Array, u: Array, weights: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Body motion (n, 3) at which the creep forces balance, and the inverse (n, 3, 3) of their slope.
-
-    Args:
-        p: (8, 3) from `hil.robot.kinematics.projection`.
-        u: (n, 8) wheel vectors, m or m/s.
-        weights: (n, 4) each, from `creep_weights`.
-    """
-    wxx, wxy, wyy = weights
-    ux, uy, rx, ry = u[:, 0::2], u[:, 1::2], p[0::2, 2], p[1::2, 2]
-    tx, ty = wxx * rx + wxy * ry, wxy * rx + wyy * ry
-    slope = np.empty((len(u), 3, 3))
-    slope[:, 0, 0], slope[:, 1, 1] = wxx.sum(axis=1), wyy.sum(axis=1)
-    slope[:, 0, 1] = slope[:, 1, 0] = wxy.sum(axis=1)
-    slope[:, 0, 2] = slope[:, 2, 0] = tx.sum(axis=1)
-    slope[:, 1, 2] = slope[:, 2, 1] = ty.sum(axis=1)
-    slope[:, 2, 2] = tx @ rx + ty @ ry
-    fx, fy = wxx * ux + wxy * uy, wxy * ux + wyy * uy
-    push = np.stack([fx.sum(axis=1), fy.sum(axis=1), fx @ rx + fy @ ry], axis=1)
-    inverse = inverse3(slope)
-    return np.asarray(np.matmul(inverse, push[..., None])[..., 0], dtype=np.float64), inverse
+Triple: TypeAlias = tuple[Array, Array, Array]
+Symmetric: TypeAlias = tuple[Array, Array, Array, Array, Array, Array]
 
 
 def creep_motion(p: Array, u: Array, load: Array, ratio: float) -> Array:
@@ -77,7 +48,8 @@ def creep_motion(p: Array, u: Array, load: Array, ratio: float) -> Array:
         load: (4,) relative normal loads.
         ratio: sideways over lengthwise creep stiffness.
     """
-    return creep_balance(p, u, creep_weights(u, load, ratio))[0]
+    columns = np.ascontiguousarray(u.T)
+    return np.stack(creep_balance(positions(p), columns, rolled_mean(columns), load, ratio)[0], axis=1)
 
 
 def least_dissipation(p: Array, u: Array, load: Array | None = None, power: float = 1.0) -> Array:
@@ -93,144 +65,205 @@ def least_dissipation(p: Array, u: Array, load: Array | None = None, power: floa
         load: (4,) relative normal loads; equal when None.
         power: q to stop at; 2 is least squares.
     """
-    scale = displacement_scale(u)
-    share = np.ones(4) if load is None else np.asarray(load, dtype=np.float64)
-    b = np.asarray(u @ np.linalg.pinv(p).T, dtype=np.float64)
-    for step, count in zip(_POWERS, _ITERATIONS, strict=True):
-        if step >= power:
-            for _ in range(count):
-                b = _reweighted(p, u, b, scale, share, step)
-    return polish_dissipation(p, u, b, scale, share, power=power)
+    columns, z = np.ascontiguousarray(u.T), positions(p)
+    scale, share = rolled_mean(columns), np.ones(4) if load is None else np.asarray(load, dtype=np.float64)
+    b = continued(z, columns, scale, share, power)
+    return np.stack(polished(z, columns, b, scale, share, power), axis=1)
 
 
-def polish_dissipation(
-    p: Array, u: Array, b: Array, scale: Array, share: Array, *, power: float = 1.0, steps: int = 3
-) -> Array:
-    """Newton steps on the smoothed dissipation from a start b (n, 3) that is already close.
+def positions(p: Array) -> Array:
+    """Wheel positions (8,), x_1..4 and y_1..4, that a projection P (8, 3) was made of."""
+    return np.concatenate([p[1::2, 2], -p[0::2, 2]])
+
+
+def rolled_mean(u: Array) -> Array:
+    """Mean wheel displacement (or speed), never zero: the scale of the slip."""
+    total = 0.0 * u[0]
+    for i in range(4):
+        total = total + np.sqrt(u[2 * i] * u[2 * i] + u[2 * i + 1] * u[2 * i + 1])
+    mean: Array = 0.25 * total + 1e-9
+    return mean
+
+
+def slip(z: Array, u: Array, b: Triple, i: int) -> Triple:
+    """Slip (e_x, e_y) of contact i at body motion b, and its length."""
+    ex = b[0] - z[4 + i] * b[2] - u[2 * i]
+    ey = b[1] + z[i] * b[2] - u[2 * i + 1]
+    return ex, ey, np.sqrt(ex * ex + ey * ey)
+
+
+def friction(relative: Array, share: Array, power: float) -> Array:
+    """Force per slip of a contact, by its slip relative to the scale.
 
     Args:
-        p: (8, 3) from `hil.robot.kinematics.projection`.
-        u: (n, 8) wheel vectors, m or m/s.
-        b: (n, 3) body motion to start from.
-        scale: (n,) from `displacement_scale`.
-        share: (4,) relative normal loads.
+        relative: slip over `rolled_mean`.
+        share: relative normal load.
         power: exponent q of `least_dissipation`.
-        steps: how many.
     """
-    for _ in range(steps):
-        gradient, hessian = dissipation_derivatives(p, u, b, scale, share, power)
-        b = _improve(p, u, b, scale, share, power, solve3(hessian, gradient))
+    size = relative + FRICTION_EPSILON
+    return share / size if power == 1.0 else share / size * raised(size, power - 1.0)
+
+
+def raised(size: Array, exponent: float) -> Array:
+    """`size` to an exponent of 0.5, 1 or another."""
+    if exponent == 0.5:
+        return np.sqrt(size)
+    if exponent == 1.0:
+        return size
+    return np.exp(exponent * np.log(size))
+
+
+def stiffness(e: Triple, scale: Array, share: Array, power: float) -> tuple[Array, Triple]:
+    """Force per slip of a contact with slip e, and second derivative (xx, xy, yy) of its dissipation."""
+    relative, length = e[2] / scale, np.maximum(e[2], _LEAST)
+    weight = friction(relative, share, power)
+    bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)
+    nx, ny = e[0] / length, e[1] / length
+    return weight, (weight + bend * nx * nx, bend * nx * ny, weight + bend * ny * ny)
+
+
+def reweighted(z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float) -> Triple:
+    """Weighted least squares with the friction that the contacts have at b.
+
+    The point about which forces and torques part is the weighted middle of the contacts.
+    """
+    total, sx, sy, srr = 0.0 * scale, 0.0 * scale, 0.0 * scale, 0.0 * scale
+    fx, fy, ft = 0.0 * scale, 0.0 * scale, 0.0 * scale
+    for i in range(4):
+        x, y, ux, uy = z[i], z[4 + i], u[2 * i], u[2 * i + 1]
+        w = friction(slip(z, u, b, i)[2] / scale, share[i], power)
+        total, sx, sy, srr = total + w, sx + w * x, sy + w * y, srr + w * (x * x + y * y)
+        fx, fy, ft = fx + w * ux, fy + w * uy, ft + w * (x * uy - y * ux)
+    turn = (ft + (sy * fx - sx * fy) / total) / np.maximum(srr - (sx * sx + sy * sy) / total, _LEAST)
+    return (fx + sy * turn) / total, (fy - sx * turn) / total, turn
+
+
+def continued(z: Array, u: Array, scale: Array, share: Array, power: float) -> Triple:
+    """Body motion near that of least dissipation at exponent `power`, from nothing."""
+    b = (0.0 * scale, 0.0 * scale, 0.0 * scale)
+    for stage in range(len(_POWERS)):
+        if _POWERS[stage] >= power:
+            for _ in range(_ITERATIONS[stage]):
+                b = reweighted(z, u, b, scale, share, _POWERS[stage])
     return b
 
 
-def displacement_scale(u: Array) -> Array:
-    """Mean wheel displacement (or speed) of each row of (n, 8), never zero."""
-    return np.asarray(np.hypot(u[:, 0::2], u[:, 1::2]).mean(axis=1) + 1e-9, dtype=np.float64)
+def polished(
+    z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float, steps: int = 3
+) -> Triple:
+    """Newton steps on the smoothed dissipation from a motion b that is already close.
+
+    Each is taken where it lowers the dissipation, half of it where that lowers it more, else nothing. A tie
+    goes to the whole step, so that rounding decides nothing near the minimum; a step next to nothing is the
+    last.
+    """
+    here = dissipation(z, u, b, scale, share, power)
+    for _ in range(steps):
+        gradient, hessian = dissipation_slopes(z, u, b, scale, share, power)
+        step = times(inverse3(hessian), gradient)
+        if np.all(np.abs(step[0]) + np.abs(step[1]) + _ARM * np.abs(step[2]) < _SETTLED * scale):
+            return stepped(b, step, 1.0 + 0.0 * scale)
+        at_half = dissipation(z, u, stepped(b, step, 0.5 + 0.0 * scale), scale, share, power)
+        at_full = dissipation(z, u, stepped(b, step, 1.0 + 0.0 * scale), scale, share, power)
+        halved, lower = at_half < here, np.minimum(here, at_half)
+        full = at_full <= lower + _TIE
+        fraction: Array = 1.0 * full + 0.5 * halved * (1.0 - full)  # type: ignore[assignment]
+        b = stepped(b, step, fraction)
+        here = np.minimum(lower, at_full)
+    return b
 
 
-def _residuals(p: Array, u: Array, b: Array) -> tuple[Array, Array]:
-    e = (b @ p.T - u).reshape(-1, 4, 2)
-    return e, np.sqrt(np.einsum("nij,nij->ni", e, e))
+def stepped(b: Triple, step: Triple, fraction: Array) -> Triple:
+    """The motion b less a fraction of a step."""
+    return b[0] - fraction * step[0], b[1] - fraction * step[1], b[2] - fraction * step[2]
 
 
-def contact_weight(size: Array, scale: Array, share: Array, power: float) -> Array:
-    """Weight (n, 4) of each contact: friction force per slip, from slip sizes (n, 4).
+def dissipation(z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float) -> Array:
+    """Integral of the friction force over slip, in units of the squared scale."""
+    total = 0.0 * scale
+    for i in range(4):
+        v = slip(z, u, b, i)[2] / scale + FRICTION_EPSILON
+        if power == 1.0:
+            each = v - FRICTION_EPSILON * np.log(v)
+        else:
+            each = raised(v, power - 1.0) * (v / power - FRICTION_EPSILON / (power - 1.0))
+        total = total + share[i] * each
+    return total
+
+
+def dissipation_slopes(
+    z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float
+) -> tuple[Triple, Symmetric]:
+    """Gradient and Hessian of the smoothed dissipation by the motion b."""
+    gx, gy, gt = 0.0 * scale, 0.0 * scale, 0.0 * scale
+    hessian = (gx, gx, gx, gx, gx, gx)
+    for i in range(4):
+        e = slip(z, u, b, i)
+        weight, curvature = stiffness(e, scale, share[i], power)
+        fx, fy = weight * e[0], weight * e[1]
+        gx, gy, gt = gx + fx, gy + fy, gt + z[i] * fy - z[4 + i] * fx
+        hessian = with_contact(hessian, curvature, z[i], z[4 + i])
+    return (gx, gy, gt), hessian
+
+
+def with_contact(total: Symmetric, contact: Triple, x: Array, y: Array) -> Symmetric:
+    """P_i' C P_i of one more contact at (x, y) with the stiffness C = (xx, xy, yy), added up."""
+    xx, xy, yy = contact
+    tx, ty = x * xy - y * xx, x * yy - y * xy
+    return (
+        total[0] + xx, total[1] + xy, total[2] + tx, total[3] + yy, total[4] + ty, total[5] + x * ty - y * tx
+    )  # fmt: skip
+
+
+def creep_stiffness(ux: Array, uy: Array, scale: Array, load: Array, ratio: float) -> Triple:
+    """Force per slip (xx, xy, yy) in the body frame of a contact whose wheel rolls (ux, uy).
+
+    A wheel that hardly rolls counts as if it rolled a twentieth of the mean, so that it stays finite.
 
     Args:
-        size: (n, 4) slip, m or m/s.
-        scale: (n,) from `displacement_scale`.
-        share: (4,) relative normal loads.
-        power: exponent q of `least_dissipation`.
+        ux: way rolled ahead in the body frame, and
+        uy: to the left.
+        scale: `rolled_mean` of all wheels.
+        load: relative normal load.
+        ratio: sideways over lengthwise creep stiffness.
     """
-    return np.asarray(share * (size / scale[:, None] + FRICTION_EPSILON) ** (power - 2.0), dtype=np.float64)
+    size = np.sqrt(ux * ux + uy * uy)
+    weight = load / np.maximum(size / scale, LEAST_ROLLED)
+    length = np.maximum(size, _LEAST)
+    nx, ny = ux / length, uy / length
+    bend, plain = (1.0 - ratio) * weight, ratio * weight
+    return plain + bend * nx * nx, bend * nx * ny, plain + bend * ny * ny
 
 
-def _reweighted(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float) -> Array:
-    _, size = _residuals(p, u, b)
-    wide = np.repeat(contact_weight(size, scale, share, power), 2, axis=1)
-    products = (p[:, :, None] * p[:, None, :]).reshape(8, 9)
-    return solve3((wide @ products).reshape(-1, 3, 3), (wide * u) @ p)
+def creep_balance(z: Array, u: Array, scale: Array, load: Array, ratio: float) -> tuple[Triple, Symmetric]:
+    """Body motion at which the creep forces balance, and the inverse of their slope."""
+    fx, fy, ft = 0.0 * scale, 0.0 * scale, 0.0 * scale
+    slope = (fx, fx, fx, fx, fx, fx)
+    for i in range(4):
+        ux, uy = u[2 * i], u[2 * i + 1]
+        xx, xy, yy = creep_stiffness(ux, uy, scale, load[i], ratio)
+        push_x, push_y = xx * ux + xy * uy, xy * ux + yy * uy
+        fx, fy, ft = fx + push_x, fy + push_y, ft + z[i] * push_y - z[4 + i] * push_x
+        slope = with_contact(slope, (xx, xy, yy), z[i], z[4 + i])
+    inverse = inverse3(slope)
+    return times(inverse, (fx, fy, ft)), inverse
 
 
-def dissipation_derivatives(
-    p: Array, u: Array, b: Array, scale: Array, share: Array, power: float = 1.0
-) -> tuple[Array, Array]:
-    """Gradient (n, 3) and Hessian (n, 3, 3) of the smoothed dissipation by the motion b.
-
-    Args:
-        p: (8, 3) from `hil.robot.kinematics.projection`.
-        u: (n, 8) wheel vectors, m or m/s.
-        b: (n, 3) body motion.
-        scale: (n,) from `displacement_scale`.
-        share: (4,) relative normal loads.
-        power: exponent q of `least_dissipation`.
-    """
-    e, size = _residuals(p, u, b)
-    curvature = contact_curvature(e, size, scale, share, power)
-    blocks = p.reshape(4, 2, 3)
-    weight = contact_weight(size, scale, share, power)
-    gradient = (np.repeat(weight, 2, axis=1) * e.reshape(-1, 8)) @ p
-    products = np.einsum("iab,icd->iacbd", blocks, blocks).reshape(16, 9)
-    return gradient, (curvature.reshape(-1, 16) @ products).reshape(-1, 3, 3)
+def inverse3(a: Symmetric) -> Symmetric:
+    """Inverse of a symmetric positive definite 3x3 matrix by cofactors."""
+    xx, xy, xt, yy, yt, tt = a
+    c0, c1, c2 = yy * tt - yt * yt, xt * yt - xy * tt, xy * yt - xt * yy
+    over = 1.0 / np.maximum(xx * c0 + xy * c1 + xt * c2, _LEAST)
+    return (
+        c0 * over, c1 * over, c2 * over, (xx * tt - xt * xt) * over, (xt * xy - xx * yt) * over,
+        (xx * yy - xy * xy) * over,
+    )  # fmt: skip
 
 
-def contact_curvature(e: Array, size: Array, scale: Array, share: Array, power: float = 1.0) -> Array:
-    """Second derivative (n, 4, 2, 2) of each contact's dissipation by its slip e (n, 4, 2).
-
-    Args:
-        e: (n, 4, 2) slip in the body frame.
-        size: (n, 4) its length.
-        scale: (n,) from `displacement_scale`.
-        share: (4,) relative normal loads.
-        power: exponent q of `least_dissipation`.
-    """
-    weight = contact_weight(size, scale, share, power)
-    relative = size / scale[:, None]
-    bend = (power - 2.0) * weight * relative / (relative + FRICTION_EPSILON)
-    n_x, n_y = (e[..., k] / np.maximum(size, 1e-30) for k in (0, 1))
-    curvature = np.empty((*size.shape, 2, 2))
-    curvature[..., 0, 0] = weight + bend * n_x * n_x
-    curvature[..., 1, 1] = weight + bend * n_y * n_y
-    curvature[..., 0, 1] = curvature[..., 1, 0] = bend * n_x * n_y
-    return curvature
-
-
-def _improve(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float, step: Array) -> Array:
-    """Newton step where it lowers the dissipation, half a step where only that does, else none."""
-    best, value = b, _dissipation(p, u, b, scale, share, power)
-    for fraction in (0.5, 1.0):
-        trial = b - fraction * step
-        trial_value = _dissipation(p, u, trial, scale, share, power)
-        better = trial_value < value
-        best = np.where(better[:, None], trial, best)
-        value = np.where(better, trial_value, value)
-    return best
-
-
-def _dissipation(p: Array, u: Array, b: Array, scale: Array, share: Array, power: float) -> Array:
-    """Integral of the friction force over slip, per block, in units of the block's displacement."""
-    _, size = _residuals(p, u, b)
-    v = size / scale[:, None] + FRICTION_EPSILON
-    if power == 1.0:
-        each = v - FRICTION_EPSILON * np.log(v)
-    else:
-        each = v**power / power - FRICTION_EPSILON * v ** (power - 1.0) / (power - 1.0)
-    return np.asarray((share * each).sum(axis=1), dtype=np.float64)
-
-
-def inverse3(a: Array) -> Array:
-    """Inverses (n, 3, 3) of symmetric 3x3 matrices by cofactors: ten times quicker than batched LAPACK."""
-    a00, a01, a02 = a[:, 0, 0], a[:, 0, 1], a[:, 0, 2]
-    a11, a12, a22 = a[:, 1, 1], a[:, 1, 2], a[:, 2, 2]
-    c00, c01, c02 = a11 * a22 - a12 * a12, a02 * a12 - a01 * a22, a01 * a12 - a02 * a11
-    c11, c12, c22 = a00 * a22 - a02 * a02, a01 * a02 - a00 * a12, a00 * a11 - a01 * a01
-    out = np.stack([c00, c01, c02, c01, c11, c12, c02, c12, c22], axis=1)
-    out /= (a00 * c00 + a01 * c01 + a02 * c02)[:, None]
-    return out.reshape(-1, 3, 3)
-
-
-def solve3(a: Array, rhs: Array) -> Array:
-    """Solutions (n, 3) of symmetric 3x3 systems with right-hand sides (n, 3)."""
-    m = inverse3(a)
-    x, y, z = rhs[:, 0:1], rhs[:, 1:2], rhs[:, 2:3]
-    return np.asarray(m[:, :, 0] * x + m[:, :, 1] * y + m[:, :, 2] * z, dtype=np.float64)
+def times(a: Symmetric, v: Triple) -> Triple:
+    """Product of a symmetric 3x3 matrix with a vector."""
+    return (
+        a[0] * v[0] + a[1] * v[1] + a[2] * v[2],
+        a[1] * v[0] + a[3] * v[1] + a[4] * v[2],
+        a[2] * v[0] + a[4] * v[1] + a[5] * v[2],
+    )

@@ -197,32 +197,3 @@ def forward_matrix(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Arra
     rho = 4.0 * (x**2 + y**2)
     f[2, 0::2], f[2, 1::2] = -y / rho, x / rho
     return f
-
-
-def forward_matrix_derivative(x_m: ArrayLike, y_m: ArrayLike, model: str = "exact") -> Array:
-    """Derivative (8, 3, 8) of `forward_matrix` with respect to (x_1..4, y_1..4).
-
-    Args:
-        x_m: (4,) wheel positions ahead in the body frame, m.
-        y_m: (4,) the same to the left, m.
-        model: `exact` or `paper`.
-    """
-    x, y = np.asarray(x_m, dtype=np.float64), np.asarray(y_m, dtype=np.float64)
-    out = np.zeros((8, 3, 8))
-    if model == "paper":
-        rho = x**2 + y**2
-        for i in range(4):
-            out[i, 2, 2 * i] = 2 * x[i] * y[i] / (4 * rho[i] ** 2)
-            out[i, 2, 2 * i + 1] = (rho[i] - 2 * x[i] ** 2) / (4 * rho[i] ** 2)
-            out[4 + i, 2, 2 * i] = -(rho[i] - 2 * y[i] ** 2) / (4 * rho[i] ** 2)
-            out[4 + i, 2, 2 * i + 1] = -2 * x[i] * y[i] / (4 * rho[i] ** 2)
-        return out
-    p = projection(x, y)
-    f = forward_matrix(x, y, model)
-    normal = np.linalg.inv(p.T @ p)
-    for i in range(4):
-        for k, (row, sign) in enumerate(((2 * i + 1, 1.0), (2 * i, -1.0))):
-            dp = np.zeros((8, 3))
-            dp[row, 2] = sign
-            out[4 * k + i] = -f @ dp @ f + normal @ dp.T @ (np.eye(8) - p @ f)
-    return out

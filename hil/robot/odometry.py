@@ -33,9 +33,7 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
     out[..., 0, :] = start
     out[..., 1:, 2] = start[..., 2:3] + np.cumsum(turn, axis=-1)
     if integrator == "exponential":
-        half = 0.5 * turn
-        heading, chord = out[..., :-1, 2] + half, np.sinc(half / np.pi)
-        c, s = np.cos(heading) * chord, np.sin(heading) * chord
+        c, s = chord(out[..., :-1, 2], turn)
     elif integrator == "euler":
         c, s = np.cos(out[..., :-1, 2]), np.sin(out[..., :-1, 2])
     else:
@@ -45,35 +43,58 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
     return out
 
 
+def chord(heading: Array, turn: Array) -> tuple[Array, Array]:
+    """Cosine and sine of a step's chord, times its length over that of the arc.
+
+    Args:
+        heading: at the start of the step, rad.
+        turn: within the step, rad.
+    """
+    half = 0.5 * turn
+    length = np.sinc(half / np.pi)
+    return np.cos(heading + half) * length, np.sin(heading + half) * length
+
+
+def chord_slopes(heading: Array, step: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """How the way (x, y) of a step changes with its own turn, the heading after it held fixed.
+
+    With a heading after the step that changes by t and a turn that changes by d, the way changes by these two
+    times d and by the way itself, turned a quarter to the left, times t.
+
+    Args:
+        heading: at the start of the step, rad.
+        step: body displacement in the frame of the step's start, m, m, rad.
+    """
+    dx, dy, half = step[0], step[1], 0.5 * step[2]
+    small = 1.0 * (np.abs(half) < 1e-4)
+    safe = half + small
+    bend = small * (-half / 3.0) + (1.0 - small) * (np.cos(safe) - np.sin(safe) / safe) / safe
+    length, c, s = np.sinc(half / np.pi), np.cos(heading + half), np.sin(heading + half)
+    ahead, left = c * dx - s * dy, s * dx + c * dy
+    return 0.5 * (length * left + bend * ahead), 0.5 * (bend * left - length * ahead)
+
+
 def integrate_with_jacobian(
     start_pose: ArrayLike, motion_body: Array, motion_jacobian: Array
 ) -> tuple[Array, Array]:
-    """Poses (..., n + 1, 3) by SE(2) exponential and their derivatives (..., n, 3, m) by m parameters.
+    """Poses (..., n + 1, 3) by SE(2) exponential and their derivatives (3, m, ..., n) by m parameters.
 
     The start has none and is left out of the derivatives.
 
     Args:
         start_pose: (..., 3), taken as independent of the parameters.
         motion_body: (..., n, 3) displacement per step.
-        motion_jacobian: (..., n, 3, m).
+        motion_jacobian: (3, m, ..., n).
     """
     poses = integrate(start_pose, motion_body)
-    half = 0.5 * motion_body[..., 2]
-    small = np.abs(half) < 1e-4
-    safe = np.where(small, 1.0, half)
-    slope = np.where(small, -half / 3.0, (np.cos(safe) - np.sin(safe) / safe) / safe)
-    heading = poses[..., :-1, 2] + half
-    c, s = np.cos(heading), np.sin(heading)
-    dx, dy, k = motion_body[..., 0], motion_body[..., 1], np.sinc(half / np.pi)
-    forward, left = c * dx - s * dy, s * dx + c * dy
-    jx, jy, jt = motion_jacobian[..., 0, :], motion_jacobian[..., 1, :], motion_jacobian[..., 2, :]
+    heading, (dx, dy, turn) = poses[..., :-1, 2], np.moveaxis(motion_body, -1, 0)
+    c, s = chord(heading, turn)
+    by_x, by_y = chord_slopes(heading, (dx, dy, turn))
+    jx, jy, jt = motion_jacobian
     out = np.empty(motion_jacobian.shape)
-    theta = np.cumsum(jt, axis=-2, out=out[..., 2, :])
-    kc, ks = (k * c)[..., None], (k * s)[..., None]
-    by_turn, by_half = (k * left)[..., None], (0.5 * (k * left + slope * forward))[..., None]
-    np.cumsum(kc * jx - ks * jy - by_turn * theta + by_half * jt, axis=-2, out=out[..., 0, :])
-    by_turn, by_half = (k * forward)[..., None], (0.5 * (slope * left - k * forward))[..., None]
-    np.cumsum(ks * jx + kc * jy + by_turn * theta + by_half * jt, axis=-2, out=out[..., 1, :])
+    theta = np.cumsum(jt, axis=-1, out=out[2])
+    np.cumsum(c * jx - s * jy - (s * dx + c * dy) * theta + by_x * jt, axis=-1, out=out[0])
+    np.cumsum(s * jx + c * jy + (c * dx - s * dy) * theta + by_y * jt, axis=-1, out=out[1])
     return poses, out
 
 

@@ -17,7 +17,7 @@ from hil.calibration.artefact import read_calibration
 from hil.calibration.calibrate import Calibration, calibrate
 from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.datasets import Recording
-from hil.calibration.evaluation import Track, position_rmse, track
+from hil.calibration.evaluation import Track, position_rmse, track_all
 from hil.calibration.problem import Setting
 from hil.config.bench import BenchConfig
 from hil.procedure import Context
@@ -38,7 +38,7 @@ class Odometry:
 
     def tracks(self, recordings: Sequence[Recording]) -> list[Track]:
         """Odometry of recordings beside their ground truth."""
-        return [track(r, self.geometry, self.model) for r in recordings]
+        return track_all(recordings, self.geometry, self.model)
 
 
 @dataclass(frozen=True)

@@ -25,11 +25,12 @@ def test_least_dissipation_is_a_minimum_and_ignores_one_contradicting_wheel():
     np.testing.assert_allclose(b[0], twist, atol=1e-9)
     np.testing.assert_allclose(b[1], twist, atol=1e-3)
     assert np.linalg.norm(twist_of_vectors(geometry, u[1:2])[0] - twist) > 5e-3
-    share, scale = np.ones(4), law.displacement_scale(u)
-    best = law._dissipation(p, u, b, scale, share, 1.0)
+    z, columns, share = law.positions(p), u.T, np.ones(4)
+    scale = law.rolled_mean(columns)
+    best = law.dissipation(z, columns, tuple(b.T), scale, share, 1.0)
     for _ in range(40):
         other = b + 1e-4 * rng.standard_normal(b.shape)
-        assert np.all(law._dissipation(p, u, other, scale, share, 1.0) >= best - 1e-12)
+        assert np.all(law.dissipation(z, columns, tuple(other.T), scale, share, 1.0) >= best - 1e-12)
 
 
 def test_of_two_wheels_that_contradict_each_other_dry_friction_follows_the_loaded_one():
@@ -56,23 +57,37 @@ def test_dry_friction_is_homogeneous(factor, seed):
     )
 
 
-def test_dissipation_derivatives_match_differences():
+@pytest.mark.parametrize("power", [1.0, 1.2, 1.5, 2.0])
+def test_dissipation_slopes_match_differences(power):
     rng = np.random.default_rng(4)
-    p, u = CAD.projection(), 0.01 * rng.standard_normal((5, 8))
-    b, share, scale = 0.005 * rng.standard_normal((5, 3)), np.ones(4), law.displacement_scale(u)
-    for power in (1.0, 1.5, 2.0):
-        gradient, hessian = law.dissipation_derivatives(p, u, b, scale, share, power)
-        for axis in range(3):
-            h = np.zeros(3)
-            h[axis] = 1e-7
-            up = law.dissipation_derivatives(p, u, b + h, scale, share, power)[0]
-            down = law.dissipation_derivatives(p, u, b - h, scale, share, power)[0]
-            np.testing.assert_allclose(hessian[:, :, axis], (up - down) / 2e-7, rtol=2e-3, atol=1e-4)
-            value = (
-                law._dissipation(p, u, b + h, scale, share, power)
-                - law._dissipation(p, u, b - h, scale, share, power)
-            ) / 2e-7
-            np.testing.assert_allclose(gradient[:, axis] / scale**2, value, rtol=1e-3, atol=1e-2)
+    z, u = law.positions(CAD.projection()), 0.01 * rng.standard_normal((8, 5))
+    b, scale = 0.005 * rng.standard_normal((3, 5)), law.rolled_mean(u)
+
+    def at(motion):
+        (gx, gy, gt), h = law.dissipation_slopes(z, u, tuple(motion), scale, LOAD, power)
+        hessian = np.array([[h[0], h[1], h[2]], [h[1], h[3], h[4]], [h[2], h[4], h[5]]])
+        return law.dissipation(z, u, tuple(motion), scale, LOAD, power), np.array([gx, gy, gt]), hessian
+
+    _, gradient, hessian = at(b)
+    for axis in range(3):
+        h = np.zeros((3, 1))
+        h[axis] = 1e-7
+        (up, up_slope, _), (down, down_slope, _) = at(b + h), at(b - h)
+        np.testing.assert_allclose(hessian[axis], (up_slope - down_slope) / 2e-7, rtol=2e-3, atol=1e-4)
+        np.testing.assert_allclose(gradient[axis] / scale**2, (up - down) / 2e-7, rtol=1e-3, atol=1e-2)
+
+
+def test_one_row_and_many_are_read_alike():
+    """numba runs the laws on numbers, numpy on arrays: every step is the same, and so is what comes out."""
+    z, u = law.positions(CAD.projection()), contradicting(np.random.default_rng(8)).T.copy()
+    scale = law.rolled_mean(u)
+    many = law.polished(z, u, law.continued(z, u, scale, LOAD, 1.0), scale, LOAD, 1.0)
+    for k, one in enumerate(u.T):
+        size = law.rolled_mean(one)
+        alone = law.polished(z, one, law.continued(z, one, size, LOAD, 1.0), size, LOAD, 1.0)
+        np.testing.assert_allclose(np.array(alone), np.array(many)[:, k], rtol=1e-9, atol=1e-15)
+        creeping = law.creep_balance(z, one, size, LOAD, 0.7)[0]
+        np.testing.assert_allclose(law.creep_motion(CAD.projection(), one[None], LOAD, 0.7)[0], creeping)
 
 
 def contradicting(rng, n=6):

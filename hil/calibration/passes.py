@@ -1,0 +1,95 @@
+"""One pass over recordings: what a fit asks for again and again, block by block, compiled by numba.
+
+The arithmetic is that of `hil.calibration.motion_models` and `hil.robot.odometry`, which numpy runs on arrays
+where numba is not installed; here it runs on numbers, and no array is made between wheels and residuals.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+
+import numpy as np
+
+from hil.calibration.evaluation import roll
+from hil.calibration.motion_models import COLD, FRICTION, respond, settled
+from hil.robot.odometry import chord, chord_slopes
+from hil.vocabulary.extras import is_installed
+from hil.vocabulary.geometry import Array
+
+Pass = Callable[..., None]
+
+
+def run_pass(
+    kind: int, load: Array, power: float, ratio: float, z: Array, turned: Array, start: int,
+    wheel_rad: Array, first: Array, truth: Array, counts: Array, scale: Array,
+    last: Array, errors: Array, slopes: Array,
+) -> None:  # fmt: skip
+    """Put scaled pose errors and their derivatives in place; empty `slopes` are left out.
+
+    Args:
+        kind: of the law, with
+        load: (4,) relative normal loads,
+        power: exponent of dry friction, and
+        ratio: of creep stiffness.
+        z: (m,) parameters.
+        turned: (2, 4) from `turned_wheels`.
+        start: what `last` is worth: COLD, WARM or KNOWN.
+        wheel_rad: (R, N, 8) raw wheel vectors.
+        first: (R, 3) poses at the start.
+        truth: (R, N, 3) poses at the blocks' ends.
+        counts: (R,) numbers of real blocks; the others are not touched.
+        scale: (R, 3) factors of the errors.
+        last: (3, R N) body motions, taken and put.
+        errors: (R, N, 3).
+        slopes: (R, N, 3, m).
+    """
+    size, wanted = len(z), len(slopes) > 0
+    u, moved, sums = np.empty(8), np.empty((3, size)), np.empty((3, size))
+    for r in range(len(counts)):
+        x, y, theta = first[r, 0], first[r, 1], first[r, 2]
+        sums[:] = 0.0
+        for k in range(counts[r]):
+            at = r * wheel_rad.shape[1] + k
+            roll(turned, wheel_rad[r, k], u)
+            b = settled(kind, load, power, ratio, z, u, (last[0, at], last[1, at], last[2, at]), start)
+            last[0, at], last[1, at], last[2, at] = b
+            c, s = chord(theta, b[2])
+            way_x, way_y = c * b[0] - s * b[1], s * b[0] + c * b[1]
+            if wanted:
+                respond(kind, load, power, ratio, z, u, b, moved)
+                by_x, by_y = chord_slopes(theta, b)
+                for i in range(size):
+                    mx, my, mt = moved[0, i], moved[1, i], moved[2, i]
+                    turn = sums[2, i] + mt
+                    sums[0, i] += c * mx - s * my - way_y * turn + by_x * mt
+                    sums[1, i] += s * mx + c * my + way_x * turn + by_y * mt
+                    sums[2, i] = turn
+                for axis in range(3):
+                    for i in range(size):
+                        slopes[r, k, axis, i] = scale[r, axis] * sums[axis, i]
+            x, y, theta = x + way_x, y + way_y, theta + b[2]
+            errors[r, k, 0] = scale[r, 0] * (x - truth[r, k, 0])
+            errors[r, k, 1] = scale[r, 1] * (y - truth[r, k, 1])
+            errors[r, k, 2] = scale[r, 2] * (theta - truth[r, k, 2])
+
+
+@cache
+def compiled_pass() -> Pass | None:
+    """`run_pass` as machine code; None without numba."""
+    if not is_installed("fast"):
+        return None
+    from hil.vocabulary.kernels import compiled_with_parts
+
+    return compiled_with_parts(run_pass)
+
+
+def compile_pass() -> None:
+    """Compile `run_pass` now, by a pass over no block, so that the first fit finds it ready."""
+    run = compiled_pass()
+    if run is not None:
+        four, z, one = np.ones(4), np.ones(16), np.zeros((1, 1, 3))
+        run(
+            FRICTION, four, 1.0, 1.0, z, np.ones((2, 4)), COLD, np.zeros((1, 1, 8)), np.zeros((1, 3)), one,
+            np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)),
+        )  # fmt: skip
