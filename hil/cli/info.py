@@ -63,8 +63,8 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Ends with 2 when an installed package adds a device that cannot be used.
 
-    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (about a minute,
-    once for each version) instead of at the start of the first run.
+    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (about
+    a minute, once for each version) instead of at the start of the first run.
 
     Example: hil info --json
     """

@@ -7,11 +7,14 @@ import pytest
 
 from hil.calibration.datasets import Log, build_recording, increasing
 from hil.calibration.synthetic import hidden_robot, simulate
+from hil.recording import public_csv
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.recording.public_csv import read_pair
 from hil.recording.sources import read_recordings
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.extras import is_installed
 
+needs_pyarrow = pytest.mark.skipif(not is_installed("parquet"), reason="the extra parquet is not installed")
 NAMES = [f"{w}_{k}" for w in ("BL", "BR", "FL", "FR") for k in ("Position", "Wheel")]
 
 
@@ -73,7 +76,9 @@ def test_public_pairs_come_in_paper_wheel_order(tmp_path, compress):
     assert len(recording.sha256) == 2
 
 
-def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path):
+@pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
+def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, monkeypatch):
+    monkeypatch.setattr(public_csv, "is_installed", lambda extra: fast)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     write_pair(tmp_path / "a")
@@ -81,6 +86,28 @@ def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path):
     (whole,), (broken,) = read_recordings([tmp_path / "a"]), read_recordings([tmp_path / "b"])
     assert broken.repairs["wheel rows without numbers dropped"] == 1
     np.testing.assert_array_equal(np.delete(whole.wheel_angle_rad, 50, axis=0), broken.wheel_angle_rad)
+
+
+@pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
+def test_a_number_that_slid_into_the_next_row_is_no_even_table(tmp_path, fast, monkeypatch):
+    """As many numbers as in a whole file, but one row has one too few and the next one too many."""
+    monkeypatch.setattr(public_csv, "is_installed", lambda extra: fast)
+    write_pair(tmp_path)
+    lines = (tmp_path / "abs_3.csv").read_text().splitlines()
+    lines[20], lines[21] = lines[20].removesuffix(";1"), lines[21] + ";1"
+    (tmp_path / "abs_3.csv").write_text("\n".join(lines) + "\n")
+    (recording,) = read_recordings([tmp_path])
+    assert recording.repairs == {"ground-truth rows without numbers dropped": 2}
+
+
+@needs_pyarrow
+def test_pyarrow_and_numpy_read_the_same_numbers(tmp_path, run):
+    """Digits as Python writes them, with exponents and without."""
+    values = np.concatenate([run.wheel_angle_rad.ravel(), 1e-7 * run.steering_rad.ravel()])[: 400 * 16]
+    text = "\n".join(",".join(map(repr, row)) for row in values.reshape(-1, 16).tolist()) + "\n"
+    quick = [read(text.encode(), 400, 16) for read in (public_csv._by_pyarrow, public_csv._by_numpy)]
+    np.testing.assert_array_equal(quick[0], quick[1])
+    np.testing.assert_array_equal(quick[0], values.reshape(-1, 16))
 
 
 def test_each_repair_is_counted():
