@@ -28,6 +28,7 @@ from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.learning import known_parts, leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
+from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
@@ -151,25 +152,10 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 def run(ctx: Context) -> None:
     """Odometry calibration: collect, optimise, re-collect with the new parameters, validate."""
     p: Parameters = ctx.parameters
-    play_rad = p.steering_play_rad if p.steering_play_rad is not None else _known_play_rad(ctx)
-    setting = replace(make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad)
-    rounds: list[Driven] = []
-    results: list[Calibration] = []
-    files: list[Path | None] = [ctx.source.calibration]
-    best = 0
-    while True:
-        number = len(rounds) + 1
-        rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, files[-1]))
-        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1])
-        if rounds[-1].rmse_m().mean() < rounds[best].rmse_m().mean():
-            best = number - 1
-        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
-            break
-        with ctx.step(f"fit {number}"):
-            driven = [r for d in rounds for r in d.recordings]
-            results.append(improve(ctx, driven, chosen(ctx, rounds, setting, p.model), p.method))
-            files.append(_keep(ctx, f"calibration_round_{number}.toml", results[-1]))
-    fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, files[best])
+    with Workers(p.processes) as workers:
+        rounds, results, best = _rounds(ctx, workers)
+        file = _round_file(ctx, best) if best else ctx.source.calibration
+        fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, file, workers)
     with ctx.step("report"):
         _measure(ctx, rounds, fresh)
         ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
@@ -186,6 +172,33 @@ def run(ctx: Context) -> None:
         _install(ctx, replace(result, validation={"fresh_run": judged}))
 
 
+def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibration], int]:
+    """Rounds as they were driven, the fit after each but the last, and the index of the one driven best."""
+    p: Parameters = ctx.parameters
+    play_rad = p.steering_play_rad if p.steering_play_rad is not None else _known_play_rad(ctx)
+    setting = replace(make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad)
+    rounds: list[Driven] = []
+    results: list[Calibration] = []
+    file, best = ctx.source.calibration, 0
+    while True:
+        number = len(rounds) + 1
+        rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, file, workers))
+        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1])
+        if rounds[-1].rmse_m().mean() < rounds[best].rmse_m().mean():
+            best = number - 1
+        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
+            return rounds, results, best
+        with ctx.step(f"fit {number}"):
+            driven = [r for d in rounds for r in d.recordings]
+            results.append(improve(ctx, driven, chosen(ctx, rounds, setting, p.model), p.method))
+            file = _keep(ctx, _round_file(ctx, number), results[-1])
+
+
+def _round_file(ctx: Context, number: int) -> Path:
+    """Where the result of the fit after a round is kept."""
+    return ctx.folder / f"calibration_round_{number}.toml"
+
+
 def _known_play_rad(ctx: Context) -> float:
     """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
     known = known_parts(ctx.source.config).get("backlash")
@@ -194,12 +207,14 @@ def _known_play_rad(ctx: Context) -> float:
     return min(0.5 * max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)
 
 
-def _drive(ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None) -> Driven:
+def _drive(
+    ctx: Context, label: str, number: int, repetitions: int, calibration: Path | None, workers: Workers
+) -> Driven:
     p: Parameters = ctx.parameters
     folder = ctx.folder / "recordings" / label.replace(" ", "_")
     first = (number - 1) * p.repetitions
     jobs = [Repetition(folder, p.motions, first + k + 1, p.sizes) for k in range(repetitions)]
-    names = collect(ctx, label, jobs, calibration, p.processes, _so_far(p, label, number))
+    names = collect(ctx, label, jobs, calibration, workers, _so_far(p, label, number))
     return Driven(label, read_round(folder, names), odometry_in(calibration, ctx.source.config))
 
 
@@ -216,8 +231,7 @@ def _so_far(p: Parameters, label: str, number: int) -> Collected:
     )
 
 
-def _keep(ctx: Context, name: str, result: Calibration) -> Path:
-    path = ctx.folder / name
+def _keep(ctx: Context, path: Path, result: Calibration) -> Path:
     file = calibration_file(
         result, created=ctx.started, software=versions(), made_for=made_for(ctx.source.config)
     )

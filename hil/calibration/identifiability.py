@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hil.calibration.fitting import Fit, twist_correction
 from hil.calibration.freedom import model_freedom
@@ -181,7 +181,7 @@ def standard_errors(fit: Fit, nominal: WheelGeometry) -> StandardErrors:
     return StandardErrors(
         covariance,
         _twist_slopes(problem, z, nominal),
-        float(stats.t.ppf(0.975, min(count - 1, _DEGREES_OF_FREEDOM))),
+        float(stdtrit(min(count - 1, _DEGREES_OF_FREEDOM), 0.975)),
     )
 
 

@@ -12,7 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from hil.calibration.problem import Problem
 from hil.vocabulary.errors import UsageError
@@ -117,7 +116,8 @@ def _box_step(
 
     The step s minimises 2 g's + s'(H + damping diag H)s, which is |A s - b|^2 with A'A = H + ... and
     A'b = -g; with parameters scaled by the root of diag H the matrix is well conditioned. A step cut off at
-    the box parameter by parameter would stop at corners where the cost still falls along a side.
+    the box parameter by parameter would stop at corners where the cost still falls along a side. Most steps
+    end within the box, and scipy's solver, half a second to import, is not asked.
     """
     scale = np.sqrt(np.maximum(np.diag(hessian), 1e-12))
     values, vectors = np.linalg.eigh(hessian / np.outer(scale, scale) + damping * np.eye(len(z)))
@@ -125,6 +125,8 @@ def _box_step(
     wanted = -(vectors.T @ (gradient / scale)) / root
     trial = z + vectors @ (wanted / root) / scale
     if np.any(trial < problem.lower) or np.any(trial > problem.upper):
+        from scipy.optimize import lsq_linear
+
         box = scale * (problem.lower - z), scale * (problem.upper - z)
         found = lsq_linear(root[:, None] * vectors.T, wanted, box, method="bvls", max_iter=10 * len(z))
         trial = problem.clip(z + found.x / scale)

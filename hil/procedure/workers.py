@@ -1,10 +1,16 @@
-"""Worker processes of a procedure: each starts afresh, and Ctrl-C is left to the one that started them."""
+"""Worker processes of a procedure: Ctrl-C is left to the one that started them, and they end with it.
+
+A worker takes seconds to start: it imports, and loads machine code. What drives several rounds keeps its
+`Workers` for all of them; every job has a bench of its own, so that none knows of the jobs before it.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import signal
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from multiprocessing.pool import Pool
+from types import TracebackType
 from typing import TYPE_CHECKING, TypeVar
 
 from hil.vocabulary.clock import NS_PER_S
@@ -27,10 +33,38 @@ def at_once(
         jobs: what can be sent there.
         processes: how many at most.
     """
-    if jobs:
-        context = multiprocessing.get_context("spawn")
-        with context.Pool(min(processes, len(jobs)), _ignore_interrupts) as pool:
-            yield from pool.imap(work, jobs)
+    with Workers(min(processes, len(jobs))) as workers:
+        yield from workers.at_once(work, jobs)
+
+
+class Workers:
+    """Processes that are started when the first jobs come, and end with the block that they are used in.
+
+    Args:
+        processes: how many.
+    """
+
+    def __init__(self, processes: int) -> None:
+        self.processes = processes
+        self._pool: Pool | None = None
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
+    ) -> None:
+        if self._pool is not None:
+            self._pool.terminate()
+            self._pool = None
+
+    def at_once(self, work: Callable[[Job], Result], jobs: Sequence[Job]) -> Iterator[Result]:
+        """Results of jobs in their order, worked on by all processes; arguments as for the function."""
+        if not jobs:
+            return iter(())
+        if self._pool is None:
+            self._pool = multiprocessing.get_context("spawn").Pool(self.processes, _ignore_interrupts)
+        return self._pool.imap(work, jobs)
 
 
 def driven(source: BenchSource, drive: Callable[[Bench], Result]) -> tuple[Result, float]:

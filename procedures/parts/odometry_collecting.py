@@ -11,7 +11,7 @@ from pathlib import Path
 from hil.calibration.datasets import Recording
 from hil.procedure import BenchSource, Context
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.workers import at_once, driven
+from hil.procedure.workers import Workers, driven
 from hil.recording.plain_csv import read_plain
 
 
@@ -36,7 +36,7 @@ class Collected:
 
 
 def collect(
-    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int,
+    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers,
     so_far: Collected,
 ) -> list[str]:  # fmt: skip
     """Drive repetitions, each in a fresh world and a checkpoint; in several processes where time is virtual.
@@ -46,7 +46,7 @@ def collect(
         label: of the round, `round 2`.
         repetitions: what to drive.
         calibration: parameters to drive with, the bench's own without.
-        processes: how many at once.
+        workers: who drives them, if there are several.
         so_far: the round's place in the run.
 
     Returns:
@@ -61,7 +61,7 @@ def collect(
         whole = (so_far.before + len(names), so_far.expected)
         ctx.progress(f"{so_far.title}, recording", len(names), recordings, whole)
 
-    with ctx.step(label), closing(_driven(ctx, label, missing, calibration, processes)) as found:
+    with ctx.step(label), closing(_driven(ctx, label, missing, calibration, workers)) as found:
         told()
         for title in titles:
             names += ctx.checkpoint(title, lambda: next(found))
@@ -70,12 +70,12 @@ def collect(
 
 
 def _driven(
-    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, processes: int
+    ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers
 ) -> Generator[list[str], None, None]:
-    if processes > 1 and ctx.source.virtual:
+    if workers.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
         jobs = [(source, r) for r in repetitions]
-        for names, driven_s in at_once(_elsewhere, jobs, processes):
+        for names, driven_s in workers.at_once(_elsewhere, jobs):
             ctx.count_bench_time(driven_s)
             yield names
         return
