@@ -13,10 +13,14 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 import resource
 import statistics
+from dataclasses import replace
+from itertools import count
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
+from hil.calibration import problem as problems
 from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import truth_window, wheel_steps
@@ -72,6 +76,26 @@ def plain_samples(recordings):
     return out
 
 
+def compare_forms(recordings, cad):
+    """Residuals and normal equations of neighbouring parameters: compiled, and by numpy on arrays."""
+    if problems.compiled_pass() is None:
+        print("numba is not installed: passes run on arrays")
+        return
+    for setting in (RECOMMENDED, *(replace(RECOMMENDED, model=m) for m in ("creep", "exact"))):
+        taken_s = []
+        for form in (problems.compiled_pass, lambda: None):
+            with mock.patch.object(problems, "compiled_pass", form):
+                problem = Problem(reduce_recordings(recordings, setting.block_s), setting, cad)
+                at = (problem.nominal * (1 + 1e-5 * k) for k in count())
+                problem.normal_terms(next(at))
+                taken_s.append(seconds(lambda p=problem, at=at: p.normal_terms(next(at)), 20))
+        compiled_s, arrays_s = taken_s
+        print(
+            f"normal equations, {setting.model:13} arrays {1e3 * arrays_s:5.1f} ms, "
+            f"compiled {1e3 * compiled_s:5.1f} ms, ratio: {arrays_s / compiled_s:.1f}"
+        )
+
+
 def main():
     """Print the figures."""
     root = Path(__file__).resolve().parents[1]
@@ -92,6 +116,7 @@ def main():
     fast_s = seconds(lambda: problem.objective(z * (1 + 1e-3 * rng.standard_normal(len(z)))), 50)
     print(f"cost evaluation: plain loop {plain_s * 1e3:.0f} ms, here {fast_s * 1e3:.2f} ms")
     print(f"ratio: {plain_s / fast_s:.0f}")
+    compare_forms(recordings, cad)
     for setting in (RECOMMENDED, PAPER):
         for method in ("lm", "interior-point", "ga", "pso"):
             result = calibrate(recordings, setting, CLOCK, method=method)

@@ -11,19 +11,17 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import TypeAlias
 
 import numpy as np
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.evaluation import turned_wheels
+from hil.calibration.known import Known, Terms
 from hil.calibration.motion_models import Motions, make_model
 from hil.calibration.passes import compiled_pass
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate, integrate_with_jacobian
 from hil.vocabulary.geometry import Array
-
-Terms: TypeAlias = tuple[Array, Array, Array]
 
 PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i in range(1, 5))
 
@@ -80,25 +78,6 @@ RECOMMENDED = Setting(
 SETTINGS = {s.name: s for s in (PAPER, RECOMMENDED)}
 
 
-class _Known:
-    """What problems that differ in weights alone share: terms of the last parameters, and memory."""
-
-    def __init__(self) -> None:
-        self.z: Array | None = None
-        self.terms: Terms | None = None
-        self._rows: tuple[Array, Array] | None = None
-
-    def of(self, z: Array) -> Terms | None:
-        """The terms of parameters z, if they are those known."""
-        return self.terms if self.z is not None and np.array_equal(self.z, z) else None
-
-    def rows(self, shape: tuple[int, ...], size: int) -> tuple[Array, Array]:
-        """Room for errors (R, N, 3) and slopes (R, N, 3, m), 0 where nothing was put yet."""
-        if self._rows is None:
-            self._rows = np.zeros(shape), np.zeros((*shape, size))
-        return self._rows
-
-
 class Problem:
     """Weighted residuals of z over blocks of recordings, with prior rows appended.
 
@@ -124,7 +103,7 @@ class Problem:
         half = _REACH * self.prior_std if setting.bounds is None else setting.bounds * self.sizes
         self.lower, self.upper = self.nominal - half, self.nominal + half
         self.weights = np.ones(len(blocks.names))
-        self._count, self._known = [0], _Known()
+        self._count, self._known = [0], Known()
         self._model: Motions = make_model(setting.model, blocks.wheel_rad.reshape(-1, 8), nominal)
         self._scale = self._row_scale()
 
@@ -156,7 +135,7 @@ class Problem:
         """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
         other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
-        other._known = _Known()
+        other._known = Known()
         return other
 
     def errors(self, z: Array) -> Array:
@@ -199,19 +178,22 @@ class Problem:
 
     def normal_terms(self, z: Array) -> Terms:
         """Per recording and unweighted: cost (R,), J'e (R, m) and J'J (R, m, m), without the prior."""
-        known = self._known.of(z)
+        known = self._known.terms(z)
         if known is None:
             errors, slopes = self._residuals(z, with_slopes=True)
             e, j = errors.reshape(len(errors), -1), slopes.reshape(len(errors), -1, len(z))
             jt = j.transpose(0, 2, 1)
             known = (e**2).sum(axis=1), (jt @ e[..., None])[..., 0], jt @ j
-            self._known.z, self._known.terms = z.copy(), known
+            self._known.keep_terms(z, known)
         return known
 
     def recording_costs(self, z: Array) -> Array:
         """Unweighted squared residuals (R,) of each recording."""
-        known = self._known.of(z)
-        return known[0] if known is not None else (self._residuals(z)[0] ** 2).sum(axis=(1, 2))
+        known = self._known.costs(z)
+        if known is None:
+            known = (self._residuals(z)[0] ** 2).sum(axis=(1, 2))
+            self._known.keep_costs(z, known)
+        return known
 
     def _residuals(self, z: Array, with_slopes: bool = False) -> tuple[Array, Array]:
         """Scaled pose errors (R, N, 3), if wanted derivatives (R, N, 3, m); valid until the next call."""

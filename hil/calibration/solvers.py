@@ -87,9 +87,12 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
     """
     z, damping = problem.clip(z0), 1e-3
     value, gradient, hessian = problem.gradient_terms(z)
-    history, iterations, converged = [value], 0, False
+    history, iterations, converged, moved = [value], 0, False, False
     while iterations < limit and not converged:
         iterations += 1
+        if moved:
+            _, gradient, hessian = problem.gradient_terms(z)
+            moved = False
         trial, expected = _box_step(problem, z, gradient, hessian, damping)
         if expected <= _RELATIVE_STEP * max(value, 1e-12):
             converged = True
@@ -99,8 +102,7 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
             gain = (value - trial_value) / max(expected, 1e-300)
             damping = max(damping * (0.2 if gain > 0.5 else 1.0), 1e-12)
             relative = (value - trial_value) / max(value, 1e-300)
-            z = trial
-            value, gradient, hessian = problem.gradient_terms(z)
+            z, value, moved = trial, trial_value, True
             history.append(value)
             converged = relative < 1e-9
         else:
