@@ -77,7 +77,7 @@ def positions(p: Array) -> Array:
 
 
 def rolled_mean(u: Array) -> Array:
-    """Mean wheel displacement (or speed), never zero: the scale of the slip."""
+    """Mean displacement (or speed) of the four wheels of u (8, ...), never zero: the scale of the slip."""
     total = 0.0 * u[0]
     for i in range(4):
         total = total + np.sqrt(u[2 * i] * u[2 * i] + u[2 * i + 1] * u[2 * i + 1])
