@@ -20,6 +20,12 @@ class Known:
         self._terms: tuple[Array, Terms] | None = None
         self._rows: tuple[Array, Array] | None = None
 
+    def under_another_law(self) -> Known:
+        """Nothing known, in the same memory."""
+        other = Known()
+        other._rows = self._rows
+        return other
+
     def keep_costs(self, z: Array, costs: Array) -> None:
         """Costs (R,) of parameters z (m,)."""
         self._costs = z.copy(), costs

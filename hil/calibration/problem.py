@@ -135,7 +135,7 @@ class Problem:
         """The same problem under another friction exponent: 2 is least squares, 1 is Coulomb's law."""
         other = copy.copy(self)
         other._model = make_model(self.setting.model, self.blocks.wheel_rad.reshape(-1, 8), self.tyres, power)
-        other._known = Known()
+        other._known = self._known.under_another_law()
         return other
 
     def errors(self, z: Array) -> Array:
