@@ -145,7 +145,7 @@ def track_all(
     recordings: Sequence[Recording], geometry: WheelGeometry, model: str = "exact",
     signal: str = "position", correction: Array | None = None,
 ) -> list[Track]:  # fmt: skip
-    """`track` of several recordings, their wheels read in one go; `correction` (3, 3) as there."""
+    """`track` of several recordings, their wheels read in one go; `correction` (3, 3)."""
     paper = model == "paper" and correction is None
     kind = "paper" if paper else "blocks" if model == "dry-friction" else "stamps"
     every = [_steps(r, kind, signal) for r in recordings]

@@ -66,7 +66,7 @@ class Law:
 def settled(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, last: Triple, start: int
 ) -> Triple:
-    """Body motion of wheel vectors u, from a last solution where `start` is WARM, or that itself if KNOWN."""
+    """Body motion of u (8, ...), from a last solution where `start` is WARM, or that itself if KNOWN."""
     if start == KNOWN:
         return last
     if kind == PAPER:
@@ -82,7 +82,7 @@ def settled(
 
 
 def mean_motion(z: Array, u: Array) -> Triple:
-    """The paper's mean velocities and K_i."""
+    """The paper's mean velocities and K_i, of wheel vectors u (8, ...)."""
     vx, vy, turn = 0.0 * u[0], 0.0 * u[0], 0.0 * u[0]
     for i in range(4):
         x, y = z[i], z[4 + i]
@@ -94,7 +94,7 @@ def mean_motion(z: Array, u: Array) -> Triple:
 def respond(
     kind: int, load: Array, power: float, ratio: float, z: Array, u: Array, b: Triple, out: Array
 ) -> None:
-    """Put the derivative (3, len(z)) or (3, len(z), n) of the motion b by z into `out`.
+    """Put the derivative of the motion b by z in place: `out` (3, m), or (3, m, n) for n steps.
 
     Implicit: at b the forces P_i' f_i balance, and with their slope H, H db = -(dG/dz) dz. The scale of dry
     friction's smoothing is treated as fixed: its influence on the minimiser is of second order.
@@ -122,7 +122,7 @@ def contact_response(
     z: Array, u: Array, omega: Array, i: int, inverse: Symmetric, c: Triple, e: Triple,
     force: tuple[Array, Array], creeping: bool, out: Array,
 ) -> None:  # fmt: skip
-    """Columns of contact i: its force changes with its slip, its torque with its lever too.
+    """Columns of contact i in `out` (3, m, ...): its force changes with its slip, its torque by its lever.
 
     Creep stiffness follows the wheel: it turns with the zero and weakens with the way rolled, as the radius
     grows.
@@ -155,7 +155,7 @@ def put_column(
 
 
 def mean_response(z: Array, u: Array, out: Array) -> None:
-    """As `respond`, for `mean_motion`."""
+    """As `respond`, for `mean_motion`; `out` (3, m, ...)."""
     for i in range(4):
         x, y, r, ux, uy = z[i], z[4 + i], z[8 + i], u[2 * i], u[2 * i + 1]
         far = x * x + y * y
@@ -189,7 +189,7 @@ class Motions:
         self.last = np.zeros((3, len(self.wheel_rad)))
 
     def start(self, z: Array) -> int:
-        """What the last solution is worth at z: COLD, WARM or KNOWN. From now on it is that of z."""
+        """What the last solution is worth at z (m,): COLD, WARM or KNOWN. From now on it is that of z."""
         at, self._at = self._at, z.copy()
         if at is None or len(at) != len(z):
             return COLD

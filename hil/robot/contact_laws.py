@@ -77,7 +77,7 @@ def positions(p: Array) -> Array:
 
 
 def rolled_mean(u: Array) -> Array:
-    """Mean displacement (or speed) of the four wheels of u (8, ...), never zero: the scale of the slip."""
+    """Mean displacement (or speed), never zero, of wheel vectors u (8, ...): the scale of the slip."""
     total = 0.0 * u[0]
     for i in range(4):
         total = total + np.sqrt(u[2 * i] * u[2 * i] + u[2 * i + 1] * u[2 * i + 1])
@@ -93,7 +93,7 @@ def slip(z: Array, u: Array, b: Triple, i: int) -> Triple:
 
 
 def friction(relative: Array, share: Array, power: float) -> Array:
-    """Force per slip of a contact, by its slip relative to the scale.
+    """Force per slip of a contact, by its slip relative to the scale; a number or (n,).
 
     Args:
         relative: slip over `rolled_mean`.
@@ -105,7 +105,7 @@ def friction(relative: Array, share: Array, power: float) -> Array:
 
 
 def raised(size: Array, exponent: float) -> Array:
-    """`size` to an exponent of 0.5, 1 or another."""
+    """`size`, a number or (n,), to an exponent of 0.5, 1 or another."""
     if exponent == 0.5:
         return np.sqrt(size)
     if exponent == 1.0:
@@ -123,7 +123,7 @@ def stiffness(e: Triple, scale: Array, share: Array, power: float) -> tuple[Arra
 
 
 def reweighted(z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float) -> Triple:
-    """Weighted least squares with the friction that the contacts have at b.
+    """Weighted least squares of wheel vectors u (8, ...) with the friction that the contacts have at b.
 
     The point about which forces and torques part is the weighted middle of the contacts.
     """
@@ -139,7 +139,7 @@ def reweighted(z: Array, u: Array, b: Triple, scale: Array, share: Array, power:
 
 
 def continued(z: Array, u: Array, scale: Array, share: Array, power: float) -> Triple:
-    """Body motion near that of least dissipation at exponent `power`, from nothing."""
+    """Body motion of u (8, ...) near that of least dissipation at exponent `power`, from nothing."""
     b = (0.0 * scale, 0.0 * scale, 0.0 * scale)
     for stage in range(len(_POWERS)):
         if _POWERS[stage] >= power:
@@ -151,7 +151,7 @@ def continued(z: Array, u: Array, scale: Array, share: Array, power: float) -> T
 def polished(
     z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float, steps: int = 3
 ) -> Triple:
-    """Newton steps on the smoothed dissipation from a motion b that is already close.
+    """Newton steps on the smoothed dissipation of u (8, ...) from a motion b that is already close.
 
     Each is taken where it lowers the dissipation, half of it where that lowers it more, else nothing. A tie
     goes to the whole step, so that rounding decides nothing near the minimum; a step next to nothing is the
@@ -174,12 +174,12 @@ def polished(
 
 
 def stepped(b: Triple, step: Triple, fraction: Array) -> Triple:
-    """The motion b less a fraction of a step."""
+    """The motion b less a fraction of a step, each number or (n,)."""
     return b[0] - fraction * step[0], b[1] - fraction * step[1], b[2] - fraction * step[2]
 
 
 def dissipation(z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float) -> Array:
-    """Integral of the friction force over slip, in units of the squared scale."""
+    """Integral of the friction force over the slip of u (8, ...) at b, in units of the squared scale."""
     total = 0.0 * scale
     for i in range(4):
         v = slip(z, u, b, i)[2] / scale + FRICTION_EPSILON
@@ -194,7 +194,7 @@ def dissipation(z: Array, u: Array, b: Triple, scale: Array, share: Array, power
 def dissipation_slopes(
     z: Array, u: Array, b: Triple, scale: Array, share: Array, power: float
 ) -> tuple[Triple, Symmetric]:
-    """Gradient and Hessian of the smoothed dissipation by the motion b."""
+    """Gradient and Hessian (3x3) of the smoothed dissipation by the motion b."""
     gx, gy, gt = 0.0 * scale, 0.0 * scale, 0.0 * scale
     hessian = (gx, gx, gx, gx, gx, gx)
     for i in range(4):
@@ -236,7 +236,7 @@ def creep_stiffness(ux: Array, uy: Array, scale: Array, load: Array, ratio: floa
 
 
 def creep_balance(z: Array, u: Array, scale: Array, load: Array, ratio: float) -> tuple[Triple, Symmetric]:
-    """Body motion at which the creep forces balance, and the inverse of their slope."""
+    """Body motion of u (8, ...) at which the creep forces balance, and the inverse (3x3) of their slope."""
     fx, fy, ft = 0.0 * scale, 0.0 * scale, 0.0 * scale
     slope = (fx, fx, fx, fx, fx, fx)
     for i in range(4):

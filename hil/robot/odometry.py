@@ -44,7 +44,7 @@ def integrate(start_pose: ArrayLike, motion_body: Array, integrator: str = "expo
 
 
 def chord(heading: Array, turn: Array) -> tuple[Array, Array]:
-    """Cosine and sine of a step's chord, times its length over that of the arc.
+    """Cosine and sine of a step's chord, times its length over that of the arc; numbers or (n,).
 
     Args:
         heading: at the start of the step, rad.
