@@ -11,6 +11,7 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
+import argparse
 import resource
 import statistics
 from dataclasses import replace
@@ -98,6 +99,9 @@ def compare_forms(recordings, cad):
 
 def main():
     """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--cost", action="store_true", help="no whole calibrations, which take a minute")
+    cost_only = parser.parse_args().cost
     root = Path(__file__).resolve().parents[1]
     folder = Path(os.environ.get("HIL_DATA", root.parent / "shared" / "data")) / "4wis4wid"
     if folder.is_dir():
@@ -117,6 +121,8 @@ def main():
     print(f"cost evaluation: plain loop {plain_s * 1e3:.0f} ms, here {fast_s * 1e3:.2f} ms")
     print(f"ratio: {plain_s / fast_s:.0f}")
     compare_forms(recordings, cad)
+    if cost_only:
+        return
     for setting in (RECOMMENDED, PAPER):
         for method in ("lm", "interior-point", "ga", "pso"):
             result = calibrate(recordings, setting, CLOCK, method=method)

@@ -68,10 +68,14 @@ def of_servo_bus(told: Any) -> Iterator[Row]:
 
 
 def of_calibration(text: str) -> Iterator[Row]:
-    """One evaluation of the cost against a plain loop."""
+    """One evaluation of the cost against a plain loop, of the normal equations against numpy on arrays."""
     found = re.search(r"plain loop ([\d.]+) ms, here ([\d.]+) ms", text)
     assert found is not None, text
     yield _slower("calibration, one cost", float(found[2]), "plain Python loop", float(found[1]), "ms")
+    for law, arrays, compiled in re.findall(
+        r"equations, (\S+) +arrays +([\d.]+) ms, compiled +([\d.]+) ms", text
+    ):
+        yield _slower(f"normal equations, {law}", float(compiled), "numpy on arrays", float(arrays), "ms")
 
 
 def of_virtual_bench(told: Any) -> Iterator[Row]:
