@@ -13,6 +13,7 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
+from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
 from hil.bench.settings import real_time
 from hil.bench.wheel_feed import wheel_feed
@@ -81,6 +82,7 @@ class Bench(Blueprint):
         self._hold = HoldWatch(
             rig,
             clock,
+            press_watch(config, rig),
             radius_m=float(np.mean(geometry.radius_m)),
             on_wall=self.on_wall,
             lightest_m_s2=config.safety.adhesion_limit_m_s2,

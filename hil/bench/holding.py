@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from hil.bench.pressing import PressWatch
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import HilError
@@ -113,14 +114,23 @@ class HoldWatch(Sink):
     Args:
         rig: devices of the bench.
         clock: the bench clock.
+        press: of what presses it on its wall.
         radius_m: of the wheels, to turn their angles into a way.
         on_wall: whether the robot has to be held at all.
         lightest_m_s2: specific force below which it is falling.
     """
 
     def __init__(
-        self, rig: Rig, clock: Clock, *, radius_m: float, on_wall: bool, lightest_m_s2: float
+        self,
+        rig: Rig,
+        clock: Clock,
+        press: PressWatch,
+        *,
+        radius_m: float,
+        on_wall: bool,
+        lightest_m_s2: float,
     ) -> None:
+        self._press = press
         self._lightest_m_s2, self._falls = lightest_m_s2, False
         self._rig, self._clock = rig, clock
         present = [k for k in kinds().values() if rig.get(k.name) is not None]
@@ -137,6 +147,7 @@ class HoldWatch(Sink):
     def write(self, record: CycleRecord) -> None:
         """Remember where the robot was seen last."""
         inputs = record.inputs
+        self._press.heading_rad = float(record.state.pose_body_in_wall[2])
         for name, latest in self._latest.items():
             for sample in inputs.of(name):
                 place = self._witnesses[name].value(sample)
@@ -165,10 +176,12 @@ class HoldWatch(Sink):
             return self.unseen("no servos are open", wanted=False)
         end_ns = self._clock.now_ns() + nanoseconds(limit_s)
         trails = {name: _Trail() for name in self._witnesses}
+        self._press.begin()
         while True:
             hold = servos.look_after()
             self._see(hold, trails)
-            doubt = self._doubt(hold, trails)
+            pressed = self._press.doubt(self._clock.now_ns())
+            doubt = self._doubt(hold, trails) or pressed
             if not hold.wanted:
                 return self._verdict("NOT HELD", "torque was never switched on", wanted=False)
             if not doubt:

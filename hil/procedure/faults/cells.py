@@ -28,6 +28,7 @@ QUICK = (
     ("servo.steer_FL", "jump", "motion"),
     ("tracker", "wrong", "motion"),
     ("plant", "adhesion_loss", "motion"),
+    ("adhesion", "bus_off", "open"),
 )
 """One of each way in which a robot was once let go, or led astray."""
 _OF_EIGHT = re.compile(r"servo\.(?:\d+|drive_[^F].|steer_[^F].|\w+_FR)|encoder\.(?:BL|BR|FR)")

@@ -1,0 +1,100 @@
+"""Whether what presses the robot on its wall is heard, and presses enough: a part of whether it is held.
+
+A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
+motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
+trusted until the load cells have felt enough force for longer than that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from hil.bench.settings import adhesion_limits
+from hil.config.adhesion import AdhesionConfig
+from hil.config.bench import BenchConfig
+from hil.config.kept_motor import KeptMotorConfig
+from hil.ring.adhesion import AdhesionLimits
+from hil.ring.rig import Rig
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import HilError
+from hil.vocabulary.signals import Status
+
+RUN_DOWN_S = 1.0
+"""A fan without current has lost more force than any reserve by then."""
+_FAN, _CELLS = "the fan's speed", "the load cells"
+
+
+class PressWatch:
+    """Follows fan and load cells of a robot that has been stopped on a wall.
+
+    Args:
+        rig: devices of the bench.
+        limits: what they must feel; None where nothing reports a force, or nothing can let the robot fall.
+        fan: of the bench, if its controller lets go by itself.
+    """
+
+    def __init__(self, rig: Rig, limits: AdhesionLimits | None, fan: KeptMotorConfig | None) -> None:
+        self._rig, self._limits = rig, limits
+        self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
+        self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
+        self._forces: dict[str, tuple[int, float]] = {}
+        self._enough_since_ns: int | None = None
+        self.heading_rad = 0.0
+
+    def begin(self) -> None:
+        """A look begins: what was heard before it is out of date."""
+        self._forces.clear()
+        self._enough_since_ns = None
+
+    def doubt(self, now_ns: int) -> str:
+        """What speaks against a robot that is pressed on its wall for good; empty when nothing does."""
+        if self._limits is None:
+            return ""
+        self._listen()
+        fresh = {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
+        least_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
+        told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
+        if not fresh or min(fresh.values()) < least_n:
+            self._enough_since_ns = None
+            told = told or "nobody measures it"
+            return f"what presses the robot on the wall: {told}; {least_n:.1f} N are needed: secure the robot"
+        if not self._limits.has_fan or _FAN in fresh:
+            self._enough_since_ns = None
+            return ""
+        if self._enough_since_ns is None:
+            self._enough_since_ns = now_ns
+        if now_ns - self._enough_since_ns < self._outlasts_ns:
+            return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
+        return ""
+
+    def _listen(self) -> None:
+        """Take what fan and cells have sent."""
+        limits = self._limits
+        assert limits is not None
+        for sample in self._samples("adhesion"):
+            if sample.status is Status.OK:
+                self._take(_FAN, sample.stamp.t_ns, limits.speed_n(sample))
+        for sample in self._samples("load_cells"):
+            if all(status is Status.OK for status in sample.status):
+                self._take(_CELLS, sample.stamp.t_ns, limits.cells_n(sample))
+
+    def _take(self, name: str, t_ns: int, force_n: float) -> None:
+        if math.isfinite(force_n):
+            self._forces[name] = (t_ns, force_n)
+
+    def _samples(self, name: str) -> Sequence[Any]:
+        device = self._rig.get(name)
+        try:
+            return () if device is None else device.read()
+        except HilError:
+            return ()
+
+
+def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
+    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether."""
+    falls = config.environment.on_wall and not config.safety.tethered
+    fan = config.of(AdhesionConfig)
+    kept = fan if isinstance(fan, KeptMotorConfig) else None
+    return PressWatch(rig, adhesion_limits(config) if falls else None, kept)

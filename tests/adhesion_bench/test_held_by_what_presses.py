@@ -1,0 +1,51 @@
+"""HELD is not said of a robot whose fan may be dying: it stands still until the fan has run down."""
+
+import numpy as np
+import pytest
+
+import hil
+from hil.bench.pressing import RUN_DOWN_S
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import SafetyStop
+
+CLIMB = line((0, 0, 0), (0.12, 0, 0), duration_s=4.0)
+
+
+def left(fault, *, overrides=None):
+    """How a climb that the fault ended left the robot, how long the look took, and how far the robot went."""
+    with hil.open_bench("emulated", seed=1, faults=[fault], overrides=overrides) as bench:
+        with pytest.raises(SafetyStop):
+            bench.drive(CLIMB, feedback="odometry")
+        stopped = bench.truth().pose_body_in_wall
+        began_ns = bench.clock.now_ns()
+        held = bench.look(5.0)
+        took_s = (bench.clock.now_ns() - began_ns) / 1e9
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 1_000_000_000)
+        went_m = float(np.hypot(*(bench.truth().pose_body_in_wall - stopped)[:2]))
+    return held, took_s, went_m
+
+
+@pytest.mark.parametrize("start_s", [0.05, 1.0])
+def test_a_fan_off_its_bus_is_never_held_before_it_has_run_down(start_s):
+    held, _, went_m = left(f"adhesion:bus_off@{start_s}")
+    assert went_m > 0.1
+    assert held.state == "NOT HELD"
+
+
+def test_a_fan_that_runs_on_unheard_is_held_by_what_the_cells_feel_for_long_enough():
+    held, took_s, went_m = left("adhesion:garbage@1")
+    assert went_m < 2e-3
+    assert held.state == "HELD"
+    assert took_s > RUN_DOWN_S + 1.0
+
+
+def test_a_fan_that_nobody_hears_and_no_cell_feels_is_not_held():
+    held, _, _ = left("adhesion:garbage@1", overrides={"load_cells": None})
+    assert held.state == "NOT HELD"
+    assert "nobody measures it" in held.why
+
+
+def test_a_tether_holds_what_no_fan_presses():
+    held, took_s, _ = left("servos:unplug@1+0.5", overrides={"safety.tethered": True})
+    assert held.state == "HELD"
+    assert took_s < RUN_DOWN_S
