@@ -161,7 +161,7 @@ def test_the_short_form_passes(tmp_path):
     result = run("--quick", "--json", "--out", str(tmp_path / "new" / "folder"))
     told = json.loads(result.stdout)
     assert result.return_value == 0, told["failed"]
-    assert (told["cells"], told["failed"]) == (4, [])
+    assert (told["cells"], told["failed"]) == (5, [])
     assert "| `servos` | `brownout` |" in (tmp_path / "new" / "folder" / "reliability.md").read_text(
         encoding="utf-8"
     )
