@@ -14,6 +14,7 @@ from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from hil.bench.discover import Discovery
     from hil.config.can_bus import CanConfig
     from hil.config.mocap import MocapConfig
 
@@ -49,16 +50,10 @@ def command(
         if out.exists():
             raise UsageError(f"{out} exists already", remedy="choose another name for --out")
         check_file(out)
-    given: dict[str, list[Any]] = {"mocap": [_server(mocap)] if mocap else []}
-    for text in buses:
-        for kind, table in _on_bus(text):
-            given.setdefault(kind, []).append(table)
-    for kind, table in _tables(places).items():
-        given[kind] = [*given.get(kind, []), table]
     found = discover(
         MonotonicClock(),
         ports=ports if ports or places else None,
-        given=given,
+        given=_given(mocap, buses, places),
         say=lambda text: click.echo(f"hil: {text}", err=True),
     )
     for kind, where in found.missing.items():
@@ -68,19 +63,7 @@ def command(
         write_text(out, text)
         click.echo(f"hil: wrote {out}; check it with hil doctor --bench {out}", err=True)
     if as_json:
-        parts = {kind: [asdict(part) for part in parts] for kind, parts in found.parts.items() if parts}
-        servos = {"servos": parts.pop("servos", [])}
-        click.echo(
-            json.dumps(
-                {
-                    "sections": found.sections,
-                    **servos,
-                    **parts,
-                    "notes": found.notes,
-                    "missing": found.missing,
-                }
-            )
-        )
+        click.echo(json.dumps(_as_json(found)))
     elif out is None and found.sections:
         click.echo(text)
     if not found.sections:
@@ -90,6 +73,29 @@ def command(
         )
         return EXIT_DEVICE
     return EXIT_PASS
+
+
+def _as_json(found: Discovery) -> dict[str, Any]:
+    parts = {kind: [asdict(part) for part in parts] for kind, parts in found.parts.items() if parts}
+    servos = {"servos": parts.pop("servos", [])}
+    return {
+        "sections": found.sections,
+        **servos,
+        **parts,
+        "notes": found.notes,
+        "missing": found.missing,
+    }
+
+
+def _given(mocap: str | None, buses: tuple[str, ...], places: tuple[str, ...]) -> dict[str, list[Any]]:
+    """By kind, a table for each place that the options name."""
+    given: dict[str, list[Any]] = {"mocap": [_server(mocap)] if mocap else []}
+    for text in buses:
+        for kind, table in _on_bus(text):
+            given.setdefault(kind, []).append(table)
+    for kind, table in _tables(places).items():
+        given[kind] = [*given.get(kind, []), table]
+    return given
 
 
 def _on_bus(text: str) -> Iterator[tuple[str, CanConfig]]:

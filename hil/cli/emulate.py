@@ -11,6 +11,7 @@ import sys
 from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +19,12 @@ from hil.cli.options import SEED
 from hil.cli.output import Answered
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from hil.bench.on_its_wall import OnItsWall
+    from hil.cli.port_links import PortLinks
 
 _NICE = -5
 _PATIENCE_S = 60.0
@@ -91,34 +98,59 @@ def command(
         standard_ports=standard_ports,
     )  # fmt: skip
 
+    _end_when_asked(server.stop, only_by_sigterm=await_start)
+    _as_prompt_as_hardware(config.loop.fifo_priority)
+    endpoints = server.endpoints()
+    line = json.dumps(endpoints)
+    nothing = contextlib.nullcontext()
+    robot = (
+        nothing if await_start else _told_of(OnItsWall(config, server.world, "servos" in server.faces))
+    )  # whoever awaits the start looks after it
+    with robot, file or nothing, _linked(PortLinks(config, endpoints, of_hardware=standard_ports)):
+        _answer(line)
+        server.run(ready=partial(file.write, line) if file is not None else None)
+    return EXIT_PASS
+
+
+def _end_when_asked(stop: Callable[[], None], *, only_by_sigterm: bool) -> None:
+    """A signal ends the server in order; one from the terminal does not where only SIGTERM may."""
+
     def leave(signum: int, frame: FrameType | None) -> None:
-        server.stop()
+        stop()
 
     for number in _ENDS:
-        signal.signal(number, signal.SIG_IGN if await_start and number in _OF_A_TERMINAL else leave)
-    _as_prompt_as_hardware(config.loop.fifo_priority)
-    line = json.dumps(server.endpoints())
-    robot = (
-        None if await_start else OnItsWall(config, server.world, "servos" in server.faces)
-    )  # whoever awaits the start looks after it
-    if robot is not None and (told := robot.at_the_start()):
+        signal.signal(number, signal.SIG_IGN if only_by_sigterm and number in _OF_A_TERMINAL else leave)
+
+
+@contextlib.contextmanager
+def _told_of(robot: OnItsWall) -> Iterator[None]:
+    """How the robot is held on its wall is said on stderr, at the start and at the end."""
+    if told := robot.at_the_start():
         click.echo(told, err=True)
-    links = PortLinks(config, server.endpoints(), of_hardware=standard_ports)
+    try:
+        yield
+    finally:
+        if told := robot.at_the_end():
+            click.echo(told, err=True)
+
+
+@contextlib.contextmanager
+def _linked(links: PortLinks) -> Iterator[None]:
+    """Ports that the bench file names lead to the terminals; one that cannot is named on stderr."""
     for told in links.make():
         click.echo(told, err=True)
+    try:
+        yield
+    finally:
+        links.remove()
+
+
+def _answer(line: str) -> None:
+    """The line on stdout, at once; an error that comes later adds no JSON object of its own."""
     click.echo(line)
     sys.stdout.flush()
     if (answered := click.get_current_context().find_object(Answered)) is not None:
         answered.already = True
-    try:
-        server.run(ready=partial(file.write, line) if file is not None else None)
-    finally:
-        links.remove()
-        if file is not None:
-            file.remove()
-        if robot is not None and (told := robot.at_the_end()):
-            click.echo(told, err=True)
-    return EXIT_PASS
 
 
 def _as_prompt_as_hardware(fifo_priority: int | None) -> None:

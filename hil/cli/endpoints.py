@@ -25,6 +25,8 @@ class EndpointsFile:
     Args:
         path: where it shall appear; only an endpoints file, or an empty one, may be there already.
 
+    As a context manager it is removed at the end of the block.
+
     Raises:
         UsageError: the path holds something else, or cannot be written.
     """
@@ -71,6 +73,12 @@ class EndpointsFile:
                 remedy="choose a place with room for --out",
             ) from None  # fmt: skip
         self._text = text + "\n"
+
+    def __enter__(self) -> EndpointsFile:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.remove()
 
     def remove(self) -> None:
         """Take it away, unless another emulator has put its own there. Idempotent; never raises."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing, nullcontext
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,9 +19,10 @@ from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.live import LiveSession
+    from hil.live import LivePlan, LiveSession
     from hil.monitor import RerunMonitor
     from hil.recording.mcap_writer import McapRecorder, OnFailure
+    from hil.vocabulary.stop_signals import StopRequest
 
 _KINDS = ("odometry", "ekf", "ukf")
 
@@ -108,10 +110,38 @@ def command(
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
     from hil.bench import open_bench
-    from hil.config.loading import load_bench
-    from hil.live import LivePlan, LiveSession, load_trajectory, open_commands
+    from hil.live import LivePlan, load_trajectory, open_commands
     from hil.vocabulary.stop_signals import StopRequest
 
+    _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
+    overrides = _start_and_replay(bench, emulate, start_pose, repeated)
+    reference = None if source is None else load_trajectory(source)
+    lines = open_commands(commands)
+    if lines is not None:
+        click.echo(f"velocity commands: {lines.where}", err=True)
+    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
+    stop = StopRequest()
+    with stop.noted():
+        with nullcontext() if lines is None else closing(lines):
+            opened = open_bench(
+                bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
+                overrides=overrides,
+            )  # fmt: skip
+            with closing(opened):
+                recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
+                session = _session(opened, plan, recorder, _monitor(opened, view), stop)
+                _live(session, view, as_json=as_json)
+        if recorder is not None and (lost := recorder.objection()) is not None:
+            raise lost
+        if stop.name:
+            raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
+    return EXIT_PASS
+
+
+def _must_agree(
+    source: Path | None, commands: str, repeated: Path | None, record: Path | None, *, unrecorded: bool
+) -> None:
+    """Refuse options that contradict each other, and a recording that cannot be written."""
     if source is not None and commands != "none":
         raise UsageError("--trajectory and --command both want to move the robot", remedy="give one of them")
     if unrecorded and record is not None:
@@ -120,39 +150,30 @@ def command(
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     if record is not None:
         check_file(record)
+
+
+def _start_and_replay(
+    bench: str, emulate: str | None, start_pose: str | None, repeated: Path | None
+) -> dict[str, object]:
+    """Overrides of the bench file: where the robot stands, and which recording it repeats."""
+    from hil.config.loading import load_bench
+
     overrides = start.start_override(start_pose)
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())
-    overrides |= start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
-    reference = None if source is None else load_trajectory(source)
-    lines = open_commands(commands)
-    if lines is not None:
-        click.echo(f"velocity commands: {lines.where}", err=True)
-    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
-    stop = StopRequest()
-    with stop.noted():
-        try:
-            opened = open_bench(
-                bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
-                overrides=overrides,
-            )  # fmt: skip
-            try:
-                recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
-                monitor = _monitor(opened, view)
-                for sink in watching():
-                    opened.add_sink(sink)
-                session = LiveSession(opened, plan, recorder=recorder, monitor=monitor, stop=stop)
-                _live(session, view, as_json=as_json)
-            finally:
-                opened.close()
-        finally:
-            if lines is not None:
-                lines.close()
-        if recorder is not None and (lost := recorder.objection()) is not None:
-            raise lost
-        if stop.name:
-            raise Aborted(unreadable() or f"{stop.name} came while the bench was being closed")
-    return EXIT_PASS
+    return overrides | start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
+
+
+def _session(
+    bench: Bench, plan: LivePlan, recorder: McapRecorder | None, monitor: RerunMonitor | None,
+    stop: StopRequest,
+) -> LiveSession:  # fmt: skip
+    """The session that this bench is opened for; a program that reads the progress watches it as well."""
+    from hil.live import LiveSession
+
+    for sink in watching():
+        bench.add_sink(sink)
+    return LiveSession(bench, plan, recorder=recorder, monitor=monitor, stop=stop)
 
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
