@@ -1,28 +1,19 @@
-"""Class `Bench`: devices, clock and loop, opened and closed together, and the motions asked of them."""
+"""Class `Bench`: the loop over devices that are opened and closed together, and the motions asked of it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from types import TracebackType
 
 import numpy as np
 
-from hil.bench.blueprint import Blueprint
-from hil.bench.by_need import by_need
-from hil.bench.hanging import Hanging
-from hil.bench.holding import Held, HoldWatch
-from hil.bench.pressing import press_watch
-from hil.bench.replug import replugged
+from hil.bench.held_rig import HeldRig
 from hil.bench.settings import real_time
-from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
-from hil.recording.clocks import ptp_offsets
-from hil.recording.frames import describe_clock
-from hil.recording.runs import HELD, RUN, RunStart
+from hil.recording.runs import RUN, RunStart
 from hil.ring.loop import Brain, ControlLoop, LoopStatistics
 from hil.ring.motion import Motion
 from hil.ring.realtime import warm_up
@@ -31,7 +22,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError, UsageError
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -44,7 +35,7 @@ _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", 
 OnCycle = Callable[[CycleRecord], None]
 
 
-class Bench(Blueprint):
+class Bench(HeldRig):
     """Devices, clock, loop and configuration of one bench; use it as a context manager.
 
     Attributes:
@@ -72,107 +63,12 @@ class Bench(Blueprint):
         sinks: tuple[Sink, ...] = (),
     ) -> None:
         super().__init__(
-            config, geometry=geometry, calibration=calibration, fitted_with=fitted_with, seed=seed
-        )
-        self.clock, self.rig, self.world = clock, rig, world
+            config, clock, rig, geometry=geometry, calibration=calibration, fitted_with=fitted_with,
+            seed=seed, sinks=sinks,
+        )  # fmt: skip
+        self.world = world
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
-        self.held: Held | None = None
-        self.pressed = ""
-        self._hold = HoldWatch(
-            rig,
-            clock,
-            press_watch(config, rig),
-            radius_m=float(np.mean(geometry.radius_m)),
-            on_wall=self.on_wall,
-            lightest_m_s2=config.safety.adhesion_limit_m_s2,
-        )
-        self._sinks = list(sinks)
-        self._stack = ExitStack()
-        self._before_opening: list[Callable[[], object]] = []
-
-    def __enter__(self) -> Bench:
-        try:
-            self.begin()
-            self.rig.sensors = replugged(self.rig.sensors, self.clock)
-            self.rig.open()
-        except BaseException as error:
-            self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
-            self._let_go()
-            raise
-        self._stack.callback(self.rig.close)
-        try:
-            self.pressed = Hanging(self.config, self.rig, self.clock).hold()
-            self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
-            if self.on_wall and self.rig.servos is not None:
-                self.rig.servos.enable()
-        except BaseException:
-            self.close()
-            raise
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Hold the robot and look until that is true (or release it, as configured); close everything.
-
-        Whatever `held` says then is in the recordings too. Idempotent.
-        """
-        try:
-            if self.rig.servos is not None and self.rig.servos.identity():
-                self.held = self._hold.unseen("ended before anybody had looked")
-                self.rig.servos.stop()
-                self.held = self._hold.look(self.config.exit.look_after_s)
-                if self.config.exit.policy == "release":
-                    self.rig.servos.release()
-                    self.held = self._hold.released()
-                self._note(self.clock.now_ns(), HELD, self.held.to_json())
-        finally:
-            self._let_go()
-
-    def _let_go(self) -> None:
-        self._close_sinks()
-        self._stack.close()
-
-    def on_open(self, callback: Callable[[], object]) -> None:
-        """Have something else called right before the devices are opened."""
-        self._before_opening.append(callback)
-
-    def begin(self) -> None:
-        """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
-        while self._before_opening:
-            self._before_opening.pop(0)()
-
-    def on_close(self, callback: Callable[[], object]) -> None:
-        """Have something else ended together with the bench, after the devices."""
-        self._stack.callback(callback)
-
-    def add_sink(self, sink: Sink) -> None:
-        """Let a sink receive every cycle from now on; the bench closes it."""
-        self._sinks.append(sink)
-
-    def remove_sink(self, sink: Sink) -> None:
-        """Stop feeding a sink and close it."""
-        self._sinks.remove(sink)
-        sink.close()
-
-    def _close_sinks(self) -> None:
-        for sink in self._sinks:
-            sink.close()
-        self._sinks.clear()
-
-    def header(self) -> dict[str, object]:
-        """As of a blueprint, and where its clock stands against the time of day, now."""
-        wall = self.clock.wall_offset()
-        ptp = [] if wall is None else [one._asdict() for one in ptp_offsets()]
-        return {**super().header(), "clock": describe_clock(wall, ptp)}
-
-    def has(self, name: str) -> bool:
-        """Whether the bench has a device of this kind."""
-        return self.rig.get(name) is not None
 
     def truth(self) -> PlantState | None:
         """Physical truth of an emulated robot in this process; None on anything else."""
@@ -338,35 +234,3 @@ class Bench(Blueprint):
         )
         self.statistics = loop.statistics
         return loop
-
-    def _note(self, t_ns: int, kind: str, data: Mapping[str, object]) -> None:
-        """Tell the sinks something that belongs between two cycles."""
-        for sink in self._sinks:
-            sink.note(t_ns, kind, data)
-
-    @property
-    def on_wall(self) -> bool:
-        """Whether gravity pulls along the surface: the robot has to be held."""
-        return self.config.environment.on_wall
-
-    def look(self, limit_s: float = 0.5) -> Held:
-        """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""
-        return self._hold.look(limit_s)
-
-    def stop(self) -> None:
-        """Ask for wheels at rest, steering held, torque on; `look` says whether that has come true."""
-        self.rig.actuators().stop()
-
-    def release(self) -> None:
-        """Drop torque: on a wall the robot slides.
-
-        Raises:
-            UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it.
-        """
-        if self.on_wall and self.has("adhesion") and not self.config.safety.tethered:
-            raise UsageError(
-                "torque is not released: the robot hangs on a wall",
-                expected="a robot off the wall, or on a tether",
-                remedy="take it off the wall, or secure it and set safety.tethered = true",
-            )
-        self.rig.actuators().release()

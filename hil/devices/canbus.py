@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from hil.devices.emulated import EmulatedDevice, Face, Setting, Wired
-from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.can_face import CanFace
+from hil.fakes.can_wire import CanChannel
 from hil.fakes.standard_can import DEFAULT_GROUP, DEFAULT_PORT, first_of_host, leave_port, take_port
 from hil.vocabulary.kinds import Connection
 

@@ -6,42 +6,29 @@ the results folder is complete.
 
 from __future__ import annotations
 
-import errno
-import inspect
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from hil.bench.holding import untouched
 from hil.config.bench import BenchConfig
 from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.conclusion import conclude, facts_of, failure, not_held
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_torn_line, read_journal
 from hil.procedure.learning import keep_parts
-from hil.procedure.measurements import Measurement, Verdict, worst
+from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator, Terminal
 from hil.procedure.parameters import as_dict, make_parameters
-from hil.procedure.results import KEEPING, RESULT, Failure, Result, git_revision, judge, write_result
+from hil.procedure.results import KEEPING, RESULT, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
-from hil.vocabulary.errors import (
-    EXIT_ABORTED,
-    EXIT_DEVICE,
-    EXIT_USAGE,
-    Aborted,
-    ConfigError,
-    DataError,
-    HilError,
-    RecordingError,
-)
+from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
 from hil.vocabulary.progress import Report, silent
-
-_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 @dataclass(frozen=True)
@@ -114,9 +101,9 @@ def _recorded_run(
         begin_ns = options.clock.now_ns()
         error, late, statistics = _execute(proc, context, interrupts)
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S
-        late += _not_held(context, error or next(iter(late), None))
+        late += not_held(context, error or next(iter(late), None))
         kept = _learnt(proc, context, declared, error, late)
-        facts = _facts(proc, context, options, past, wall_s) | {"loop": statistics, "record": kept}
+        facts = facts_of(proc, context, past, wall_s) | {"loop": statistics, "record": kept}
         result = _kept(conclude(proc, context, declared, error, late, facts))
         with suppress(RecordingError):
             journal.add("end", {"verdict": result.verdict.value})
@@ -133,7 +120,7 @@ def _learnt(
     verdict = conclude(proc, context, declared, error, late, {}).verdict
     kept, problem = keep_parts(context, verdict)
     if problem is not None:
-        late.append(_failure(problem, context, "keeping what was found in the record"))
+        late.append(failure(problem, context, "keeping what was found in the record"))
     return kept
 
 
@@ -191,7 +178,7 @@ def _execute(
             proc.body(context)
             context.show_histories()
     except (Exception, KeyboardInterrupt, SystemExit) as problem:
-        error = _failure(problem, context)
+        error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
     for title, action in context.take_teardown():
@@ -201,7 +188,7 @@ def _execute(
     _attempt("closing the bench", context.close_bench, proc.teardown_s, context, late)
     lost = context.unrecorded()
     if error is None and lost is not None:
-        error = _failure(lost, context, "recording")
+        error = failure(lost, context, "recording")
     return error, late, statistics
 
 
@@ -213,99 +200,6 @@ def _attempt(
         with time_limit(limit_s, title):
             action()
     except Exception as problem:
-        late.append(_failure(problem, context, title))
+        late.append(failure(problem, context, title))
     finally:
         context.guard.pop_limit()
-
-
-def _not_held(context: Context, known: Failure | None) -> list[Failure]:
-    """A robot that should be held and is not is an error of a run that knows of no other."""
-    held = context.held
-    if known is not None or held is None or held.state != "NOT HELD" or not held.wanted:
-        return []
-    return [Failure("NotHeld", held.why, "closing the bench", EXIT_DEVICE)]
-
-
-def _failure(problem: BaseException, context: Context, where: str = "") -> Failure:
-    step = where or _failed_step(context)
-    if isinstance(problem, HilError):
-        code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
-        return Failure(type(problem).__name__, str(problem), step, code)
-    no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
-    code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
-    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code)
-
-
-def _failed_step(context: Context) -> str:
-    failed = [s["title"] for s in context.findings.steps if s["outcome"] == "failed"]
-    return failed[-1] if failed else context.where
-
-
-def _origin(problem: BaseException) -> str:
-    trace = problem.__traceback__
-    frames = inspect.getinnerframes(trace) if trace is not None else []
-    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
-
-
-def conclude(
-    proc: Procedure,
-    context: Context,
-    declared: tuple[Measurement, ...],
-    error: Failure | None,
-    late: list[Failure],
-    facts: dict[str, Any],
-) -> Result:
-    """The verdict: an abort or an error before everything, else the worst measurement.
-
-    Args:
-        proc: the procedure.
-        context: as the body left it.
-        declared: what should have been measured.
-        error: what ended the body early.
-        late: errors of teardown.
-        facts: further entries of `result.json`.
-    """
-    rows = judge(declared, context.findings.values, context.findings.measured_in, error is None)
-    verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
-    if late:
-        verdict = Verdict.ERROR
-    if error is not None:
-        verdict = Verdict.ABORTED if error.exit_code == EXIT_ABORTED else Verdict.ERROR
-    return Result(proc.name, verdict, context.folder, rows, facts, error, tuple(late))
-
-
-def _facts(
-    proc: Procedure, context: Context, options: RunOptions, past: PastRun | None, wall_s: float
-) -> dict[str, Any]:
-    from hil.vocabulary.versions import versions
-
-    findings, source = context.findings, context.source
-    return {
-        "summary": proc.summary,
-        "headline": proc.said(findings.values),
-        "bench": source.config.name,
-        "emulated": list(source.config.emulated()),
-        "virtual_time": source.virtual,
-        "parameters": as_dict(context.parameters),
-        **source.header(),
-        "versions": versions(),
-        "git_revision": git_revision(Path(inspect.getsourcefile(proc.body) or ".").resolve().parent),
-        "started": options.started,
-        "duration_s": wall_s,
-        "bench_duration_s": context.guard.driven_s,
-        "resumed": 0 if past is None else past.resumed + 1,
-        "steps": findings.steps,
-        "tables": findings.tables,
-        "figures": findings.figures,
-        "attachments": findings.attachments,
-        "recordings": (past.recordings if past else []) + findings.recordings,
-        "data": findings.data,
-        "notes": findings.notes,
-        "held": _held(context),
-    }
-
-
-def _held(context: Context) -> dict[str, object]:
-    if context.held is not None:
-        return context.held.to_json()
-    return untouched("no device was opened: the robot is as it was before").to_json()

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from can.interfaces.udp_multicast import UdpMulticastBus
 
-from hil.fakes.can_wire import CanFace
+from hil.fakes.can_face import CanFace
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import EmulationServer
 from hil.vocabulary.clock import MonotonicClock

@@ -9,7 +9,8 @@ import pytest
 from hil.config.encoders import SHIPPED_DBC, EncodersConfig
 from hil.drivers.can_link import open_bus
 from hil.drivers.encoders import As5045Encoders
-from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.can_face import CanFace
+from hil.fakes.can_wire import CanChannel
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import MonotonicClock

@@ -17,7 +17,8 @@ import unittest.mock
 
 import can
 
-from hil.fakes.can_wire import CanChannel, CanFace
+from hil.fakes.can_face import CanFace
+from hil.fakes.can_wire import CanChannel
 from hil.fakes.faults import FaultPlan
 from hil.fakes.server import EmulationServer
 from hil.fakes.world import World

@@ -1,0 +1,119 @@
+"""What a run comes to: its errors by name and step, the verdict, and the facts of `result.json`."""
+
+from __future__ import annotations
+
+import errno
+import inspect
+from pathlib import Path
+from typing import Any
+
+from hil.bench.holding import untouched
+from hil.procedure.context import Context
+from hil.procedure.declaration import Procedure
+from hil.procedure.journal import PastRun
+from hil.procedure.measurements import Measurement, Verdict, worst
+from hil.procedure.parameters import as_dict
+from hil.procedure.results import Failure, Result, git_revision, judge
+from hil.vocabulary.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
+
+_NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
+
+
+def failure(problem: BaseException, context: Context, where: str = "") -> Failure:
+    """What ended a step, and the exit code that it asks for; `where` names it, else the step that failed."""
+    step = where or _failed_step(context)
+    if isinstance(problem, HilError):
+        code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
+        return Failure(type(problem).__name__, str(problem), step, code)
+    no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
+    code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
+    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code)
+
+
+def _failed_step(context: Context) -> str:
+    failed = [s["title"] for s in context.findings.steps if s["outcome"] == "failed"]
+    return failed[-1] if failed else context.where
+
+
+def _origin(problem: BaseException) -> str:
+    trace = problem.__traceback__
+    frames = inspect.getinnerframes(trace) if trace is not None else []
+    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
+
+
+def not_held(context: Context, known: Failure | None) -> list[Failure]:
+    """A robot that should be held and is not is an error of a run that knows of no other."""
+    held = context.held
+    if known is not None or held is None or held.state != "NOT HELD" or not held.wanted:
+        return []
+    return [Failure("NotHeld", held.why, "closing the bench", EXIT_DEVICE)]
+
+
+def conclude(
+    proc: Procedure,
+    context: Context,
+    declared: tuple[Measurement, ...],
+    error: Failure | None,
+    late: list[Failure],
+    facts: dict[str, Any],
+) -> Result:
+    """The verdict: an abort or an error before everything, else the worst measurement.
+
+    Args:
+        proc: the procedure.
+        context: as the body left it.
+        declared: what should have been measured.
+        error: what ended the body early.
+        late: errors of teardown.
+        facts: further entries of `result.json`.
+    """
+    rows = judge(declared, context.findings.values, context.findings.measured_in, error is None)
+    verdict = worst(Verdict(r["outcome"]) for r in rows if r["outcome"] != "NOT MEASURED")
+    if late:
+        verdict = Verdict.ERROR
+    if error is not None:
+        verdict = Verdict.ABORTED if error.exit_code == EXIT_ABORTED else Verdict.ERROR
+    return Result(proc.name, verdict, context.folder, rows, facts, error, tuple(late))
+
+
+def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: float) -> dict[str, Any]:
+    """What `result.json` tells beside verdict and measurements.
+
+    Args:
+        proc: the procedure.
+        context: as the body left it.
+        past: the interrupted run that this one goes on with.
+        wall_s: how long the body and the teardown took, in s.
+    """
+    from hil.vocabulary.versions import versions
+
+    findings, source = context.findings, context.source
+    return {
+        "summary": proc.summary,
+        "headline": proc.said(findings.values),
+        "bench": source.config.name,
+        "emulated": list(source.config.emulated()),
+        "virtual_time": source.virtual,
+        "parameters": as_dict(context.parameters),
+        **source.header(),
+        "versions": versions(),
+        "git_revision": git_revision(Path(inspect.getsourcefile(proc.body) or ".").resolve().parent),
+        "started": context.started,
+        "duration_s": wall_s,
+        "bench_duration_s": context.guard.driven_s,
+        "resumed": 0 if past is None else past.resumed + 1,
+        "steps": findings.steps,
+        "tables": findings.tables,
+        "figures": findings.figures,
+        "attachments": findings.attachments,
+        "recordings": (past.recordings if past else []) + findings.recordings,
+        "data": findings.data,
+        "notes": findings.notes,
+        "held": _held(context),
+    }
+
+
+def _held(context: Context) -> dict[str, object]:
+    if context.held is not None:
+        return context.held.to_json()
+    return untouched("no device was opened: the robot is as it was before").to_json()
