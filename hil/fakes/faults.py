@@ -251,6 +251,11 @@ class DeviceFaults:
         fault = self.find("slow", t_ns)
         return 1.0 if fault is None else fault.slowness
 
+    def lateness_ns(self, t_ns: int) -> int:
+        """By how much later what the device says is heard."""
+        fault = self.find("delayed", t_ns)
+        return 0 if fault is None else fault.delay_ns()
+
     def _hit(self, kind: str, t_ns: int) -> bool:
         fault = self.find(kind, t_ns)
         return fault is not None and fault.strikes(self._rng)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.procedure.driven_rows import DrivenRows
+from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
 
@@ -13,38 +14,26 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _EVERY_NS = nanoseconds(0.1)
-_MOST = 4096
 CAPTION = (
     "The smaller of what load cells and fan say, what holds the robot at its heading, and the friction that "
     "the most loaded wheel uses. Benches that were opened one after the other follow each other."
 )
-
-Row = tuple[float, float, float, float]
 
 
 class HoldHistory(Sink):
     """Takes force, need and the most friction in use, ten times a second, from bench after bench."""
 
     def __init__(self) -> None:
-        self._rows: list[Row] = []
-        self._next_ns = self._last_ns = 0
-        self._driven_s = 0.0
-        self._thin = 1
+        self._driven = DrivenRows(_EVERY_NS)
 
     def write(self, record: CycleRecord) -> None:
         """Take one record."""
         figures, t_ns = record.state.diagnostics, record.inputs.t_ns
-        if t_ns < self._last_ns:
-            self._next_ns = t_ns
-        if t_ns < self._next_ns or "adhesion_n" not in figures:
+        self._driven.begin_anew(t_ns)
+        if not self._driven.is_due(t_ns) or "adhesion_n" not in figures:
             return
-        step_s = min(max(t_ns - self._last_ns, 0), 2 * self._thin * _EVERY_NS) / NS_PER_S
-        self._driven_s += step_s
-        self._last_ns, self._next_ns = t_ns, t_ns + self._thin * _EVERY_NS
         used = max((v for k, v in figures.items() if k.startswith("utilisation_")), default=math.nan)
-        self._rows.append((self._driven_s, figures["adhesion_n"], figures["adhesion_needed_n"], used))
-        if len(self._rows) > _MOST:
-            self._rows, self._thin = self._rows[::2], 2 * self._thin
+        self._driven.add(t_ns, figures["adhesion_n"], figures["adhesion_needed_n"], used)
 
     def close(self) -> None:
         """Nothing to let go of; the next bench goes on."""
@@ -53,9 +42,9 @@ class HoldHistory(Sink):
         """Force and need, and friction in use, over the time driven; None where nobody measured."""
         from hil.report.run_plots import SERIES, legend, new_figure, style
 
-        if len(self._rows) < 2:
+        if len(self._driven.rows) < 2:
             return None
-        t_s, force_n, needed_n, used = zip(*self._rows, strict=True)
+        t_s, force_n, needed_n, used = zip(*self._driven.rows, strict=True)
         figure = new_figure(5.2, 3.4)
         axes = style(figure.add_subplot(2, 1, 1), "", "force (N)")
         axes.plot(t_s, force_n, color=SERIES[0], lw=1.3, label="measured")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hil.vocabulary.clock import NS_PER_S, nanoseconds
+from hil.procedure.driven_rows import DrivenRows
+from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
@@ -16,15 +17,12 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _EVERY_NS = nanoseconds(0.05)
-_MOST = 4096
 _DRIVEN_M = 0.01
 _NOWHERE = (math.nan, math.nan)
 CAPTION = (
     "Above: where the robot was meant to be, where the estimate had it, and where it was. Below: how far "
     "two of them are apart. Benches that were opened one after the other follow each other."
 )
-
-Row = tuple[float, float, float, float, float, float, float]
 
 
 class PathHistory(Sink):
@@ -34,26 +32,18 @@ class PathHistory(Sink):
     """
 
     def __init__(self) -> None:
-        self._rows: list[Row] = []
-        self._next_ns = self._last_ns = 0
-        self._driven_s = 0.0
-        self._thin = 1
+        self._driven = DrivenRows(_EVERY_NS)
 
     def write(self, record: CycleRecord) -> None:
         """Take one record."""
         t_ns = record.inputs.t_ns
-        if t_ns < self._last_ns:
-            self._rows.append((self._driven_s, *_NOWHERE, *_NOWHERE, *_NOWHERE))
-            self._next_ns = t_ns
-        if t_ns < self._next_ns:
+        if self._driven.begin_anew(t_ns):
+            self._driven.interrupt(*_NOWHERE, *_NOWHERE, *_NOWHERE)
+        if not self._driven.is_due(t_ns):
             return
-        self._driven_s += min(max(t_ns - self._last_ns, 0), 2 * self._thin * _EVERY_NS) / NS_PER_S
-        self._last_ns, self._next_ns = t_ns, t_ns + self._thin * _EVERY_NS
         reference = _NOWHERE if record.reference is None else _position(record.reference.pose_in_wall)
         estimate = _position(record.state.pose_body_in_wall)
-        self._rows.append((self._driven_s, *reference, *estimate, *_true_position(record)))
-        if len(self._rows) > _MOST:
-            self._rows, self._thin = self._rows[::2], 2 * self._thin
+        self._driven.add(t_ns, *reference, *estimate, *_true_position(record))
 
     def close(self) -> None:
         """Nothing to let go of; the next bench goes on."""
@@ -62,9 +52,9 @@ class PathHistory(Sink):
         """Paths in the wall, and their distances over the time driven; None where nothing was driven."""
         from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style
 
-        if len(self._rows) < 2:
+        if len(self._driven.rows) < 2:
             return None
-        rows = np.array(self._rows)
+        rows = np.array(self._driven.rows)
         paths = {"reference": rows[:, 1:3], "estimate": rows[:, 3:5], "truth": rows[:, 5:7]}
         paths = {name: path for name, path in paths.items() if np.isfinite(path).any()}
         if max(float(np.nanmax(np.ptp(path[np.isfinite(path[:, 0])], axis=0))) for path in paths.values()) < (

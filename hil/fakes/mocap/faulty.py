@@ -66,11 +66,6 @@ class MocapFaults(DeviceFaults):
         fault = self.find("intermittent", t_ns)
         return fault is not None and bool(fault.option("occlude", 0.0)) and fault.interrupts(t_ns)
 
-    def delay_ns(self, t_ns: int) -> int:
-        """Extra time on the network."""
-        fault = self.find("delayed", t_ns)
-        return 0 if fault is None else fault.delay_ns()
-
     def distort(self, bodies: Bodies, t_ns: int) -> Bodies:
         """The bodies as the server takes them to be."""
         other, body = bodies

@@ -224,7 +224,7 @@ class NatNetServer(Scheduled):
             outlet.deliver(ready_ns, packet, destination)
         elif not faults.cut_off(t_ns):
             for data in faults.spoil(packet, t_ns):
-                outlet.deliver(ready_ns + faults.delay_ns(t_ns), data, destination)
+                outlet.deliver(ready_ns + faults.lateness_ns(t_ns), data, destination)
 
     def _answer(self, kind: int, payload: bytes, client: Address, outlet: Outlet, t_ns: int) -> bytes:
         known = self._clients.get(client)

@@ -5,9 +5,7 @@ The datagrams are laid out in `hil.config.tracker`; the driver's `FeedPipeline` 
 
 from __future__ import annotations
 
-import contextlib
 import json
-import socket
 
 from hil.config.tracker import (
     FEED_HEAD,
@@ -22,10 +20,9 @@ from hil.config.tracker import (
     POSE_RECORD,
     WHEELS_RECORD,
 )
-from hil.fakes.server import Face
+from hil.fakes.datagram_face import DatagramFace
 from hil.fakes.tracker.frames import PoseFrame
 from hil.fakes.tracker.t265 import T265
-from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import DeviceError
 
@@ -37,7 +34,7 @@ _HEAD_WHEELS = FEED_HEAD.pack(FEED_MAGIC, FEED_WHEELS)
 _HEAD_LEAVE = FEED_HEAD.pack(FEED_MAGIC, FEED_LEAVE)
 
 
-class TrackerFace(Face):
+class TrackerFace(DatagramFace):
     """One camera on one UDP port.
 
     Args:
@@ -55,11 +52,9 @@ class TrackerFace(Face):
         self._camera = camera
         self._clients: dict[tuple[str, int], int] = {}
         self.strange = 0
-        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, port))
+            super().__init__(host, port)
         except OSError as error:
-            self._socket.close()
             raise DeviceError(
                 camera.name,
                 f"the emulated camera cannot be served ({error})",
@@ -67,28 +62,13 @@ class TrackerFace(Face):
                 expected="a free UDP port",
                 remedy="choose another one",
             ) from None
-        self._socket.setblocking(False)
-        self._host, self._port = self._socket.getsockname()[:2]
-
-    def next_due_ns(self) -> int:
-        """Nothing is planned here: the camera's poses are passed on as they arrive."""
-        return NEVER_NS
-
-    def on_due(self, t_ns: int) -> None:
-        """Nothing is ever due."""
-
-    def filenos(self) -> list[int]:
-        """The socket, while open."""
-        return [] if self._socket is None else [self._socket.fileno()]
 
     def on_readable(self, fd: int, t_ns: int) -> None:
         """Take one request: subscribe (answered with the camera's identity) or leave."""
-        if self._socket is None:
+        taken = self.receive(_LARGEST)
+        if taken is None:
             return
-        try:
-            data, client = self._socket.recvfrom(_LARGEST)
-        except OSError:
-            return
+        data, client = taken
         if data == _HEAD_LEAVE:
             self._forget(client)
         elif data == _HEAD_SUBSCRIBE:
@@ -114,15 +94,13 @@ class TrackerFace(Face):
 
     def endpoint(self) -> dict[str, object]:
         """Address of the feed."""
-        return {"host": self._host, "port": self._port, "serial": self._camera.serial}
+        return {"host": self.host, "port": self.port, "serial": self._camera.serial}
 
     def close(self) -> None:
         """Stop streaming. Idempotent."""
         self._camera.stop_stream(self._pass_on)
         self._clients.clear()
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        super().close()
 
     def _subscribe(self, client: tuple[str, int], t_ns: int) -> None:
         if client not in self._clients and not self._camera.streams_to(self._pass_on):
@@ -133,7 +111,7 @@ class TrackerFace(Face):
         self._clients[client] = t_ns
         texts = (self._camera.model, self._camera.serial, self._camera.firmware)
         record = INFO_RECORD.pack(FEED_MAGIC, FEED_INFO, *(text.encode()[:32] for text in texts))
-        self._send(record, client)
+        self.transmit(record, client)
 
     def _pass_on(self, frame: PoseFrame) -> None:
         pose = frame.pose
@@ -153,15 +131,10 @@ class TrackerFace(Face):
             if now_ns - seen_ns > _FORGET_NS:
                 self._forget(client)
             else:
-                self._send(record, client)
+                self.transmit(record, client)
 
     def _forget(self, client: tuple[str, int]) -> None:
         """A camera without clients rests."""
         self._clients.pop(client, None)
         if not self._clients:
             self._camera.stop_stream(self._pass_on)
-
-    def _send(self, data: bytes, client: tuple[str, int]) -> None:
-        if self._socket is not None:
-            with contextlib.suppress(OSError):
-                self._socket.sendto(data, client)

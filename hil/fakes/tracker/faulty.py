@@ -66,11 +66,6 @@ class TrackerFaults(DeviceFaults):
         fault = self.find("intermittent", t_ns)
         return fault is not None and fault.interrupts(t_ns)
 
-    def delay_ns(self, t_ns: int) -> int:
-        """Extra latency."""
-        fault = self.find("delayed", t_ns)
-        return 0 if fault is None else fault.delay_ns()
-
     def jump_m(self, t_ns: int) -> float:
         """Distance of a jump that is due, once per fault."""
         fault = self.news("jump", t_ns)

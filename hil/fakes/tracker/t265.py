@@ -170,7 +170,7 @@ class T265(Scheduled):
         )
         late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter)
         if faults is not None:
-            late_ns += faults.delay_ns(t_ns)
+            late_ns += faults.lateness_ns(t_ns)
         self._arrived_ns = max(t_ns + late_ns, self._arrived_ns)
         for one in (frame,) if faults is None else faults.spoil(frame, t_ns):
             self._travelling.append((self._arrived_ns, one))

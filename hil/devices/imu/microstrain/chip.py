@@ -99,7 +99,7 @@ class MicrostrainChip(SerialChip):
         if self._power(t_ns) or self.commands.idle:
             return []
         data = self._faults.spoil(self._measured(tick, t_ns), t_ns)
-        ready_ns = t_ns + nanoseconds(self._options.processing_s) + self._faults.delay_ns(t_ns)
+        ready_ns = t_ns + nanoseconds(self._options.processing_s) + self._faults.lateness_ns(t_ns)
         return [Reply(ready_ns, data)] if data else []
 
     def _boot(self, t_ns: int) -> None:

@@ -48,11 +48,6 @@ class MicrostrainFaults(InertialFaults):
         x, y, z = fused.rate
         return dataclasses.replace(fused, rate=(x + extra, y + extra, z + extra))
 
-    def delay_ns(self, t_ns: int) -> int:
-        """By how much data come later."""
-        fault = self.find("delayed", t_ns)
-        return 0 if fault is None else fault.delay_ns()
-
     def spoil(self, data: bytes, t_ns: int) -> bytes:
         """Bytes as they leave the sensor, and as a client at the wrong baud rate hears them."""
         if self.none or not data:

@@ -173,7 +173,7 @@ class VisualInertialComputer(Scheduled):
             resets=self._resets,
             quality=self._quality(body, t_ns) if options.sends_quality else _UNKNOWN_QUALITY,
         )
-        late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter) + faults.delay_ns(t_ns)
+        late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter) + faults.lateness_ns(t_ns)
         self._left_ns = max(t_ns + late_ns, self._left_ns)
         if not faults.none:
             estimate = faults.distort(estimate, t_ns)

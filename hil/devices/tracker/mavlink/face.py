@@ -6,12 +6,9 @@ has spoken to it in the last seconds.
 
 from __future__ import annotations
 
-import contextlib
-import socket
-
 from hil.devices.tracker.mavlink.computer import Outlet, VisualInertialComputer
 from hil.devices.tracker.mavlink.wire import Address
-from hil.fakes.server import Face
+from hil.fakes.datagram_face import DatagramFace
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import DeviceError
@@ -31,7 +28,7 @@ class _Client(Outlet):
         self._face.send(packet, self, t_ns)
 
 
-class MavlinkFace(Face):
+class MavlinkFace(DatagramFace):
     """One computer on one UDP socket.
 
     Args:
@@ -53,11 +50,9 @@ class MavlinkFace(Face):
     ) -> None:
         self._computer = computer
         self._clients: dict[Address, _Client] = {}
-        self._socket: socket.socket | None = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, port))
+            super().__init__(host, port)
         except OSError as error:
-            self._socket.close()
             raise DeviceError(
                 computer.name,
                 f"the emulated computer cannot be served ({error.strerror or error})",
@@ -65,30 +60,15 @@ class MavlinkFace(Face):
                 expected="a local IPv4 address and a free UDP port",
                 remedy="choose another one",
             ) from None
-        self._socket.setblocking(False)
-        self._host, self._port = self._socket.getsockname()[:2]
         if target is not None:
             self._client(target, NEVER_NS)
 
-    def next_due_ns(self) -> int:
-        """Nothing is planned here: packets are passed on as they leave the computer."""
-        return NEVER_NS
-
-    def on_due(self, t_ns: int) -> None:
-        """Nothing is ever due."""
-
-    def filenos(self) -> list[int]:
-        """The socket, while open."""
-        return [] if self._socket is None else [self._socket.fileno()]
-
     def on_readable(self, fd: int, t_ns: int) -> None:
         """Take one datagram; whoever sends it is a listener from now on."""
-        if self._socket is None:
+        taken = self.receive(_LARGEST)
+        if taken is None:
             return
-        try:
-            data, address = self._socket.recvfrom(_LARGEST)
-        except OSError:
-            return
+        data, address = taken
         if not self._computer.faults.cut_off(t_ns):
             self._computer.hear(data, t_ns, self._client(address, t_ns))
 
@@ -98,23 +78,19 @@ class MavlinkFace(Face):
             self._forget(client)
             return
         for data in self._computer.faults.spoil(packet, t_ns):
-            if self._socket is not None:
-                with contextlib.suppress(OSError):
-                    self._socket.sendto(data, client.address)
+            self.transmit(data, client.address)
 
     def endpoint(self) -> dict[str, object]:
         """How a client reaches the computer."""
         options = self._computer.options
         ids = {"system_id": options.system_id, "component_id": options.component_id}
-        return {"port": f"udpout:{self._host}:{self._port}", **ids}
+        return {"port": f"udpout:{self.host}:{self.port}", **ids}
 
     def close(self) -> None:
         """Stop serving. Idempotent."""
         for client in tuple(self._clients.values()):
             self._forget(client)
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        super().close()
 
     def _client(self, address: Address, t_ns: int) -> _Client:
         client = self._clients.get(address)

@@ -64,11 +64,6 @@ class ComputerFaults(DeviceFaults):
         """Whether nothing gets in or out."""
         return self.find("unplug", t_ns) is not None
 
-    def delay_ns(self, t_ns: int) -> int:
-        """Extra time before a pose leaves."""
-        fault = self.find("delayed", t_ns)
-        return 0 if fault is None else fault.delay_ns()
-
     def jump(self, t_ns: int) -> tuple[float, bool]:
         """Distance of a jump that is due, once per fault, and whether the reset count tells of it."""
         fault = self.news("jump", t_ns)
