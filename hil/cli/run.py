@@ -183,6 +183,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 def text_of(result: Result) -> str:
     """What ended it first, then what was measured, and the verdict."""
     from hil.bench.holding import held_in_words
+    from hil.procedure.measurements import Verdict
     from hil.report.run_words import sentence
 
     lines = []
@@ -196,6 +197,8 @@ def text_of(result: Result) -> str:
         lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
+    if result.verdict is not Verdict.PASS:
+        lines += [f"note: {note}" for note in result.facts["notes"]]
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, in {result.error.step!r}." if result.error else sentence(result.to_json())
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())

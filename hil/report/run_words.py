@@ -34,6 +34,13 @@ def _limits(rows: Sequence[Mapping[str, Any]], *, told: bool) -> str:
     judged = [r for r in rows if r["low"] is not None or r["high"] is not None]
     judged = [r for r in judged if r["value"] is not None or r["outcome"] == "FAIL"]
     failed = [r for r in judged if r["outcome"] == "FAIL"]
+    measured = [r for r in failed if r["value"] is not None]
+    if measured and len(measured) < len(failed):
+        missing = len(failed) - len(measured)
+        return (
+            f"{_of(measured, judged, 'failed')}: {_named(measured)}. "
+            f"What comes after that was not measured: {missing} more."
+        )
     near = [r for r in judged if r["outcome"] == "MARGINAL"]
     if failed:
         return f"{_of(failed, judged, 'failed')}: {_named(failed)}."

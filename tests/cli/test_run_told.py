@@ -11,7 +11,11 @@ def lines_of(tmp_path, values, error):
     declared = [Measurement(f"m{k}", "m", high=1.0) for k in range(33)]
     rows = judge(declared, values, {}, error is None)
     verdict = Verdict.PASS if error is None else Verdict.ERROR
-    return text_of(Result("bring_up", verdict, tmp_path, rows, {"held": HELD}, error)).splitlines()
+    facts = {"held": HELD, "notes": ["This computer was late itself."]}
+    told = text_of(Result("bring_up", verdict, tmp_path, rows, facts, error)).splitlines()
+    notes = [line for line in told if line.startswith("note: ")]
+    assert notes == ["note: This computer was late itself."] * (error is not None)
+    return [line for line in told if line not in notes]
 
 
 def test_the_reason_comes_first_and_what_was_not_measured_is_one_line(tmp_path):

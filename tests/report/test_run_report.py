@@ -90,6 +90,13 @@ def test_of_many_limits_those_nearest_to_theirs_are_told():
     )
 
 
+def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
+    gap, more = Measurement("gap_width", "m", high=0.005), Measurement("after", "m", high=1.0)
+    assert said_of([gap, more], {"gap_width": 0.006}) == (
+        "1 of 2 limits failed: gap width 6 mm, at most 5 mm. What comes after that was not measured: 1 more."
+    )
+
+
 class Page(HTMLParser):
     def __init__(self, text):
         super().__init__()

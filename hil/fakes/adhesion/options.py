@@ -21,7 +21,7 @@ class AdhesionTruthOptions:
             time, tethered at the wire, where nobody knows when a client comes.
         timeout_s: without a `SET_*` for so long the motor is released; 0 never.
         rate_1_hz, rate_2_hz: two rates of status messages.
-        messages_1, messages_2: which of 1 to 6 go out at each rate; none as delivered.
+        messages_1, messages_2: which status messages (1 to 6) go out at each rate; as delivered none: `[]`.
         firmware: version that it reports.
         twins: further controllers of the same id on the bus.
         pack_v: voltage of the battery at no load.
@@ -40,8 +40,8 @@ class AdhesionTruthOptions:
     timeout_s: float = 1.0
     rate_1_hz: Rate = 50.0
     rate_2_hz: Rate = 5.0
-    messages_1: tuple[int, ...] = ()
-    messages_2: tuple[int, ...] = ()
+    messages_1: tuple[int, ...] = (1,)
+    messages_2: tuple[int, ...] = (4, 5)
     firmware: str = "6.05"
     twins: int = 0
     pack_v: float = 23.4

@@ -19,15 +19,13 @@ PROPELLER_FAULTS: Supported = {kind: opts for kind, opts in FAN_FAULTS.items() i
 
 @dataclass(frozen=True)
 class VescThrustTruthOptions(AdhesionTruthOptions):
-    """As of the fan's VESC, with status messages as a commissioned one sends them.
+    """As of the fan's VESC.
 
     Attributes:
         rated_input_a: battery current of each controller at full speed.
         rpm_per_v: of the motors, unloaded.
     """
 
-    messages_1: tuple[int, ...] = (1,)
-    messages_2: tuple[int, ...] = (4, 5)
     spin_up_s: float = 0.1
     spin_down_s: float = 0.3
     rated_input_a: float = 10.0
