@@ -1,44 +1,16 @@
 """Every fault of servos and line ends as data with a status, a repair, or a named device error."""
 
-import contextlib
-
 import numpy as np
 import pytest
 from servo_client import Client
+from servo_cycles import CYCLE_NS, ROLLING, SECOND, STILL, between, cycles, statuses
 from servo_wire import Wire
 
 from hil.fakes.faults import parse_fault
 from hil.fakes.serial_line import LINE_FAULTS
 from hil.fakes.servos import BUS_FAULTS, SERVO_FAULTS
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError, UsageError
-from hil.vocabulary.signals import ServoSetpoint, Status
-
-SECOND = 1_000_000_000
-CYCLE_NS = 10_000_000
-ROLLING = ServoSetpoint(np.array([1.0, -1.0, 2.0, 0.5]), np.array([0.2, -0.2, 0.1, 0.0]))
-STILL = ServoSetpoint(np.zeros(4), np.zeros(4))
-
-
-def cycles(bench, until_s, setpoint=None):
-    """Read (and command) at 100 Hz until a bench time; all samples."""
-    samples, t_ns = [], bench.clock.now_ns()
-    while t_ns < until_s * SECOND:
-        (sample,) = bench.driver.read()
-        samples.append(sample)
-        bench.driver.read_health()
-        if setpoint is not None:
-            bench.driver.command(setpoint)
-        t_ns = max(t_ns + CYCLE_NS, bench.clock.now_ns())
-        bench.clock.sleep_until_ns(t_ns)
-    return samples
-
-
-def statuses(samples, joint):
-    return {s.status[joint] for s in samples}
-
-
-def between(samples, start_s, end_s):
-    return [s for s in samples if start_s * SECOND <= s.stamp.t_ns < end_s * SECOND]
+from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.signals import Status
 
 
 def test_all_faults_of_this_file_are_the_supported_ones():
@@ -310,146 +282,3 @@ def test_the_bits_of_an_alert_stay_unknown_where_nobody_tells_them(servo_bench):
     seen = {s.alert[2] for s in cycles(bench, 3.9) if s.status[2] is Status.HARDWARE_ERROR}
     assert seen <= {0x20, 0x80}
     assert seen
-
-
-def test_servos_that_fall_silent_for_good_while_torque_comes_on_are_told(servo_bench):
-    reference = servo_bench()
-    began = reference.clock.now_ns()
-    reference.driver.read()
-    read_ns = reference.clock.now_ns() - began
-    reference.line.close()
-    at_s = (began + read_ns + 200_000) * 1e-9
-    bench = servo_bench(f"servos:drop@{at_s:.7f},probability=1")
-    with pytest.raises(DeviceError, match="cannot be enabled: drive_FL timeout") as caught:
-        bench.driver.enable()
-    assert "power" in caught.value.remedy
-    assert bench.clock.now_ns() * 1e-9 - at_s < 2.0
-
-
-def test_enabling_needs_all_eight(servo_bench):
-    bench = servo_bench("servo.6:off@1")
-    bench.clock.sleep_until_ns(SECOND)
-    with pytest.raises(DeviceTimeoutError, match="cannot be enabled: steer_BL timeout"):
-        bench.driver.enable()
-    hold = bench.driver.look_after()
-    assert set(hold.trouble) == {"steer_BL"}
-    assert [s.torque for s in bench.bus.servos] == [j != 5 for j in range(8)]
-
-
-def test_torque_that_does_not_go_off_is_told(servo_bench):
-    bench = servo_bench()
-    said = set()
-    for _ in range(40):
-        bench.driver.enable()
-        bench.world.faults.add(parse_fault("servos:drop,probability=0.6"))
-        try:
-            bench.driver.release()
-        except DeviceError as error:
-            said.add(error.message)
-        bench.world.faults.clear()
-    assert any("torque is not off: drive_FL, drive_BL" in text for text in said)
-    assert any(" (no answer)" in text for text in said)
-    assert any("torque is not off: nobody answers" in text for text in said)
-
-
-def test_release_lets_go_and_stop_holds(servo_bench):
-    bench = servo_bench()
-    bench.driver.enable()
-    cycles(bench, 1, ROLLING)
-    bench.driver.stop()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 400_000_000)
-    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
-    np.testing.assert_allclose(bench.plant.position[4:], ROLLING.steer_position_rad, atol=0.01)
-    assert all(s.torque for s in bench.bus.servos)
-    bench.driver.release()
-    assert not any(s.torque for s in bench.bus.servos)
-    assert {c.mode for c in bench.plant.commands} == {"off"}
-
-
-def test_closing_rests_the_wheels_and_keeps_the_robot_held(servo_bench):
-    bench = servo_bench()
-    bench.driver.enable()
-    cycles(bench, 1, ROLLING)
-    bench.driver.close()
-    bench.clock.sleep_until_ns(bench.clock.now_ns() + 500_000_000)
-    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
-    assert all(s.torque for s in bench.bus.servos)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_goals_that_are_no_numbers_are_refused(servo_bench, value):
-    bench = servo_bench()
-    bench.driver.enable()
-    for setpoint in (
-        ServoSetpoint(np.full(4, value), np.zeros(4)),
-        ServoSetpoint(np.zeros(4), np.full(4, np.nan)),
-    ):
-        with pytest.raises(UsageError, match="not finite"):
-            bench.driver.command(setpoint)
-
-
-def test_goals_are_clipped_to_bench_and_servo(servo_bench):
-    bench = servo_bench(
-        eeprom={0: {"velocity_limit": 100}, 4: {"max_position_limit": 2500}}, config={"steer_limit_rad": 1.0}
-    )
-    bench.driver.enable()
-    last = cycles(bench, 1, ServoSetpoint(np.array([9.0, 9.0, -9.0, 4.0]), np.array([2.0, 2.0, -2.0, 0.5])))[
-        -1
-    ]
-    np.testing.assert_allclose(last.velocity_rad_s[:4], [2.397, 4.89, -4.89, 4.0], atol=0.05)
-    np.testing.assert_allclose(last.position_rad[4:], [0.693, 1.0, -1.0, 0.5], atol=0.01)
-
-
-def test_a_killed_program_leaves_a_held_robot(servo_bench):
-    bench = servo_bench()
-    bench.driver.enable()
-    cycles(bench, 1, ROLLING)
-    assert bench.plant.velocity[0] > 0.9
-    bench.world.advance_to(bench.clock.now_ns() + SECOND)
-    np.testing.assert_allclose(bench.plant.velocity, 0.0, atol=0.01)
-    assert all(s.torque and s.tripped for s in bench.bus.servos)
-
-
-def test_without_a_watchdog_a_wheel_goes_on(servo_bench):
-    bench = servo_bench(config={"watchdog_s": 0.0})
-    bench.driver.enable()
-    cycles(bench, 1, ROLLING)
-    bench.world.advance_to(bench.clock.now_ns() + SECOND)
-    assert bench.plant.velocity[0] > 0.9
-
-
-def test_positions_survive_the_wrap_of_the_register(servo_bench):
-    """A drive that has turned for days: the 32-bit register wraps, the position goes on."""
-    bench = servo_bench()
-    bench.driver.enable()
-    near = (2**31 - 2500) * 2 * np.pi / 4096
-    bench.plant.position[0] += near
-    first = cycles(bench, bench.clock.now_ns() / SECOND + 0.3, STILL)[-1].position_rad[0]
-    samples = cycles(bench, bench.clock.now_ns() / SECOND + 2.5, ServoSetpoint(np.full(4, 3.0), np.zeros(4)))
-    positions = np.array([s.position_rad[0] for s in samples])
-    good = np.isfinite(positions)
-    assert good.mean() > 0.95
-    assert positions[good][-1] - first == pytest.approx(3.0 * 2.45, abs=0.3)
-    assert bench.bus.servos[0].present < -(2**31) + 10_000
-
-
-def test_the_same_seed_gives_the_same_samples(servo_bench):
-    def run(seed):
-        bench = servo_bench("servos:corrupt@1,probability=0.05", seed=seed)
-        bench.driver.enable()
-        found = [(s.stamp, s.position_rad.tobytes(), s.status) for s in cycles(bench, 2, ROLLING)]
-        bench.line.close()
-        return found
-
-    assert run(1) == run(1)
-    assert run(1) != run(2)
-
-
-def test_an_error_leaves_the_driver_closable(servo_bench):
-    bench = servo_bench("servos:off@1")
-    bench.driver.enable()
-    with contextlib.suppress(DeviceError):
-        cycles(bench, 10)
-    bench.driver.stop()
-    bench.driver.close()
-    assert bench.driver.identity() == {}
