@@ -57,8 +57,8 @@ def test_a_client_that_knows_only_the_dbc_reads_the_fan():
         assert any(v == pytest.approx(node.fan.input_v, abs=0.1) for v in found.values())
 
 
-def test_status_messages_are_off_as_delivered():
-    with fan_world(start="off") as (_world, clock, _node, bus):
+def test_status_messages_can_be_off_as_delivered():
+    with fan_world(start="off", messages_1=(), messages_2=()) as (_world, clock, _node, bus):
         keep(bus, clock, 1.0)
         assert heard(bus) == []
 

@@ -100,7 +100,11 @@ def test_slow_reports_are_no_numbers_before_they_came(driver):
     [
         (ON, {"controller_id": 9}, r"no controller has the id 9; there: 1.*set adhesion.controller_id to 1"),
         ({**ON, "twins": 1}, {}, r"2 controllers have the id 1.*an id of its own in VESC Tool"),
-        ({"start": "off"}, {}, r"sends no status message.*switch on messages 1, 4 and 5 in VESC Tool"),
+        (
+            {"start": "off", "messages_1": (), "messages_2": ()},
+            {},
+            r"sends no status message.*switch on messages 1, 4 and 5 in VESC Tool",
+        ),
         ({**ON, "timeout_s": 0.0}, {}, r"time-out is 0.*set 1000 ms in VESC Tool"),
         ({**ON, "timeout_s": 0.2}, {}, r"time-out of 0.2 s is too short.*set 1000 ms in VESC Tool"),
     ],
