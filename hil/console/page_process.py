@@ -21,7 +21,8 @@ from hil.console.stop_process import asset
 from hil.console.stopping import finish
 from hil.console.web import NAMES, Refused, Reply, Request, Route, as_json
 from hil.report.history.choice import chosen, named
-from hil.report.history.found import CAMPAIGN, COMMISSIONING, RUN, find_results
+from hil.report.history.found import find_results
+from hil.report.history.opening import PAGES as RESULT_PAGES
 from hil.report.history.opening import page_of
 from hil.vocabulary.errors import DataError, HilError
 from hil.vocabulary.kinds import kinds
@@ -41,7 +42,6 @@ _KINDS = {
     ".jsonl": "text/plain; charset=utf-8",
 }  # fmt: skip
 
-_WITH_PAGE = (RUN, CAMPAIGN, COMMISSIONING)
 _PLACES = ("port", "channel", "server", "address", "serial")
 """Keys of the bench file that say where a device is."""
 
@@ -185,7 +185,7 @@ class PageProcess:
              "when": f"{k.when.astimezone():%Y-%m-%d %H:%M}",
              "bench": f"{k.bench} ({k.where})" if k.where else k.bench, "verdict": k.verdict,
              "why": (k.result.get("error") or {}).get("message") or k.why,
-             "link": f"{RESULTS}{quote(k.name)}" if k.kind in _WITH_PAGE else None}
+             "link": f"{RESULTS}{quote(k.name)}" if k.kind in RESULT_PAGES else None}
             for k in found[:_MOST_RESULTS]
         ]  # fmt: skip
         return as_json({"found": len(found), "results": rows})

@@ -128,6 +128,17 @@ def test_a_sick_device_fails_with_its_name_and_what_to_do(
     assert not stages(told)["motion"]["findings"]
 
 
+def test_its_result_is_listed_and_opened_as_any_other(hil, bench, tmp_path, capsys):
+    hil("--bench", bench('[imu]\nbackend = "emulated"'), "--fault", "imu:off")
+    assert main(["results", "list", "--in", str(tmp_path), "--json"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["results"]
+    assert (row["kind"], row["bench"], row["where"], row["verdict"]) == (
+        "acceptance", "lab", "emulated", "FAIL",
+    )  # fmt: skip
+    assert main(["results", "open", "--in", str(tmp_path), "--no-browser", "out"]) == 0
+    assert capsys.readouterr().out.strip() == str(tmp_path / "out" / "accept.html")
+
+
 def test_when_no_device_answers_each_is_named_and_nothing_else_is_tried(hil, bench):
     path = bench(SERVOS, '[imu]\nbackend = "emulated"')
     code, told = hil("--bench", path, "--fault", "servos:off", "--fault", "imu:off")

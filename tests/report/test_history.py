@@ -14,6 +14,7 @@ from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, individuals_chart
 from hil.report.history.choice import chosen, named
 from hil.report.history.found import find_results
+from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.removal import delete, loss
 from hil.report.history.series import groups
@@ -62,6 +63,17 @@ def root(tmp_path):
         "gap/one/figures/page.html": "<title>an attachment</title>",
         "trial/plan.json": '{"schema": 1, "procedure": "gap"}',
         "trial/campaign.json": '{"procedure": "gap", "verdict": "FAIL", "cases": 2, "bench": "lab"}',
+        "accept/accept.json": json.dumps(
+            {
+                "verdict": "FAIL",
+                "bench": "lab",
+                "began": "2026-03-01T12:00:00+00:00",
+                "devices": {"imu": {"backend": "real"}},
+                "stages": [{"name": "doctor", "why": "1 of 4 checks failed (imu)"}],
+            }
+        ),
+        "accept/accept.html": "<title>FAIL: acceptance of lab</title>",
+        "signed/accept.json": '{"verdict": "PASS"}',
         "whole/commission.json": '{"options": {"bench": "lab"}, "done": {"gap": {"verdict": "FAIL"}}}',
     }.items():
         (out / name).parent.mkdir(parents=True, exist_ok=True)
@@ -76,7 +88,7 @@ def test_everything_is_shown_as_what_it_is(root):
     assert {name: k.kind for name, k in found.items()} == {
         "gap/one": "run", "trial": "campaign", "trial/runs/seed_0": "run", "whole": "commissioning",
         "struck/cut": "unfinished", "newer": "foreign", "torn": "foreign", "list": "foreign",
-        "other": "foreign", "page": "foreign", "junk": "foreign",
+        "other": "foreign", "page": "foreign", "junk": "foreign", "accept": "acceptance", "signed": "foreign",
     }  # fmt: skip
     one = found["gap/one"]
     assert (one.what, one.bench, one.where, one.verdict) == ("gap", "lab", "emulated", "PASS")
@@ -89,6 +101,16 @@ def test_everything_is_shown_as_what_it_is(root):
     assert "struck down" in found["struck/cut"].why
     assert (found["trial"].verdict, found["trial/runs/seed_0"].within) == ("FAIL", "trial")
     assert (found["whole"].verdict, found["whole"].why) == ("FAIL", "1 procedures, stopped at gap")
+
+
+def test_an_acceptance_is_listed_with_its_verdict_and_its_page_opens(root):
+    kept = named(find_results(root), "accept")
+    assert (kept.what, kept.bench, kept.where, kept.verdict) == ("acceptance", "lab", "hardware", "FAIL")
+    assert (kept.when, kept.why) == (
+        datetime(2026, 3, 1, 12, tzinfo=timezone.utc),
+        "doctor: 1 of 4 checks failed (imu)",
+    )
+    assert page_of(kept) == root / "accept" / "accept.html"
 
 
 def test_a_run_that_goes_on_is_known_by_the_lock_on_its_journal(root):
@@ -109,7 +131,7 @@ def test_a_folder_that_is_a_run_itself_does_not_hide_what_lies_below(root):
     [
         ({"procedure": "gap"}, {"gap/one", "trial"}),
         ({"procedure": "gap", "within": True}, {"gap/one", "trial", "trial/runs/seed_0"}),
-        ({"verdict": "fail"}, {"trial", "whole"}),
+        ({"verdict": "fail"}, {"accept", "trial", "whole"}),
         ({"words": ["lamp"]}, {"gap/one"}),
         ({"words": ["width", "lab"]}, {"gap/one"}),
         ({"words": ["no such word"]}, set()),

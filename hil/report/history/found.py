@@ -1,4 +1,4 @@
-"""Finds what a folder of results holds: runs, campaigns, commissionings, and what is none of these.
+"""Finds what a folder of results holds: runs, campaigns, commissionings, acceptances, and what is none.
 
 A folder of results may hold anything. Whatever cannot be read as a result is shown as what it is, with the
 reason: a run that did not finish, the result of another version, a page or a file from elsewhere.
@@ -21,9 +21,9 @@ from hil.vocabulary.errors import DataError
 from hil.vocabulary.reading import json_object, read_json
 
 JOURNAL = "journal.jsonl"
-RUN, CAMPAIGN, COMMISSIONING = "run", "campaign", "commissioning"
+RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE = "run", "campaign", "commissioning", "acceptance"
 UNFINISHED, FOREIGN = "unfinished", "foreign"
-OURS = (RUN, CAMPAIGN, COMMISSIONING, UNFINISHED)
+OURS = (RUN, CAMPAIGN, COMMISSIONING, ACCEPTANCE, UNFINISHED)
 """Kinds that `hil` itself has written, and may delete."""
 _DEEPEST = 8
 _MOST_LINE_BYTES = 4 << 20
@@ -37,7 +37,7 @@ class Kept:
     Attributes:
         folder: where it lies.
         name: that folder within the folder of results; what a user calls it.
-        kind: `run`, `campaign`, `commissioning`, `unfinished`, `foreign`.
+        kind: `run`, `campaign`, `commissioning`, `acceptance`, `unfinished`, `foreign`.
         what: name of the procedure; of a page its title.
         when: when it began; of what does not say so, when it was last changed.
         bench: name of the bench.
@@ -171,6 +171,22 @@ def _commissioning(folder: Path, name: str) -> Kept:
     )  # fmt: skip
 
 
+def _acceptance(folder: Path, name: str) -> Kept:
+    """What `hil accept` left: a page that is signed, and its data."""
+    tree, problem = _object(folder / "accept.json")
+    verdict, stages, devices = tree.get("verdict"), tree.get("stages"), tree.get("devices")
+    if problem or not (isinstance(verdict, str) and isinstance(stages, list) and isinstance(devices, dict)):
+        return _foreign(folder, name, "accept.json", problem or "accept.json is of no acceptance")
+    real = any(isinstance(d, dict) and d.get("backend") == "real" for d in devices.values())
+    whys = [f"{s.get('name')}: {s['why']}" for s in stages if isinstance(s, dict) and s.get("why")]
+    when = _moment(tree.get("began")) or _changed(folder / "accept.json")
+    return Kept(
+        folder, name, ACCEPTANCE, "acceptance", when,
+        bench=str(tree.get("bench", "")), where="hardware" if real else "emulated", verdict=verdict,
+        why="; ".join(whys),
+    )  # fmt: skip
+
+
 def _unfinished(folder: Path, name: str) -> Kept:
     """A run that was struck down before it could write its result."""
     path = folder / JOURNAL
@@ -202,6 +218,7 @@ _READERS: Mapping[str, Callable[[Path, str], Kept | None]] = {
     RESULT: _run,
     CAMPAIGN_TABLE: _campaign,
     "commission.json": _commissioning,
+    "accept.json": _acceptance,
     JOURNAL: _unfinished,
     "plan.json": _unfinished_campaign,
 }

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from hil.report.history.found import CAMPAIGN, COMMISSIONING, RUN, Kept
+from hil.report.history.found import ACCEPTANCE, CAMPAIGN, COMMISSIONING, RUN, Kept
 from hil.report.run_page import PAGE, write_run_page
 from hil.vocabulary.errors import DataError
 
-_NAMES = {RUN: PAGE, CAMPAIGN: "campaign.html", COMMISSIONING: "commission.html"}
+PAGES = {
+    RUN: PAGE,
+    CAMPAIGN: "campaign.html",
+    COMMISSIONING: "commission.html",
+    ACCEPTANCE: "accept.html",
+}
+"""File name of the page by the kind of a result; other kinds have none."""
 
 
 def page_of(kept: Kept) -> Path:
@@ -17,7 +23,7 @@ def page_of(kept: Kept) -> Path:
     Raises:
         DataError: it has none.
     """
-    page = kept.folder / _NAMES.get(kept.kind, "")
+    page = kept.folder / PAGES.get(kept.kind, "")
     if page.is_file():
         return page
     if kept.kind == RUN:
