@@ -189,7 +189,7 @@ def text_of(result: Result) -> str:
     lines = []
     for problem in (result.error, *result.teardown_errors):
         if problem is not None:
-            lines.append(f"{problem.kind} in {problem.step!r}: {problem.message}")
+            lines.append(f"{problem.kind} {problem.place}: {problem.message}")
     measured = [row for row in result.measurements if row["outcome"] != "NOT MEASURED"]
     for row in measured:
         value = "-" if row["value"] is None else f"{row['value']:.4g}"
@@ -200,7 +200,7 @@ def text_of(result: Result) -> str:
     if result.verdict is not Verdict.PASS:
         lines += [f"note: {note}" for note in result.facts["notes"]]
     lines.append(held_in_words(result.facts["held"]))
-    said = f"It ended early, in {result.error.step!r}." if result.error else sentence(result.to_json())
+    said = f"It ended early, {result.error.place}." if result.error else sentence(result.to_json())
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
     lines.append(f"results: {result.folder}")
     return "\n".join(lines)

@@ -20,19 +20,23 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
 
 
 def failure(problem: BaseException, context: Context, where: str = "") -> Failure:
-    """What ended a step, and the exit code that it asks for; `where` names it, else the step that failed."""
-    step = where or _failed_step(context)
+    """What ended a step, and the exit code that it asks for; `where` names it, else it is the last step."""
+    step, finished = (where, False) if where else _place(context)
     if isinstance(problem, HilError):
         code = EXIT_ABORTED if isinstance(problem, Aborted) else problem.exit_code
-        return Failure(type(problem).__name__, str(problem), step, code)
+        return Failure(type(problem).__name__, str(problem), step, code, finished)
     no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
     code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
-    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code)
+    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code, finished)
 
 
-def _failed_step(context: Context) -> str:
-    failed = [s["title"] for s in context.findings.steps if s["outcome"] == "failed"]
-    return failed[-1] if failed else context.where
+def _place(context: Context) -> tuple[str, bool]:
+    """The step that failed, else the last one, which was finished; `start` before the first."""
+    steps = context.findings.steps
+    failed = [s["title"] for s in steps if s["outcome"] == "failed"]
+    if failed:
+        return failed[-1], False
+    return (steps[-1]["title"], True) if steps else (context.where, False)
 
 
 def _origin(problem: BaseException) -> str:

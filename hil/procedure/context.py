@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from hil.bench.holding import Held
 
 STEP_LIMIT_S = 1800.0
+_GO_ON = "the steps that follow, and what they measure, are left out; --resume goes on with them"
 
 
 class Context(Notebook):
@@ -206,7 +207,7 @@ class Context(Notebook):
             Aborted: at its beginning or end, after SIGINT.
             StepTimeoutError: the loop ran longer than `timeout_s` within it.
         """
-        self._interrupts.finish_here()
+        self._interrupts.finish_here(f"before the step {title!r}", _GO_ON)
         entry: Entry = {"title": title, "depth": len(self._titles), "outcome": "failed"}
         self.findings.steps.append(entry)
         self._journal.add("step", {"title": title})
@@ -225,7 +226,7 @@ class Context(Notebook):
             with suppress(HilError):
                 self._journal.add("end_step", entry)
         self._report(title, 1, 1)
-        self._interrupts.finish_here()
+        self._interrupts.finish_here(f"after the step {title!r}, which was finished", _GO_ON)
 
     def checkpoint(self, title: str, function: Callable[[], Any], timeout_s: float = STEP_LIMIT_S) -> Any:
         """A step whose result is kept: a resumed run takes it from the journal instead of repeating it.

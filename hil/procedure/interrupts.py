@@ -37,10 +37,15 @@ class Interrupts:
         """Whether the run should end after the current step."""
         return self._asked > 0 or self._stop is not None
 
-    def finish_here(self) -> None:
-        """At a boundary between steps: raise `Aborted` if that was asked for."""
+    def finish_here(self, where: str = "between two steps", remedy: str = "") -> None:
+        """At a boundary between steps: raise `Aborted` if that was asked for.
+
+        Args:
+            where: that boundary, in words.
+            remedy: what to do then.
+        """
         if self.asked_to_finish:
-            raise Aborted(f"ended by {self._stop or 'SIGINT'} between two steps")
+            raise Aborted(f"ended by {self._stop or 'SIGINT'} {where}", remedy=remedy)
 
     def stopping(self) -> Aborted | None:
         """What to end a step with where an immediate stop was asked for; signals raise nothing any more."""

@@ -25,16 +25,30 @@ KEEPING = "keeping the results"
 
 @dataclass(frozen=True)
 class Failure:
-    """What went wrong, and where."""
+    """What went wrong, and where.
+
+    Attributes:
+        kind: name of the error.
+        message: what it says.
+        step: in which step, or after which.
+        exit_code: that it asks for.
+        finished: that step was finished: the run ended between it and the next.
+    """
 
     kind: str
     message: str
     step: str
     exit_code: int
+    finished: bool = False
 
     def to_json(self) -> dict[str, object]:
         """As in `result.json`."""
-        return {"type": self.kind, "message": self.message, "step": self.step}
+        return {"type": self.kind, "message": self.message, "step": self.step, "finished": self.finished}
+
+    @property
+    def place(self) -> str:
+        """Where it ended, for people: `in 'scan'`, `after 'scan'`."""
+        return f"{'after' if self.finished else 'in'} {self.step!r}"
 
 
 @dataclass(frozen=True)

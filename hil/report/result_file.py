@@ -33,6 +33,7 @@ class _Problem(_Part):
     type: str
     message: str
     step: str = ""
+    finished: bool = False
 
 
 class _Held(_Part):

@@ -25,7 +25,8 @@ def sentence(tree: Mapping[str, Any]) -> str:
         tree: of `result.json`.
     """
     if tree["error"]:
-        return f"The run ended early, in “{tree['error']['step']}”: {tree['error']['message']}"
+        where = "after" if tree["error"].get("finished") else "in"
+        return f"The run ended early, {where} “{tree['error']['step']}”: {tree['error']['message']}"
     own = str(tree.get("headline") or "")
     return f"{own} {_limits(tree['measurements'], told=bool(own))}".strip()
 

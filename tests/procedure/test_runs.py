@@ -9,9 +9,11 @@ from xml.etree import ElementTree
 
 import pytest
 
+from hil.cli.run import text_of
 from hil.procedure import Measurement, procedure
 from hil.procedure.interrupts import Interrupts, time_limit
 from hil.procedure.operator import Answers, Terminal
+from hil.report.run_page import write_run_page
 from hil.vocabulary.errors import Aborted, ConfigError, DeviceError, SafetyStop, UsageError
 
 LIMITS = (Measurement("good", "mm", high=10.0, rationale="because"), Measurement("seen", "s"))
@@ -192,7 +194,24 @@ def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signal
     assert (tree["verdict"], result.exit_code) == ("ABORTED", 4)
     assert ("finished the step" in tree["notes"]) == finished
     assert [s["title"] for s in tree["steps"]] == ["one", "two"]
+    assert (tree["error"]["step"], tree["error"]["finished"]) == ("two", finished)
+    if finished:
+        assert "after the step 'two', which was finished" in tree["error"]["message"]
+        assert "what they measure, are left out" in tree["error"]["message"]
+        assert "ABORTED: three_steps. It ended early, after 'two'." in text_of(result)
+        assert "after “two”" in write_run_page(result.folder).read_text()
     assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_what_fails_between_two_steps_is_told_after_the_last_of_them(run_small):
+    @procedure(name="torn")
+    def torn(ctx):
+        """Fails between its steps."""
+        with ctx.step("one"):
+            pass
+        raise ValueError("no lamp")
+
+    assert run_small(torn).error.place == "after 'one'"
 
 
 def test_a_closed_terminal_ends_nothing_under_nohup(run_small, tmp_path):
