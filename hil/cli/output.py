@@ -1,14 +1,17 @@
 """Standard output and standard error that may lose their reader: the command then ends, in order.
 
-Whoever reads may go (`| head`, a closed terminal, a full disk). What is written from then on goes nowhere;
-the command is asked to end as by SIGTERM where it takes that, so that a robot is held and results are
-complete, and with `Aborted` where it does not. The exit code is 4 either way.
+Whoever reads may go (`| head`, a closed terminal). What is written from then on goes nowhere. A command that
+takes SIGTERM, as those with a robot in hand do, is asked to end by it, and ends with 4 unless its verdict
+stood already. Any other goes on to its end, and its exit code is that of what it found: whether the reader
+left before the last line or after it makes no difference. Where the output cannot be kept for another reason
+(a full disk), the exit code is 4 always, with `Aborted` where the command takes no SIGTERM.
 
 Also what `--json` writes to it when a command ends in an error.
 """
 
 from __future__ import annotations
 
+import errno
 import io
 import os
 import signal
@@ -43,6 +46,7 @@ class _Raw(io.FileIO):
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor, "w", closefd=False)
         self.lost = ""
+        self.reader_gone = False
 
     def write(self, data: Any, /) -> int:
         """Write to whoever reads; see the module for what happens when that fails."""
@@ -50,9 +54,10 @@ class _Raw(io.FileIO):
             return super().write(data)
         except OSError as error:
             first, self.lost = not self.lost, error.strerror or str(error)
+            self.reader_gone = error.errno == errno.EPIPE
             _to_nowhere(self.fileno())
             if first:
-                _end_command(self.lost)
+                _end_command(self.lost, reader_gone=self.reader_gone)
             return len(data)
 
 
@@ -70,10 +75,10 @@ def unreadable() -> str:
     return f"the output cannot be written any more ({why})" if why else ""
 
 
-def _end_command(why: str) -> None:
+def _end_command(why: str, *, reader_gone: bool) -> None:
     if callable(signal.getsignal(signal.SIGTERM)):
         os.kill(os.getpid(), signal.SIGTERM)
-    elif threading.current_thread() is threading.main_thread():
+    elif not reader_gone and threading.current_thread() is threading.main_thread():
         raise Aborted(f"the output cannot be written any more ({why})")
 
 
@@ -95,13 +100,13 @@ class Output:
         sys.stdout, sys.stderr = (stream for stream, _ in self._streams)
 
     def finish(self) -> bool:
-        """Write what is still buffered; returns whether everything found its reader."""
+        """Write what is still buffered; returns whether nothing was lost to somebody who still reads."""
         for stream, _ in self._streams:
             try:
                 stream.flush()
             except (Aborted, OSError):
                 continue
-        return not any(raw.lost for _, raw in self._streams)
+        return not any(raw.lost and not raw.reader_gone for _, raw in self._streams)
 
 
 def _watched(stream: Any) -> tuple[io.TextIOWrapper, _Raw]:
