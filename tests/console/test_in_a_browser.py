@@ -134,6 +134,26 @@ def test_stop_works_when_the_process_of_the_page_is_dead(console, tmp_path):
         browser.close()
 
 
+def test_a_page_that_nobody_answers_any_more_says_so_and_nothing_of_stop(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        start(browser, console, "a procedure of your own", SCRIPT="asking.py")
+        browser.until("document.getElementById('now').innerText.includes('asks')")
+        console.kill()
+        browser.until("!document.getElementById('alone').hidden")
+        stop = [sys.executable, "-m", "hil", "console", "--stop"]
+        told = subprocess.run(stop, cwd=tmp_path, check=True, capture_output=True, text=True).stdout
+        assert "has ended" in told
+        browser.until("!document.getElementById('gone').hidden")
+        said = browser.ask("document.body.innerText")
+        assert "Neither the console nor the process behind STOP answers any more." in said
+        assert "Do not cut the power of a robot on a wall" in said
+        for word in ("stopping", "asking", "STOP works", "or cut the power", "Trying again"):
+            assert word not in said
+    finally:
+        browser.close()
+
+
 def test_the_button_comes_back_when_its_own_process_dies(console, tmp_path):
     browser = opened(console, tmp_path / "profile")
     try:

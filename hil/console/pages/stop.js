@@ -1,9 +1,12 @@
 // The bar with the button: asks the process that serves it, and that one alone.
 "use strict";
 const at = (id) => document.getElementById(id);
-const LOST = "No answer from the process behind STOP. Run “hil console --stop” in a terminal, or cut the power.";
+const SILENT = "No answer from the process behind STOP. Trying again …";
+const GONE = "Neither the console nor the process behind STOP answers any more.";
+const PATIENCE_MS = 3000;
 let shownPort = null;
 let asked = false;
+let silentSince = null;
 
 async function call(path, options) {
   const reply = await fetch(path, { signal: AbortSignal.timeout(4000), ...options });
@@ -18,7 +21,22 @@ function words(job) {
   return job.question ? `${job.title} asks: ${job.question}` : `${job.title} runs`;
 }
 
+// What a page may say that nobody answers: nothing about what runs. A console that lives brings STOP back.
+function silent() {
+  silentSince ??= Date.now();
+  const gone = Date.now() - silentSince > PATIENCE_MS;
+  asked = false;
+  at("stop").textContent = "STOP";
+  at("now").textContent = "";
+  at("alarm").textContent = gone ? GONE : SILENT;
+  at("alone").hidden = true;
+  at("gone").hidden = !gone;
+  if (gone) at("console").hidden = true;
+}
+
 function show(state) {
+  silentSince = null;
+  at("gone").hidden = true;
   const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing runs.";
   if (at("now").textContent !== now) at("now").textContent = now;
   const loose = state.jobs.some((job) => job.held && job.held.state === "NOT HELD");
@@ -40,7 +58,7 @@ async function watch() {
   try {
     show(await call("/state"));
   } catch (error) {
-    at("alarm").textContent = LOST;
+    silent();
   }
   setTimeout(watch, 500);
 }
@@ -51,8 +69,7 @@ at("stop").addEventListener("click", async () => {
   try {
     await call("/stop", { method: "POST", headers: { "Content-Type": "application/json" }, body: "{}" });
   } catch (error) {
-    asked = false;
-    at("alarm").textContent = LOST;
+    silent();
   }
 });
 watch();
