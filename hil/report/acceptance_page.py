@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -44,16 +43,16 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:
-    """How many checks there were, and how many of them want something done."""
-    levels = Counter(finding["level"] for stage in stages for finding in stage["findings"])
-    wrong = [
-        f"{levels[k]} {word}"
-        for k, word in (("failure", "failed"), ("warning", "with a warning"))
-        if levels[k]
-    ]
+    """How many checks there were, and how many of which devices want something done."""
+    findings = [finding for stage in stages for finding in stage["findings"]]
+    wrong = []
+    for level, word in (("failure", "failed"), ("warning", "with a warning")):
+        devices = [finding["device"] for finding in findings if finding["level"] == level]
+        if devices:
+            wrong.append(f"{len(devices)} {word} ({', '.join(dict.fromkeys(devices))})")
     if not wrong:
-        return f"All {sum(levels.values())} checks came out right."
-    return f"Of {sum(levels.values())} checks, {' and '.join(wrong)}; what to do stands below."
+        return f"All {len(findings)} checks came out right."
+    return f"Of {len(findings)} checks, {' and '.join(wrong)}; what to do stands below."
 
 
 def _counted(stage: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import Operator
 from hil.report.acceptance_page import write_acceptance
 from hil.vocabulary.errors import Aborted
+from tests.chromium import CHROMIUM, Browser
 
 SERVOS = '[servos]\nbackend = "emulated"\n'
 ENCODERS = '[encoders]\nbackend = "emulated"\ninterface = "hil"\n'
@@ -208,6 +209,31 @@ def test_a_signal_ends_it_with_a_page(bench, monkeypatch):
     assert (code, told["verdict"]) == (4, "ABORTED")
     assert "SIGTERM" in told["stopped"]
     assert stages(told)["contract"]["findings"]
+
+
+def test_on_a_phone_what_is_wrong_is_read_without_scrolling_sideways(hil, bench, tmp_path):
+    if CHROMIUM is None:
+        pytest.skip("there is no chromium")
+    faults = ("--fault", "imu:off", "--fault", "servo.drive_BL:off")
+    _, told = hil("--bench", bench(SERVOS, '[imu]\nbackend = "emulated"'), *faults)
+    page = Path(told["page"])
+    browser = Browser(tmp_path / "profile")
+    try:
+        browser.show(page, 390)
+        shown = browser.run("document.body.innerText")
+        number = len(failures(told))
+        assert re.search(rf"{number} failed \((imu, servos|servos, imu)\)", shown)
+        cards = browser.run("[...document.querySelectorAll('.card')].map((c) => c.innerText)")
+        assert len(cards) == sum(f["level"] != "ok" for s in told["stages"] for f in s["findings"])
+        assert all(any(f["remedy"] in card for card in cards) for f in failures(told))
+        assert browser.run("document.querySelector('table.wrong').offsetParent === null")
+        wide = "[document.documentElement, ...document.querySelectorAll('.card')]"
+        assert browser.run(f"{wide}.every((e) => e.scrollWidth <= e.clientWidth)")
+        browser.picture(tmp_path / "phone.png")
+        browser.show(page, 1280)
+        assert browser.run("document.querySelector('table.wrong').offsetParent !== null")
+    finally:
+        browser.close()
 
 
 def test_the_page_prints_on_few_sheets(healthy, tmp_path):
