@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from hil.config.loading import profile_names
+from hil.config.loading import load_bench, profile_names
 from hil.console.actions import Action, Field, Values
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import Described, described, make_parameters, written
@@ -30,7 +30,7 @@ _NEVER = {"as_json", "answers", "out", "fix", "dry", "resume", "commands", "reco
 _SEEN = ("--bench", "--quick")
 _UNITS = {"m_s": "m/s", "rad_s": "rad/s", "rad": "rad", "deg": "deg", "mm": "mm", "ms": "ms", "m": "m",
           "s": "s", "hz": "Hz", "n": "N"}  # fmt: skip
-_BENCH, _SET = "--bench", "--set"
+_BENCH, _EMULATE, _SET = "--bench", "--emulate", "--set"
 
 
 def actions(root: Path) -> list[Action]:
@@ -73,7 +73,7 @@ def _plain(name: str, root: Path) -> Action:
         return (name, *_options(command, values), *_where(name, name, root), "--json")
 
     def problems(values: Values) -> dict[str, str]:
-        return _problems_of_options(command, name, _options(command, values))
+        return _problems_of_options(command, name, _options(command, values)) | _problems_of_bench(values)
 
     return Action(name, group, title, tuple(_fields(command, seen)), words, problems)
 
@@ -89,6 +89,7 @@ def _procedure(proc: Procedure, run: click.Command, root: Path) -> Action:
     def problems(values: Values) -> dict[str, str]:
         found = _problems_of_options(run, "run", [proc.name, *_options(run, values)])
         given = {key: values[key] for key in parameters if key in values}
+        found |= _problems_of_bench(values)
         return found | _problems_of_parameters(proc, given, quick="--quick" in values)
 
     fields = sorted((*options, *parameters.values()), key=lambda f: f.more)
@@ -112,7 +113,8 @@ def _script(run: click.Command, root: Path) -> Action:
             load_procedure(script)
         except HilError as error:
             return {"SCRIPT": str(error)}
-        return _problems_of_options(run, "run", [*_options(run, values), "--", script])
+        words = [*_options(run, values), "--", script]
+        return _problems_of_options(run, "run", words) | _problems_of_bench(values)
 
     own = (
         Field(
@@ -203,6 +205,17 @@ def _problems_of_options(command: click.Command, name: str, words: Iterable[str]
         return {field: error.message}
     except HilError as error:
         return {"": str(error)}
+    return {}
+
+
+def _problems_of_bench(values: Values) -> dict[str, str]:
+    """What is wrong with a bench file that was named, and with the devices of it that are to be emulated."""
+    if _BENCH not in values:
+        return {}
+    try:
+        load_bench(values[_BENCH], emulate=values.get(_EMULATE))
+    except HilError as error:
+        return {_EMULATE if error.message.startswith(_EMULATE) else _BENCH: str(error)}
     return {}
 
 

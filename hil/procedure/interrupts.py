@@ -17,6 +17,15 @@ from types import FrameType
 from hil.vocabulary.errors import Aborted, StepTimeoutError
 from hil.vocabulary.stop_signals import handled_by
 
+_TWICE = "a second SIGINT"
+_BY = {
+    "SIGINT": "Ctrl-C or “Finish the step, then end” (SIGINT)",
+    _TWICE: "Ctrl-C twice (a second SIGINT)",
+    "SIGTERM": "STOP or whoever else asked it to end (SIGTERM)",
+    "SIGHUP": "its terminal, which was closed (SIGHUP)",
+}
+"""Who sends a signal, for people who did not send it by that name."""
+
 
 class Interrupts:
     """State of the signals of one run.
@@ -45,14 +54,14 @@ class Interrupts:
             remedy: what to do then.
         """
         if self.asked_to_finish:
-            raise Aborted(f"ended by {self._stop or 'SIGINT'} {where}", remedy=remedy)
+            raise Aborted(f"ended by {_BY[self._stop or 'SIGINT']} {where}", remedy=remedy)
 
     def stopping(self) -> Aborted | None:
         """What to end a step with where an immediate stop was asked for; signals raise nothing any more."""
         if self._stop is None:
             return None
         self._raised = True
-        return Aborted(f"stopped at once by {self._stop}")
+        return Aborted(f"stopped at once by {_BY[self._stop]}")
 
     def stop_here(self) -> None:
         """Within a step: raise `Aborted` if an immediate stop was asked for."""
@@ -68,7 +77,7 @@ class Interrupts:
             if self._asked == 1:
                 self._tell("finishing the step; press Ctrl-C again to stop now")
                 return
-            name = "a second SIGINT"
+            name = _TWICE
         self._stop = self._stop or name
         if not (self._deferred or self._raised):
             self.stop_here()

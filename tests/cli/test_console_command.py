@@ -97,6 +97,8 @@ def test_what_is_filled_in_becomes_the_words_of_the_command(offered):
     ("name", "values", "field"),
     [("bring_up", {"--seed": "-1"}, "--seed"), ("bring_up", {"--seed": "x"}, "--seed"),
      ("live", {"--duration": "0"}, "--duration"), ("bring_up", {"watch_s": "many"}, "watch_s"),
+     ("bring_up", {"--bench": "nope.toml"}, "--bench"), ("doctor", {"--bench": "nope.toml"}, "--bench"),
+     ("live", {"--bench": "emulated_floor", "--emulate": "arm"}, "--emulate"),
      ("bring_up", {"devices": "imu"}, ""), ("a procedure of your own", {}, "SCRIPT"),
      ("a procedure of your own", {"SCRIPT": "absent.py"}, "SCRIPT")],
 )  # fmt: skip

@@ -195,6 +195,8 @@ def test_a_signal_finishes_the_step_or_stops_at_once(run_small, tmp_path, signal
     assert ("finished the step" in tree["notes"]) == finished
     assert [s["title"] for s in tree["steps"]] == ["one", "two"]
     assert (tree["error"]["step"], tree["error"]["finished"]) == ("two", finished)
+    assert signals.split()[-1] in tree["error"]["message"]
+    assert ("STOP" in tree["error"]["message"]) == (signals == "SIGTERM")
     if finished:
         assert "after the step 'two', which was finished" in tree["error"]["message"]
         assert "what they measure, are left out" in tree["error"]["message"]
