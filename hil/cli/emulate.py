@@ -18,7 +18,7 @@ import click
 from hil.cli.options import SEED
 from hil.cli.output import Answered
 from hil.vocabulary.clock import sleep_punctually
-from hil.vocabulary.errors import EXIT_PASS
+from hil.vocabulary.errors import EXIT_PASS, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -83,7 +83,7 @@ def command(
     from hil.bench.on_its_wall import OnItsWall
     from hil.cli.endpoints import EndpointsFile, await_endpoints
     from hil.cli.port_links import PortLinks
-    from hil.config.loading import load_bench
+    from hil.config.loading import NoSuchDevice, load_bench
     from hil.vocabulary.kinds import kind_of
 
     if awaited is not None:
@@ -91,7 +91,13 @@ def command(
         return EXIT_PASS
     file = EndpointsFile(out) if out is not None else None
     names = tuple(kind.name if (kind := kind_of(n)) else n for n in only.split(",") if n)
-    config = load_bench(bench, emulate=names or ("all",))
+    try:
+        config = load_bench(bench, emulate=names or ("all",))
+    except NoSuchDevice as error:
+        raise UsageError(
+            f"--only {error.device}: the bench has no such device",
+            expected="some of " + ", ".join(error.present), remedy=error.remedy,
+        ) from None  # fmt: skip
     descriptor = sys.stdin.fileno() if lifeline or await_start else None
     server = open_emulation(
         config, only=names, seed=seed, faults=faults, lifeline=descriptor, await_start=await_start,

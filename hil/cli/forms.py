@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from hil.config.loading import load_bench, profile_names
+from hil.config.loading import NoSuchDevice, load_bench, profile_names
 from hil.console.actions import Action, Field, Values
 from hil.procedure.declaration import Procedure
 from hil.procedure.parameters import Described, described, make_parameters, written
@@ -214,8 +214,10 @@ def _problems_of_bench(values: Values) -> dict[str, str]:
         return {}
     try:
         load_bench(values[_BENCH], emulate=values.get(_EMULATE))
+    except NoSuchDevice as error:
+        return {_EMULATE: str(error)}
     except HilError as error:
-        return {_EMULATE if error.message.startswith(_EMULATE) else _BENCH: str(error)}
+        return {_BENCH: str(error)}
     return {}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,10 +28,27 @@ _BENCH = click.option("--bench", default="", help="Only runs on the bench of thi
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
+def _verdict(ctx: click.Context, parameter: click.Parameter, value: str) -> str:
+    if value and value.upper() not in _COLOURS:
+        raise click.BadParameter(f"{value!r} is no verdict; expected {', '.join(_COLOURS)}", ctx, parameter)
+    return value
+
+
+def _day(ctx: click.Context, parameter: click.Parameter, value: str | None) -> datetime | None:
+    """The beginning of a day in local time."""
+    try:
+        return None if value is None else datetime.strptime(value, "%Y-%m-%d").astimezone()
+    except (ValueError, OverflowError):
+        raise click.BadParameter(
+            f"{value!r} is no day; expected YYYY-MM-DD, 2026-01-31 for example", ctx, parameter
+        ) from None
+
+
 def _filters(function: Callable[..., Any]) -> Callable[..., Any]:
     for option in (
-        click.option("--since", type=click.DateTime(["%Y-%m-%d"]), help="Only from this day on."),
-        click.option("--verdict", default="", help="Only with this verdict, PASS or FAIL for example."),
+        click.option("--since", metavar="YYYY-MM-DD", callback=_day, help="Only from this day on."),
+        click.option("--verdict", default="", metavar="|".join(_COLOURS), callback=_verdict,
+                     help="Only with this verdict."),
         _BENCH, _PROCEDURE,
         click.option("--all", "within", is_flag=True, help="Also the runs of campaigns and commissionings."),
         click.option("--limit", type=click.IntRange(1), default=30, show_default=True, help="Most rows."),
@@ -76,10 +94,10 @@ def _tell(where: Path, as_json: bool, asked: Mapping[str, Any], words: Sequence[
     from hil.report.history.choice import chosen
     from hil.report.history.found import find_results
 
-    since, limit = asked["since"], asked["limit"]
+    limit = asked["limit"]
     found = chosen(
         find_results(where), procedure=asked["procedure"], bench=asked["bench"], verdict=asked["verdict"],
-        since=None if since is None else since.astimezone(), words=words, within=asked["within"],
+        since=asked["since"], words=words, within=asked["within"],
     )  # fmt: skip
     shown = found[:limit]
     if as_json:
@@ -197,11 +215,12 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     from hil.vocabulary.reading import printable
 
     found = groups(chosen(find_results(where), procedure=procedure, bench=bench, within=True))
-    page = write_trends_page(own_file(where, PAGE) if out is None else out, found)
+    page = None
+    if found:
+        page = write_trends_page(own_file(where, PAGE) if out is None else out, found)
     if as_json:
-        click.echo(
-            json.dumps({"page": str(page), "groups": [_group_json(g) for g in found]}, allow_nan=False)
-        )
+        told = {"page": str(page) if page else None, "groups": [_group_json(g) for g in found]}
+        click.echo(json.dumps(told, allow_nan=False))
     else:
         click.echo(headline(found))
         for group in found:
@@ -210,7 +229,7 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
             click.echo(printable(f"{group.title}: {runs}, {len(urgent) or 'none'} to look at"))
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
-        click.echo(f"page: {page}")
+        click.echo(f"page: {page}" if page else f"No page was written: {where} holds nothing to follow.")
     alarmed = any(s.chart.state in (DRIFTING, OUTSIDE) for g in found for s in g.series)
     return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS
 

@@ -71,6 +71,18 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     )
 
 
+class NoSuchDevice(ConfigError):
+    """A device that is to be emulated is none of the bench; `present` are those it has."""
+
+    def __init__(self, device: str, present: Sequence[str]) -> None:
+        self.device, self.present = device, tuple(present)
+        super().__init__(
+            f"--emulate {device}: the bench has no such device",
+            expected="all or some of " + ", ".join(present),
+            remedy=did_you_mean(device, present),
+        )
+
+
 def load_bench(
     source: str | Path | BenchConfig = "emulated",
     *,
@@ -170,11 +182,7 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
         return present
     for name in names:
         if name not in present:
-            raise ConfigError(
-                f"--emulate {name}: the bench has no such device",
-                expected="all or some of " + ", ".join(present),
-                remedy=did_you_mean(name, present),
-            )
+            raise NoSuchDevice(name, present)
     return names
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from hil.vocabulary.errors import Aborted, ConfigError
+from hil.vocabulary.files import reason
 from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 1 << 20
@@ -75,7 +76,9 @@ class Answers(Operator):
         try:
             lines = read_text(path, _MOST_BYTES).splitlines()
         except (OSError, ValueError) as error:
-            raise ConfigError(f"{path}: cannot be read ({error})") from None
+            raise ConfigError(
+                f"{path}: cannot be read ({reason(error)})", remedy="name a file of answers by --answers"
+            ) from None
         self._lines = [line.strip() for line in lines if line.strip() and not line.startswith("#")]
 
     def ask(self, question: str) -> str:

@@ -28,6 +28,7 @@ from hil.procedure.results import KEEPING, RESULT, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
+from hil.vocabulary.files import where_else
 from hil.vocabulary.progress import Report, silent
 
 
@@ -154,7 +155,9 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
         try:
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
-            raise ConfigError(f"{folder}: cannot be created ({error.strerror})") from None
+            raise ConfigError(
+                f"{folder}: cannot be created ({error.strerror})", remedy=where_else(error)
+            ) from None
         return None
     past = read_journal(folder / NAME)
     different = [k for k in header if k != "config" and past.header.get(k) != header[k]]

@@ -21,8 +21,9 @@ from hil.recording.added_columns import added_columns
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.plain_csv import RATE_COLUMNS, TRUTH_COLUMNS, WHEEL_COLUMNS
 from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import how_to_install
+from hil.vocabulary.files import refused
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
@@ -128,7 +129,7 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[
         else:
             raise UsageError(f"format {kind!r}", expected="csv or parquet")
     except OSError as error:
-        raise DataError(str(path), f"cannot be written ({error})") from None
+        raise refused(path, error) from None
     return len(table), columns
 
 

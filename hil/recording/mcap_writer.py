@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from hil.recording.mcap_file import RecordingFile
-from hil.vocabulary.errors import DataError, HilError, RecordingError
+from hil.vocabulary.errors import HilError, RecordingError
+from hil.vocabulary.files import refused
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
 
@@ -67,9 +68,7 @@ class McapRecorder(Sink):
         try:
             self._recording = RecordingFile(self.path, header)
         except OSError as error:
-            raise DataError(
-                str(path), f"cannot be written ({error})", remedy="choose a folder that exists and has room"
-            ) from None
+            raise refused(Path(path), error) from None
         self._thread: threading.Thread | None = None
         if not lossless:
             self._thread = threading.Thread(target=self._work, name="recorder", daemon=True)

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.report.pages import environment
-from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import write_text
+from hil.vocabulary.files import refused, write_text
 
 PAGE, DATA = "accept.html", "accept.json"
 
@@ -31,7 +30,7 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise DataError(str(folder), f"cannot be made ({error.strerror or error})") from None
+        raise refused(folder, error) from None
     text = json.dumps(told, indent=2, allow_nan=False) + "\n"
     data = write_text(folder / DATA, text)
     page = environment().get_template("acceptance.html").render(

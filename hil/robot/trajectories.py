@@ -20,6 +20,7 @@ from typing import Any, Literal
 import numpy as np
 
 from hil.vocabulary.errors import DataError, UsageError
+from hil.vocabulary.files import reason
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 from hil.vocabulary.reading import read_text
 from hil.vocabulary.signals import Reference
@@ -291,7 +292,7 @@ def read_waypoints(path: Path) -> list[Array]:
     try:
         text = read_text(path, _MOST_WAYPOINT_BYTES)
     except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({error})") from None
+        raise DataError(str(path), f"cannot be read ({reason(error)})") from None
     try:
         rows = csv.DictReader(io.StringIO(text, newline=""))
         poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import tempfile
 from collections.abc import Iterator
@@ -11,6 +12,7 @@ from pathlib import Path
 from hil.vocabulary.errors import DataError, HilError
 
 _REMEDY = "choose a folder that exists and has room"
+_NOT_YOURS = "choose a folder that you may write"
 
 
 def write_text(path: Path, text: str) -> Path:
@@ -22,7 +24,7 @@ def write_text(path: Path, text: str) -> Path:
     try:
         path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
-        raise _refused(path, error) from None
+        raise refused(path, error) from None
     return path
 
 
@@ -63,7 +65,7 @@ def check_file(path: Path) -> None:
         raise DataError(str(path), "is a folder", expected="the name of a file")
     _probe(path, path.parent)
     if path.exists() and not os.access(path, os.W_OK):
-        raise DataError(str(path), "cannot be written (Permission denied)", remedy=_REMEDY)
+        raise DataError(str(path), "cannot be written (Permission denied)", remedy=_NOT_YOURS)
 
 
 def _probe(path: Path, folder: Path) -> None:
@@ -77,7 +79,7 @@ def _probe(path: Path, folder: Path) -> None:
         with tempfile.TemporaryDirectory(prefix=".hil-", dir=there):
             pass
     except OSError as error:
-        raise _refused(path, error) from None
+        raise refused(path, error) from None
 
 
 @contextmanager
@@ -102,9 +104,20 @@ def staged(folder: Path) -> Iterator[Path]:
             with suppress(OSError):
                 path.rmdir()
         if isinstance(error, OSError) and not isinstance(error, HilError):
-            raise _refused(folder, error) from None
+            raise refused(folder, error) from None
         raise
 
 
-def _refused(path: Path, error: OSError) -> DataError:
-    return DataError(str(path), f"cannot be written ({error.strerror or error})", remedy=_REMEDY)
+def reason(error: Exception) -> str:
+    """Why a file could not be read or written, without the number and the path of an `OSError`."""
+    return getattr(error, "strerror", None) or str(error)
+
+
+def where_else(error: OSError) -> str:
+    """What to do about a file or folder that was refused."""
+    return _NOT_YOURS if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS) else _REMEDY
+
+
+def refused(path: Path, error: OSError) -> DataError:
+    """The error of a path that cannot be written."""
+    return DataError(str(path), f"cannot be written ({reason(error)})", remedy=where_else(error))

@@ -1,10 +1,17 @@
 """`hil results`: what earlier runs left is listed, opened, searched, followed and deleted with care."""
 
+import errno
 import json
+import re
+from pathlib import Path
 
 import pytest
 
 from hil.cli import main
+from hil.procedure.measurements import Verdict
+from hil.recording.export import write_table
+from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import refused
 
 SCRIPT = '''
 """Nothing to do."""
@@ -71,6 +78,51 @@ def test_the_page_of_a_run_is_named_and_written_again_where_it_is_missing(place,
     code, _, said = call(capsys, "open", "newer")
     assert code == 2
     assert "has no page (written by another version" in said
+
+
+def test_a_verdict_or_a_day_that_is_none_is_refused_with_what_there_is(place, capsys):
+    code, _, said = call(capsys, "list", "--verdict", "GREEN")
+    assert code == 2
+    assert {v.value for v in Verdict} <= set(re.findall(r"[A-Z]+", said))
+    code, _, said = call(capsys, "list", "--since", "yesterday")
+    assert code == 2
+    assert "expected YYYY-MM-DD" in said
+    assert "idle/one" in call(capsys, "list", "--since", "2020-01-31", "--verdict", "pass")[1]
+    assert "idle/one" not in call(capsys, "list", "--since", "2999-01-31")[1]
+
+
+def test_trends_of_a_folder_without_runs_write_no_page(tmp_path, capsys):
+    code, out, _ = call(capsys, "trends", "--in", str(tmp_path))
+    assert (code, list(tmp_path.iterdir())) == (0, [])
+    assert "No page was written" in out
+    assert json.loads(call(capsys, "trends", "--in", str(tmp_path), "--json")[1]) == {
+        "page": None, "groups": [],
+    }  # fmt: skip
+
+
+def test_a_path_that_is_refused_is_told_without_numbers_of_the_system(tmp_path, capsys, monkeypatch):
+    with pytest.raises(
+        DataError, match=r"cannot be written \(Permission denied\); choose a folder that you may"
+    ):
+        raise refused(tmp_path, PermissionError(errno.EACCES, "Permission denied", "x"))
+    monkeypatch.chdir(tmp_path)
+    assert main(["accept", "--answers", "nope"]) == 2
+    said = capsys.readouterr().err
+    assert "nope: cannot be read (No such file or directory)" in said
+    assert "Errno" not in said
+    with pytest.raises(DataError, match=r"cannot be written \(No such file or directory\); choose") as told:
+        write_table([], tmp_path / "none" / "x.csv", "csv")
+    assert "Errno" not in str(told.value)
+
+    def denied(*_args, **_keys):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    (tmp_path / "idle.py").write_text(SCRIPT)
+    monkeypatch.setattr(Path, "mkdir", denied)
+    assert main(["run", "idle.py", "--out", "new"]) == 2
+    assert "new: cannot be created (Permission denied); choose a folder that you may write" in (
+        capsys.readouterr().err
+    )
 
 
 def test_trends_write_a_page_and_a_gate_for_ci(place, capsys):
