@@ -163,6 +163,11 @@ def drawn(rows: Sequence[Row], growth: Mapping[str, Any], path: Path) -> None:
     if growth:
         top = max(max(it["sizes"]) / min(it["sizes"]) for it in growth.values())
         curves.loglog([1, top], [1, top], "--", lw=1.0, color="grey", label="linear")
+        ticks = 2.0 ** np.arange(int(np.log2(top)) + 1)
+        for axis in (curves.xaxis, curves.yaxis):
+            axis.set_ticks(ticks)
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_formatter("")
         legend(curves)
     figure.savefig(path)
 
