@@ -60,7 +60,7 @@ THINNED = {
     "calibration/test_fit.py::test_all_methods_keep_to_one_box": 2,
     "calibration/test_driven_demo_data.py::test_a_bench_drives": 2,
     "cli/test_cli_walk.py::test_a_wrong_value": 6,
-    "cli/test_closed_output.py::test_a_command_whose_reader": 6,
+    "cli/test_closed_output.py::test_a_command_that_only_reports": 6,
     "controller/test_sensors_judge_each_other.py::test_on_the_floor_who_lies": 2,
     "controller/test_sensors_judge_each_other.py::test_servos_that_fall_silent_in_motion": 2,
     "controller/test_sensors_judge_each_other.py::test_what_the_estimator_copes_with": 2,
