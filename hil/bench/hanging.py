@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hil.bench.pressing import MEASURES, measured_n
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
@@ -130,12 +131,9 @@ class Hanging:
         limits = self._limits
         if limits is None:
             return math.nan
-        for name in ("adhesion", "load_cells"):
-            for sample in self._samples(name):
-                if name == "adhesion" and sample.status is Status.OK:
-                    self._seen_n["the fan's speed"] = limits.speed_n(sample)
-                elif name == "load_cells" and all(s is Status.OK for s in sample.status):
-                    self._seen_n["the load cells"] = limits.cells_n(sample)
+        for name in MEASURES:
+            for who, _, force_n in measured_n(limits, self._samples(name)):
+                self._seen_n[who] = force_n
         wanted = limits.has_fan + (limits.zero_n is not None)
         return min(self._seen_n.values()) if len(self._seen_n) == wanted else math.nan
 

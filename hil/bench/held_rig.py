@@ -15,6 +15,7 @@ from hil.bench.hanging import Hanging
 from hil.bench.holding import Held, HoldWatch
 from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
+from hil.bench.settings import can_fall
 from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
 from hil.recording.clocks import ptp_offsets
@@ -177,7 +178,7 @@ class HeldRig(Blueprint):
         Raises:
             UsageError: the robot hangs on a wall by its fan, and no tether is said to hold it.
         """
-        if self.on_wall and self.has("adhesion") and not self.config.safety.tethered:
+        if can_fall(self.config) and self.has("adhesion"):
             raise UsageError(
                 "torque is not released: the robot hangs on a wall",
                 expected="a robot off the wall, or on a tether",

@@ -8,10 +8,10 @@ trusted until the load cells have felt enough force for longer than that.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import Any
 
-from hil.bench.settings import adhesion_limits
+from hil.bench.settings import adhesion_limits, can_fall
 from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
@@ -19,11 +19,27 @@ from hil.ring.adhesion import AdhesionLimits
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import HilError
-from hil.vocabulary.signals import Status
+from hil.vocabulary.signals import LoadCellSample, Status, worst
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
+MEASURES = ("adhesion", "load_cells")
+"""Kinds whose samples tell a force."""
 _FAN, _CELLS = "the fan's speed", "the load cells"
+
+
+def measured_n(limits: AdhesionLimits, samples: Iterable[Any]) -> Iterator[tuple[str, int, float]]:
+    """Who measures what presses the robot, when (ns), and the force (N): of samples that can be used.
+
+    Args:
+        limits: of the bench.
+        samples: of the kinds in `MEASURES`.
+    """
+    for sample in samples:
+        if worst(sample) is Status.OK:
+            cells = isinstance(sample, LoadCellSample)
+            who, force_n = (_CELLS, limits.cells_n(sample)) if cells else (_FAN, limits.speed_n(sample))
+            yield who, sample.stamp.t_ns, force_n
 
 
 class PressWatch:
@@ -52,7 +68,10 @@ class PressWatch:
         """What speaks against a robot that is pressed on its wall for good; empty when nothing does."""
         if self._limits is None:
             return ""
-        self._listen()
+        for name in MEASURES:
+            for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
+                if math.isfinite(force_n):
+                    self._forces[who] = t_ns, force_n
         fresh = {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
         least_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
         told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
@@ -69,21 +88,6 @@ class PressWatch:
             return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
         return ""
 
-    def _listen(self) -> None:
-        """Take what fan and cells have sent."""
-        limits = self._limits
-        assert limits is not None
-        for sample in self._samples("adhesion"):
-            if sample.status is Status.OK:
-                self._take(_FAN, sample.stamp.t_ns, limits.speed_n(sample))
-        for sample in self._samples("load_cells"):
-            if all(status is Status.OK for status in sample.status):
-                self._take(_CELLS, sample.stamp.t_ns, limits.cells_n(sample))
-
-    def _take(self, name: str, t_ns: int, force_n: float) -> None:
-        if math.isfinite(force_n):
-            self._forces[name] = (t_ns, force_n)
-
     def _samples(self, name: str) -> Sequence[Any]:
         device = self._rig.get(name)
         try:
@@ -94,7 +98,6 @@ class PressWatch:
 
 def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
     """That of a bench: it looks at what presses a robot that hangs on a wall without a tether."""
-    falls = config.environment.on_wall and not config.safety.tethered
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, KeptMotorConfig) else None
-    return PressWatch(rig, adhesion_limits(config) if falls else None, kept)
+    return PressWatch(rig, adhesion_limits(config) if can_fall(config) else None, kept)

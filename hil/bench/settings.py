@@ -147,8 +147,12 @@ def _lost_after_s(config: BenchConfig) -> dict[str, float]:
 def adhesion_watch(config: BenchConfig) -> AdhesionWatch | None:
     """What watches the robot's hold on its surface; None for a bench without fan and load cells."""
     limits = adhesion_limits(config)
-    falls = config.environment.on_wall and not config.safety.tethered
-    return None if limits is None else AdhesionWatch(limits, can_fall=falls)
+    return None if limits is None else AdhesionWatch(limits, can_fall=can_fall(config))
+
+
+def can_fall(config: BenchConfig) -> bool:
+    """Whether a robot that lets go falls: it hangs on a wall, without a tether."""
+    return config.environment.on_wall and not config.safety.tethered
 
 
 def adhesion_limits(config: BenchConfig) -> AdhesionLimits | None:
