@@ -12,6 +12,7 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does
 
 import argparse
+import json
 import resource
 import statistics
 from dataclasses import replace
@@ -78,10 +79,10 @@ def plain_samples(recordings):
 
 
 def compare_forms(recordings, cad):
-    """Residuals and normal equations of neighbouring parameters: compiled, and by numpy on arrays."""
+    """Time (ms) of normal equations by forward model, compiled and by numpy on arrays; empty without numba."""
     if problems.compiled_pass() is None:
-        print("numba is not installed: passes run on arrays")
-        return
+        return {}
+    found = {}
     for setting in (RECOMMENDED, *(replace(RECOMMENDED, model=m) for m in ("creep", "exact"))):
         taken_s = []
         for form in (problems.compiled_pass, lambda: None):
@@ -90,39 +91,23 @@ def compare_forms(recordings, cad):
                 at = (problem.nominal * (1 + 1e-5 * k) for k in count())
                 problem.normal_terms(next(at))
                 taken_s.append(seconds(lambda p=problem, at=at: p.normal_terms(next(at)), 20))
-        compiled_s, arrays_s = taken_s
-        print(
-            f"normal equations, {setting.model:13} arrays {1e3 * arrays_s:5.1f} ms, "
-            f"compiled {1e3 * compiled_s:5.1f} ms, ratio: {arrays_s / compiled_s:.1f}"
-        )
+        found[setting.model] = {"compiled_ms": 1e3 * taken_s[0], "arrays_ms": 1e3 * taken_s[1]}
+    return found
 
 
-def main():
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--cost", action="store_true", help="no whole calibrations, which take a minute")
-    cost_only = parser.parse_args().cost
-    root = Path(__file__).resolve().parents[1]
-    folder = Path(os.environ.get("HIL_DATA", root.parent / "shared" / "data")) / "4wis4wid"
-    if folder.is_dir():
-        loaded = []
-        print(f"loading {folder.name}: {seconds(lambda: loaded.append(read_recordings([folder]))):.2f} s")
-        recordings = loaded[0]
-    else:
-        print("public recordings not found: generated ones are used")
-        recordings = make_set(hidden_robot(0), 0)
-    cad = WheelGeometry.nominal()
+def compare_cost(recordings, cad):
+    """Time (ms) of one evaluation of the cost: ours, and a plain Python loop."""
     samples = plain_samples(recordings)
     plain_s = seconds(lambda: plain_loop_cost(samples, cad), 3)
     problem = Problem(reduce_recordings(recordings, 0.1), PAPER, cad)
     rng = np.random.default_rng(0)
     z = problem.nominal
     fast_s = seconds(lambda: problem.objective(z * (1 + 1e-3 * rng.standard_normal(len(z)))), 50)
-    print(f"cost evaluation: plain loop {plain_s * 1e3:.0f} ms, here {fast_s * 1e3:.2f} ms")
-    print(f"ratio: {plain_s / fast_s:.0f}")
-    compare_forms(recordings, cad)
-    if cost_only:
-        return
+    return {"ours_ms": 1e3 * fast_s, "loop_ms": 1e3 * plain_s}
+
+
+def whole(recordings):
+    """Print how long whole calibrations take."""
     for setting in (RECOMMENDED, PAPER):
         for method in ("lm", "interior-point", "ga", "pso"):
             result = calibrate(recordings, setting, CLOCK, method=method)
@@ -131,6 +116,38 @@ def main():
                 f"validation {result.validation_s:5.2f} s, "
                 f"objective {result.fit.solution.objective:.5g}, J {result.cost_after:.3f}"
             )
+
+
+def main():
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true", help="the ratios as one JSON object, nothing else")
+    as_json = parser.parse_args().json
+    root = Path(__file__).resolve().parents[1]
+    folder = Path(os.environ.get("HIL_DATA", root.parent / "shared" / "data")) / "4wis4wid"
+    loaded, loading_s = [], 0.0
+    if folder.is_dir():
+        loading_s = seconds(lambda: loaded.append(read_recordings([folder])))
+    recordings = loaded[0] if loaded else make_set(hidden_robot(0), 0)
+    cad = WheelGeometry.nominal()
+    cost, forms = compare_cost(recordings, cad), compare_forms(recordings, cad)
+    if as_json:
+        print(json.dumps({"cost": cost, "normal_equations": forms}, indent=1))
+        return
+    if loaded:
+        print(f"loading {folder.name}: {loading_s:.2f} s")
+    else:
+        print("public recordings not found: generated ones are used")
+    print(f"cost evaluation: plain loop {cost['loop_ms']:.0f} ms, here {cost['ours_ms']:.2f} ms")
+    print(f"ratio: {cost['loop_ms'] / cost['ours_ms']:.0f}")
+    if not forms:
+        print("numba is not installed: passes run on arrays")
+    for model, it in forms.items():
+        print(
+            f"normal equations, {model:13} arrays {it['arrays_ms']:5.1f} ms, "
+            f"compiled {it['compiled_ms']:5.1f} ms, ratio: {it['arrays_ms'] / it['compiled_ms']:.1f}"
+        )
+    whole(recordings)
     print(f"peak memory {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 

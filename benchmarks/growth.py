@@ -23,6 +23,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -52,7 +53,7 @@ def run(ctx):
     ctx.measure("cycles", float(len(motion.records)))
 '''
 TURNS = 3
-Sizes = Iterator[tuple[float, Callable[[], None]]]
+Sizes = Iterator[tuple[float, Callable[[], object]]]
 
 
 def recordings() -> Sizes:
@@ -60,10 +61,7 @@ def recordings() -> Sizes:
     robot, setting = hidden_robot(0), make_setting("recommended", model="dry-friction")
     for repetitions in (2, 4, 8, 16):
         blocks = reduce_recordings(make_set(robot, 0, repetitions=repetitions), setting.block_s)
-        yield (
-            float(len(blocks.names)),
-            lambda blocks=blocks: fit(blocks, setting, WheelGeometry.nominal()),  # type: ignore[misc]
-        )
+        yield float(len(blocks.names)), partial(fit, blocks, setting, WheelGeometry.nominal())
 
 
 def read(rate_hz: float = 100.0, seconds: float = 2.0, only: tuple[str, ...] = ()) -> None:
@@ -81,14 +79,14 @@ def read(rate_hz: float = 100.0, seconds: float = 2.0, only: tuple[str, ...] = (
 def rate() -> Sizes:
     """Two virtual seconds at so many cycles a second."""
     for rate_hz in (25.0, 50.0, 100.0, 200.0):
-        yield rate_hz, lambda rate_hz=rate_hz: read(rate_hz)  # type: ignore[misc]
+        yield rate_hz, partial(read, rate_hz)
 
 
 def devices() -> Sizes:
     """Two virtual seconds of a bench with so many devices."""
     names = ("servos", "encoders", "imu", "tracker", "mocap")
     for count in range(1, len(names) + 1):
-        yield float(count), lambda count=count: read(only=names[:count])  # type: ignore[misc]
+        yield float(count), partial(read, only=names[:count])
 
 
 def history() -> Sizes:
@@ -96,13 +94,18 @@ def history() -> Sizes:
     rewind = runpy.run_path(str(Path(__file__).with_name("estimator.py")))["rewind"]
     for history_s in (0.2, 0.4, 0.8, 1.6):
         late = rewind("ekf", history_s)
-        yield history_s, lambda late=late: [late() for _ in range(20)] and None  # type: ignore[misc]
+        yield history_s, partial(_repeated, late)
+
+
+def _repeated(work: Callable[[], object]) -> None:
+    for _ in range(20):
+        work()
 
 
 def runs() -> Sizes:
     """A campaign of so many runs, in one process."""
     for count in (1, 2, 4, 8):
-        yield float(count), lambda count=count: _campaign(count)  # type: ignore[misc]
+        yield float(count), partial(_campaign, count)
 
 
 def _campaign(count: int) -> None:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import platform
-import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -67,15 +66,12 @@ def of_servo_bus(told: Any) -> Iterator[Row]:
     )  # fmt: skip
 
 
-def of_calibration(text: str) -> Iterator[Row]:
+def of_calibration(told: Any) -> Iterator[Row]:
     """One evaluation of the cost against a plain loop, of the normal equations against numpy on arrays."""
-    found = re.search(r"plain loop ([\d.]+) ms, here ([\d.]+) ms", text)
-    assert found is not None, text
-    yield _slower("calibration, one cost", float(found[2]), "plain Python loop", float(found[1]), "ms")
-    for law, arrays, compiled in re.findall(
-        r"equations, (\S+) +arrays +([\d.]+) ms, compiled +([\d.]+) ms", text
-    ):
-        yield _slower(f"normal equations, {law}", float(compiled), "numpy on arrays", float(arrays), "ms")
+    it = told["cost"]
+    yield _slower("calibration, one cost", it["ours_ms"], "plain Python loop", it["loop_ms"], "ms")
+    for law, it in told["normal_equations"].items():
+        yield _slower(f"normal equations, {law}", it["compiled_ms"], "numpy on arrays", it["arrays_ms"], "ms")
 
 
 def of_virtual_bench(told: Any) -> Iterator[Row]:
@@ -108,7 +104,7 @@ def of_replay(told: Any) -> Iterator[Row]:
 BENCHMARKS: dict[str, tuple[Sequence[str], Callable[[Any], Iterator[Row]]]] = {
     "estimator": (["--json"], of_estimator),
     "servo_bus": ([], of_servo_bus),
-    "calibration": (["--cost"], of_calibration),
+    "calibration": (["--json"], of_calibration),
     "virtual_bench": ([], of_virtual_bench),
     "plant": ([], of_plant),
     "second_physics": ([], of_second_physics),
@@ -188,8 +184,7 @@ def main() -> None:
             growth = {key: it for key, it in json.loads(ran(name, [])).items() if isinstance(it, dict)}
             continue
         options, read = BENCHMARKS[name]
-        text = ran(name, options)
-        rows += read(text if read is of_calibration else json.loads(text))
+        rows += read(json.loads(ran(name, options)))
     printed(rows, growth)
     given.out.mkdir(parents=True, exist_ok=True)
     machine = {"python": platform.python_version(), "machine": platform.machine()}

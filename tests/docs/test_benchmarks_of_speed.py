@@ -47,11 +47,11 @@ def test_a_ratio_is_how_many_times_as_good_ours_is():
         }
     }
     assert [row.ratio for row in TABLE["of_servo_bus"](told)] == [2.0, 0.5]
-    text = (
-        "loading: 1 s\ncost evaluation: plain loop 300 ms, here 1.50 ms\nratio: 200\n"
-        "normal equations, creep         arrays  50.0 ms, compiled  10.0 ms, ratio: 5.0\n"
-    )
-    assert [row.ratio for row in TABLE["of_calibration"](text)] == [200.0, 5.0]
+    told = {
+        "cost": {"ours_ms": 1.5, "loop_ms": 300.0},
+        "normal_equations": {"creep": {"compiled_ms": 10.0, "arrays_ms": 50.0}},
+    }
+    assert [row.ratio for row in TABLE["of_calibration"](told)] == [200.0, 5.0]
 
 
 @pytest.mark.long
