@@ -79,7 +79,7 @@ def plain_samples(recordings):
 
 
 def compare_forms(recordings, cad):
-    """Time (ms) of normal equations by forward model, compiled and by numpy on arrays; empty without numba."""
+    """Time (ms) of normal equations by model: compiled, and by numpy on arrays; empty without numba."""
     if problems.compiled_pass() is None:
         return {}
     found = {}
