@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -17,7 +17,7 @@ from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_
 from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
-    from hil.procedure.faults import Cell, Verdict
+    from hil.procedure.faults import Cell, KeptVerdicts, Verdict
 
 PAGE = "reliability.md"
 DEFAULTS = {"moments": "open,motion,stop,second", "plants": "own", "bench": "emulated"}
@@ -53,35 +53,27 @@ class Asked:
               help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
 @click.option("--out", type=click.Path(path_type=Path), default=Path("out/faults"), show_default=True,
               help="Folder of the matrix.")  # fmt: skip
+@click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     quick: bool, seeds: str, only: tuple[str, ...], moments: str, plants: str, count: int | None, bench: str,
-    workers: int, out: Path, as_json: bool,
+    workers: int, out: Path, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Every fault of every emulated device, at four moments of a climb, judged, into one matrix.
 
     Example: hil faults --quick
     """
-    from hil.procedure.campaign import spread
-    from hil.procedure.faults import lost, run_cell, write_page
+    from hil.procedure.faults import KeptVerdicts, missing, write_page
 
     asked = Asked(quick, seeds, only, moments, plants, count, bench)
     cells = _cells(asked)
     check_file(out / PAGE)
     out.mkdir(parents=True, exist_ok=True)
-    verdicts: list[Verdict] = []
-    with reporting() as report:
-
-        def done(verdict: Verdict) -> None:
-            verdicts.append(verdict)
-            if verdict.why:
-                click.echo(f"FAILED {verdict.cell.name}: {'; '.join(verdict.why)}", err=True)
-            report("cells", len(verdicts), len(cells))
-
-        work = partial(run_cell, bench=os.path.abspath(bench) if os.path.isfile(bench) else bench)
-        spread(work, cells, lost=lost, done=done, workers=workers)
-    order = {cell: k for k, cell in enumerate(cells)}
-    verdicts.sort(key=lambda v: order[v.cell])
+    where = os.path.abspath(bench) if os.path.isfile(bench) else bench
+    with KeptVerdicts(out, where, resume=resume) as kept:
+        there = {verdict.cell: verdict for verdict in kept.there}
+        there.update(_judged(missing(cells, kept.there), where, workers, kept))
+    verdicts = [there[cell] for cell in cells]
     write_page(out / PAGE, verdicts, _shown(asked))
     failed = [v for v in verdicts if v.why]
     if as_json:
@@ -89,6 +81,25 @@ def command(
     else:
         click.echo(f"{len(verdicts)} cells, {len(failed)} failed; matrix: {out / PAGE}")
     return EXIT_LIMIT_FAILED if failed else EXIT_PASS
+
+
+def _judged(cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts) -> Mapping[Cell, Verdict]:
+    """Run these cells, tell how it goes, and keep every verdict as it comes."""
+    from hil.procedure.campaign import spread
+    from hil.procedure.faults import lost, run_cell
+
+    verdicts: dict[Cell, Verdict] = {}
+    with reporting() as report:
+
+        def done(verdict: Verdict) -> None:
+            verdicts[verdict.cell] = verdict
+            kept.add(verdict)
+            if verdict.why:
+                click.echo(f"FAILED {verdict.cell.name}: {'; '.join(verdict.why)}", err=True)
+            report("cells", len(verdicts), len(cells))
+
+        spread(partial(run_cell, bench=bench), cells, lost=lost, done=done, workers=workers)
+    return verdicts
 
 
 def _cells(asked: Asked) -> tuple[Cell, ...]:

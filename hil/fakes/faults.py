@@ -152,8 +152,8 @@ class FaultPlan:
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
-        self._faults = list(faults)
-        self.empty = not self._faults
+        self._faults: list[Fault] = []
+        self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
 
     def declare(self, device: str, supported: Supported) -> None:
@@ -163,13 +163,16 @@ class FaultPlan:
     def add(self, fault: Fault) -> None:
         """Add a fault while running; refused at once when unsupported."""
         self._check_one(fault)
-        self._faults.append(fault)
-        self.empty = False
+        self._keep([*self._faults, fault])
 
     def clear(self, device: str | None = None) -> None:
         """Remove all faults (of one device)."""
-        self._faults = [f for f in self._faults if device is not None and f.device != device]
-        self.empty = not self._faults
+        self._keep([f for f in self._faults if device is not None and f.device != device])
+
+    def _keep(self, faults: list[Fault]) -> None:
+        self._faults = faults
+        self._kinds = frozenset(fault.kind for fault in faults)
+        self.empty = not faults
 
     def check(self) -> None:
         """Raise `FaultNotSupportedError` for the first fault that no device can produce."""
@@ -199,6 +202,10 @@ class FaultPlan:
                     remedy=did_you_mean(key, options),
                 )
 
+    def has(self, kind: str) -> bool:
+        """Whether a fault of that kind is planned on any device at any time."""
+        return kind in self._kinds
+
     @property
     def supported(self) -> Mapping[str, Supported]:
         """What every name that devices announced can produce."""
@@ -206,6 +213,8 @@ class FaultPlan:
 
     def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
         """The first active fault of that kind on that device, or None."""
+        if kind not in self._kinds:
+            return None
         for fault in self._faults:
             if fault.kind == kind and fault.device == device and fault.active(t_ns):
                 return fault

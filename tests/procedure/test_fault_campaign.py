@@ -213,3 +213,60 @@ def test_every_cell_passes(tmp_path, plant):
 def test_nobody_falls_in_random_runs(tmp_path):
     result = run("--random", "200", "--seeds", "0:10", "--json", "--out", str(tmp_path))
     assert json.loads(result.stdout)["failed"] == []
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """Cells that are judged without driving; the list of those that were asked for."""
+    asked = []
+
+    def verdict(cell, bench):
+        asked.append(cell)
+        return Verdict(cell, (), "went on", True, "HELD")
+
+    monkeypatch.setattr("hil.procedure.faults.run_cell", verdict)
+    return asked
+
+
+def test_a_campaign_goes_on_with_what_is_missing_and_writes_one_page(tmp_path, judged):
+    run("--only", "imu:off", "--moments", "open,motion", "--out", str(tmp_path))
+    kept = tmp_path / "cells.jsonl"
+    whole = kept.read_text(encoding="utf-8")
+    kept.write_text(whole[:-20], encoding="utf-8")
+    first = list(judged)
+    judged.clear()
+    result = run("--only", "imu:off", "--seeds", "0:2", "--out", str(tmp_path), "--resume")
+    assert result.return_value == 0
+    assert len(judged) == 7
+    assert judged[0] == first[1]
+    assert "8 cells, 0 failed" in (tmp_path / "reliability.md").read_text(encoding="utf-8")
+    assert kept.read_text(encoding="utf-8").count("\n") == 9
+    judged.clear()
+    run("--only", "imu:off", "--out", str(tmp_path))
+    assert len(judged) == 4
+    assert (tmp_path / "cells.before.jsonl").read_text(encoding="utf-8").count("\n") == 9
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "named"),
+    [
+        (lambda text: text.replace("emulated", "other"), "another bench"),
+        (lambda text: text.replace('"why": []', '"why": 1'), ":2: is no verdict"),
+        (lambda text: text.replace('"seed"', '"sed"'), ":2: is no verdict"),
+        (lambda text: "x\n" + text, "is no verdict"),
+    ],
+)
+def test_verdicts_of_something_else_are_refused(tmp_path, judged, spoilt, named):
+    run("--only", "imu:off@open", "--out", str(tmp_path))
+    kept = tmp_path / "cells.jsonl"
+    kept.write_text(spoilt(kept.read_text(encoding="utf-8")), encoding="utf-8")
+    judged.clear()
+    with pytest.raises(HilError, match=named) as refused:
+        command.main(["--only", "imu:off", "--out", str(tmp_path), "--resume"], standalone_mode=False)
+    assert refused.value.exit_code == 2
+    assert judged == []
+
+
+def test_there_must_be_something_to_resume(tmp_path):
+    with pytest.raises(HilError, match="no campaign to resume"):
+        command.main(["--quick", "--out", str(tmp_path), "--resume"], standalone_mode=False)

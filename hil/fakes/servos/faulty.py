@@ -70,6 +70,8 @@ class ServoFaults:
 
         `drop` and `corrupt` of the whole bus are the line's affair.
         """
+        if not self._plan.has(kind):
+            return None
         names = self._names[joint]
         for name in names[1:] if kind in _LINE_ONLY else names:
             fault = self._plan.find(name, kind, t_ns)

@@ -16,16 +16,19 @@ from hil.procedure.faults.cells import (
 )
 from hil.procedure.faults.driving import run_cell
 from hil.procedure.faults.judging import Verdict, lost
+from hil.procedure.faults.kept import KeptVerdicts, missing
 from hil.procedure.faults.matrix import matrix_page, write_page
 
 __all__ = [
     "MOMENTS",
     "PLANTS",
     "Cell",
+    "KeptVerdicts",
     "Verdict",
     "cells_of",
     "lost",
     "matrix_page",
+    "missing",
     "quick_cells",
     "random_cells",
     "run_cell",
