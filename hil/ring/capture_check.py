@@ -100,6 +100,10 @@ class CaptureCheck:
             self._add_wheels(*wheels)
         return not (camera is None and wheels is None)
 
+    def unseen(self, pair: Sum) -> bool:
+        """Whether a pair is of wheels that may have slipped while the camera did not look yet."""
+        return pair is self.rolled and not self._camera_track.covers(pair.since_ns)
+
     def _step(self, pair: int, other: Track) -> tuple[int, float, Kept, Kept, Kept, Kept] | None:
         """Beginning, length (s), and values of another track and of motion capture, before and after."""
         newest, others = self._capture.newest_ns, other.newest_ns

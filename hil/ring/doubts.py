@@ -39,6 +39,7 @@ class Doubt:
         off: what the two told differently since they began to differ, m or rad.
         turns: whether that is a turn.
         against: the device that says otherwise.
+        unseen: whether the wheels may have slipped while the camera did not look yet.
     """
 
     source: str
@@ -48,6 +49,7 @@ class Doubt:
     off: float = 0.0
     turns: bool = False
     against: str = ""
+    unseen: bool = False
 
     @property
     def may_slide(self) -> bool:
@@ -66,6 +68,7 @@ class Sum:
     Attributes:
         names: of the devices.
         size: by how much more than honest ones they differ.
+        since_ns: when they began to.
     """
 
     def __init__(self, first: Party, second: Party, told: float, stop: float, *, turns: bool = False) -> None:
@@ -77,7 +80,7 @@ class Sum:
         """Begin again."""
         self.size = 0.0
         self._sum = self._first = self._second = 0j
-        self._since_ns = 0
+        self.since_ns = 0
         self._told = False
 
     def add(
@@ -103,7 +106,7 @@ class Sum:
         """
         if self.size == 0.0:
             self.reset()
-            self._since_ns = t_ns
+            self.since_ns = t_ns
         self._first, self._second = (self._first + first) * turned, (self._second + second) * turned
         total = self._sum + first - second
         if total.real < 0.0:
@@ -137,7 +140,7 @@ class Sum:
         called, against = (one, self.names[1]) if source == self.names[0] else (other, self.names[0])
         return Doubt(
             source,
-            f"in {(t_ns - self._since_ns) / NS_PER_S:.1f} s the robot {moved} "
+            f"in {(t_ns - self.since_ns) / NS_PER_S:.1f} s the robot {moved} "
             f"{1e3 * abs(self._first):.0f} {unit} by {one} and {1e3 * abs(self._second):.0f} {unit} by "
             f"{other}: " + (f"the others agree against {called}" if sure else self._why()),
             grave,

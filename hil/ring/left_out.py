@@ -19,7 +19,7 @@ class LeftOut:
         on_wall: whether gravity pulls along the surface.
 
     Attributes:
-        shaken: by how much the estimate may be off (m, rad), because a device was left out in this cycle.
+        shaken: by how much the estimate may be off (m, rad), for what was found in this cycle.
     """
 
     def __init__(self, estimated: frozenset[str], *, on_wall: bool) -> None:
@@ -52,11 +52,13 @@ class LeftOut:
         name = doubt.source
         self._names.add(name)
         if name in self._estimated:
-            off_m, off_rad = self.shaken
-            self.shaken = (
-                (off_m, max(off_rad, doubt.off)) if doubt.turns else (max(off_m, doubt.off), off_rad)
-            )
+            self.shake(doubt)
         return Event(t_ns, "warning", name, f"left out from now on: {doubt.message}")
+
+    def shake(self, doubt: Doubt) -> None:
+        """The estimate may be off by what two devices told differently."""
+        off_m, off_rad = self.shaken
+        self.shaken = (off_m, max(off_rad, doubt.off)) if doubt.turns else (max(off_m, doubt.off), off_rad)
 
     def believed(self, measurements: Measurements) -> Measurements:
         """Measurements without those of devices that were left out."""

@@ -9,7 +9,7 @@ centimetres. Deterministic: depends on the measurements seen since `reset` and o
 from __future__ import annotations
 
 import cmath
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hil.ring.capture_check import CaptureCheck, Seen
 from hil.ring.dead_reckoning import GyroTrack, Kept, WheelTrack, moved
@@ -201,5 +201,8 @@ class MotionCheck:
         found = []
         for pairs in (self._ways, self._turns):
             believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]
-            found += [one.doubt(t_ns, believed) for one in believed if one.news()]
+            found += [
+                replace(one.doubt(t_ns, believed), unseen=self._capture.unseen(one))
+                for one in believed if one.news()
+            ]  # fmt: skip
         return tuple(found)

@@ -208,7 +208,11 @@ class Supervisor:
         if checks.motion is not None:
             for doubt in checks.motion.update(measurements):
                 if not doubt.grave:
-                    events.append(Event(inputs.t_ns, "warning", doubt.source, doubt.message))
+                    told = doubt.message
+                    if doubt.unseen and checks.needs_camera:
+                        self.left_out.shake(doubt)
+                        told += self._look_at_holders("if it slides, look")
+                    events.append(Event(inputs.t_ns, "warning", doubt.source, told))
                 elif checks.stops_by_steering and self.left_out.can_do_without(doubt):
                     checks.motion.leave_out(doubt.source)
                     events.append(self.left_out.take(doubt, inputs.t_ns))

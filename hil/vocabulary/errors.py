@@ -40,6 +40,17 @@ class HilError(Exception):
             parts.append(remedy)
         super().__init__("; ".join(parts))
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Errors go from a worker process to its parent as they are, whatever their arguments are."""
+        return _again, (type(self), self.args, self.__dict__)
+
+
+def _again(kind: type[HilError], args: tuple[object, ...], carried: dict[str, object]) -> HilError:
+    error = kind.__new__(kind)
+    error.args = args
+    error.__dict__.update(carried)
+    return error
+
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
     """A question that names the known word nearest to a mistyped one; empty when none is near."""

@@ -235,3 +235,34 @@ def test_half_a_second_after_a_leap_another_may_be_put_right():
     leap = Relocalisation()
     told = [leap.jumped(round(t_s * 1e9), 0.1, 0.0) for t_s in (1.0, 1.4, 1.95)]
     assert told == [True, False, True]
+
+
+def slid(sees_from):
+    """The robot slides by 8 mm before the camera's first pose, or while it looks."""
+
+    def down(t_s):
+        return np.array([-0.008 * np.clip((t_s - 0.1) / 0.06, 0.0, 1.0), 0.0])
+
+    check, found = MotionCheck(GEOMETRY), []
+    for k in range(3, 60):
+        given = cycle(k, at(0.0 * UP), down, down)
+        found += check.update(given if k >= sees_from else replace(given, tracker=()))
+    return found
+
+
+def test_a_slide_that_only_motion_capture_saw_is_unseen_and_one_that_the_camera_saw_is_not():
+    late, early = slid(20), slid(3)
+    assert [(d.source, d.unseen, d.grave) for d in late] == [("mocap", True, False)]
+    assert late[0].off == pytest.approx(0.008, abs=0.0015)
+    assert early
+    assert not any(d.unseen for d in early)
+
+
+@pytest.mark.parametrize(("unseen", "shaken_m"), [(True, 0.008), (False, 0.0)])
+def test_an_unseen_slide_shakes_the_estimate_and_names_what_holds_the_robot(unseen, shaken_m):
+    told = replace(doubt("mocap", confirmed=False, off=0.008), grave=False, against="servos", unseen=unseen)
+    checks = Checks(motion=Doubts(told), needs_camera=True, holders=("fan", "propellers"))
+    supervisor = Supervisor(SafetyLimits(stale_s={}), checks=checks)
+    (event,) = supervisor.check(Inputs(0, 0), Measurements(0, 0))
+    assert supervisor.left_out.shaken == (shaken_m, 0.0)
+    assert event.message.endswith("if it slides, look at the fan and the propellers") is unseen
