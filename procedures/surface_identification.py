@@ -34,6 +34,8 @@ from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.geometry import Array
 
 DIRECTIONS = ("up", "down", "left", "right")
+_ALONE = (DIRECTIONS[:2], DIRECTIONS[2:])
+"""What a process drives of a repetition: there and back."""
 _WITHOUT = {"encoders": None, "tracker": None}
 _FOR_A_FILTER = ("imu", "tracker")
 _SYSTEMATIC = 0.05  # starts, stops, and the grip that turning while slipping takes from slip
@@ -46,7 +48,7 @@ _WANDERING = 0.5  # of what is left of slip, per square root of a metre
 class Parameters(BaseModel):
     """How far to drive, how often, and where to look for the end of the hold.
 
-    In virtual time several `processes` drive repetitions at once; those are not recorded.
+    In virtual time several `processes` drive at once; those drives are not recorded.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -54,7 +56,7 @@ class Parameters(BaseModel):
     speed_m_s: float = Field(0.1, gt=0, le=3.5, description="Speed along a line, m/s.")
     repetitions: int = Field(3, ge=2, le=20, description="How often each line is driven.")
     processes: int = Field(
-        1, ge=1, le=8, description="How many repetitions are driven at once; in virtual time only."
+        1, ge=1, le=8, description="How many drives there are at once; in virtual time only."
     )
     hold: bool = Field(
         True, description="Also find the heading up to which the robot holds; you set a real robot by hand."
@@ -160,8 +162,14 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
     overrides = {"encoders": None} if _filtered(ctx.source.config) else _WITHOUT
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
-        for found, driven_s in at_once(_elsewhere, [(source, p, k) for k in numbers], p.processes):
-            ctx.count_bench_time(driven_s)
+        jobs = [(source, p, k, ways) for k in numbers for ways in _ALONE]
+        results = at_once(_elsewhere, jobs, p.processes)
+        for _ in numbers:
+            found: Slips = {}
+            for _ in _ALONE:
+                slips, driven_s = next(results)
+                ctx.count_bench_time(driven_s)
+                found |= slips
             yield found
         return
     for number in numbers:
@@ -175,13 +183,16 @@ def _filtered(config: BenchConfig) -> bool:
     return all(name in config.devices() for name in _FOR_A_FILTER)
 
 
-def _elsewhere(job: tuple[BenchSource, Parameters, int]) -> tuple[Slips, float]:
-    source, p, number = job
-    return driven(source, lambda bench: repetition(bench, p, number, lambda done, total: None))
+def _elsewhere(job: tuple[BenchSource, Parameters, int, tuple[str, ...]]) -> tuple[Slips, float]:
+    source, p, number, ways = job
+    return driven(source, lambda bench: repetition(bench, p, number, lambda done, total: None, ways))
 
 
-def repetition(bench: Bench, p: Parameters, number: int, told: Callable[[int, int], object]) -> Slips:
-    """Drive the four lines; returns slip per metre (downhill, leftward, turning) by direction.
+def repetition(
+    bench: Bench, p: Parameters, number: int, told: Callable[[int, int], object],
+    ways: Sequence[str] = DIRECTIONS,
+) -> Slips:  # fmt: skip
+    """Drive the lines; returns slip per metre (downhill, leftward, turning) by direction.
 
     Each begins on a bench opened afresh, so that it does not depend on which repetitions the same run has
     driven before: a resumed run finds what an undisturbed one finds. The first rest is a little longer in
@@ -192,19 +203,20 @@ def repetition(bench: Bench, p: Parameters, number: int, told: Callable[[int, in
         p: of the run.
         number: of the repetition, from 1.
         told: called with the number of lines driven, and of all.
+        ways: directions to drive.
     """
     filtered = _filtered(bench.config)
     feedback, observers = ("ekf", ("odometry",)) if filtered else ("odometry", ())
-    stand(bench, 0.5 + _STAGGER_S * number)
+    stand(bench, 0.5 + _STAGGER_S * (number + DIRECTIONS.index(ways[0]) / len(DIRECTIONS)))
     found = {}
-    for k, direction in enumerate(DIRECTIONS, start=1):
+    for k, direction in enumerate(ways, start=1):
         pose = stand(bench)
         motion = bench.drive(
             motions(p, pose)[direction], feedback=feedback, observers=observers, hold_s=0.5, start_pose=pose
         )
         rolled = motion.observer("odometry") if filtered else motion.estimate
         found[direction] = list(slip_of(motion, rolled).per_metre())
-        told(k, len(DIRECTIONS))
+        told(k, len(ways))
     return found
 
 

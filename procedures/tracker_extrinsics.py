@@ -8,41 +8,39 @@ applied and driven again, and left as a fragment of `bench.toml`.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
 from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.device import TrackerConfig
 from hil.config.record import Figure, Spread
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
-from hil.procedure.samples import Series, camera, poses
-from hil.procedure.tracking import stand
+from hil.procedure.samples import Series
 from hil.procedures.parts import headlines
+from hil.procedures.parts.tracker_driving import Leg, Trip, drive_trips, legs_of
 from hil.procedures.parts.tracker_hand_eye import (
     Extrinsics,
     Intervals,
     Truth,
     intervals,
     join,
-    shifted,
     solve,
 )
 from hil.procedures.parts.tracker_report import draw_lateness, draw_path, table
 from hil.procedures.parts.tracker_scale import by_whole_legs, session_spread
-from hil.ring.motion import Motion
-from hil.robot.trajectories import Trajectory, line
-from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DeviceError
-from hil.vocabulary.geometry import Array
 
 _DEG = float(np.degrees(1.0))
 _HEADING_SHARE = 0.8
+_UNUSED: dict[str, object] = {"encoders": None, "imu": None}
+_TRIED = 2
+"""How many trips of the tour are driven again with the result: the turns, and one line."""
 _LEAST_SCALE_SIGMA = 1e-5
 
 
@@ -50,7 +48,8 @@ class Parameters(BaseModel):
     """How far to turn (on a wall: as far as it allows) and to drive, and how often.
 
     `session_spread` is how much the camera's scale differs from one session to the next (one sigma), as long
-    as the robot's record does not tell: a camera builds its map anew each time.
+    as the robot's record does not tell: a camera builds its map anew each time. In virtual time several
+    `processes` drive round trips at once; those are not recorded.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -68,6 +67,9 @@ class Parameters(BaseModel):
         gt=0,
         le=0.05,
         description="Share by which the camera's scale differs from session to session, one sigma.",
+    )
+    processes: int = Field(
+        1, ge=1, le=8, description="How many round trips are driven at once; in virtual time only."
     )
 
 
@@ -115,75 +117,52 @@ def measurements(p: Parameters) -> Iterator[Measurement]:
     )
 
 
-def tour(p: Parameters, config: BenchConfig, start: Array) -> list[Trajectory]:
-    """Turns to both sides and lines along both axes, back at the start each time."""
+def tour(p: Parameters, config: BenchConfig) -> tuple[Trip, ...]:
+    """Round trips: turns to both sides, a line along each axis."""
     turn = p.turn_deg / _DEG
     if config.environment.on_wall:
         turn = min(turn, _HEADING_SHARE * config.safety.heading_limit_rad)
-    stops = [(0, 0, turn), (0, 0, -turn), (0, 0, 0), (p.way_m, 0, 0), (0, 0, 0), (0, p.way_m, 0), (0, 0, 0)]
-    pose = np.asarray(start, dtype=np.float64)
-    legs, before = [], np.zeros(3)
-    for stop in stops * p.repetitions:
-        after = np.array(stop, dtype=np.float64)
-        name = "to {:.2g} {:.2g} {:.2g}".format(*stop)
-        legs.append(line(pose + before, pose + after, speed_m_s=p.speed_m_s, name=name))
-        before = after
-    return legs
+    home = (0.0, 0.0, 0.0)
+    turns = ((0.0, 0.0, turn), (0.0, 0.0, -turn), home)
+    return (turns, ((p.way_m, 0.0, 0.0), home), ((0.0, p.way_m, 0.0), home)) * p.repetitions
 
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """The tour, and its beginning once more."""
-    legs = tuple(tour(p, config, np.array(config.environment.start_pose)))
-    yield PlannedStep("tour", legs)
+    start = np.array(config.environment.start_pose)
+    trips = tour(p, config)
+    yield PlannedStep("tour", tuple(legs_of(trips, start, p.speed_m_s)))
     yield PlannedStep("solve")
-    yield PlannedStep("apply", legs[:5])
+    yield PlannedStep("apply", tuple(legs_of(trips[:_TRIED], start, p.speed_m_s)))
 
 
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
-    headline=headlines.tracker_extrinsics, bench="emulated_floor", quick={"repetitions": 1, "way_m": 0.8},
+    headline=headlines.tracker_extrinsics, bench="emulated_floor", 
+    quick={"repetitions": 1, "way_m": 0.8, "processes": 2},
 )  # fmt: skip
 def run(ctx: Context) -> None:
     """Tracking camera: mount and time offset from motion against motion capture."""
-    unused: dict[str, object] = {"encoders": None, "imu": None}
-    bench = ctx.reopen(overrides=unused)
     p: Parameters = ctx.parameters
+    trips = tour(p, ctx.source.config)
     with ctx.step("tour"):
-        motions = drive(ctx, bench, len(tour(p, bench.config, np.zeros(3))))
+        driven = drive_trips(ctx, "", trips, _UNUSED)
     with ctx.step("solve"):
-        found = evaluate(ctx, motions)
+        found = evaluate(ctx, driven)
     if not ctx.passing():
         ctx.note("The result was neither applied nor written down: see what failed.")
         return
     with ctx.step("apply"):
-        apply(ctx, found, unused)
+        apply(ctx, found, trips[:_TRIED])
 
 
-def drive(ctx: Context, bench: Bench, legs: int) -> list[Motion]:
-    """The first legs of the tour; odometry goes on from one to the next."""
-    motions: list[Motion] = []
-    begin = stand(bench)
-    for number, leg in enumerate(tour(ctx.parameters, bench.config, begin)[:legs], start=1):
-        here = motions[-1].estimate[-1] if motions else begin
-        motions.append(bench.drive(leg, feedback="odometry", hold_s=0.2, start_pose=here))
-        ctx.progress(ctx.where, number, legs)
-    return motions
-
-
-def collected(motions: list[Motion]) -> tuple[Series, Series, Intervals]:
-    """Truth and camera over all motions on one time axis, and the camera's intervals within each."""
-    first_ns = motions[0].records[0].inputs.t_ns
-    truth, seen, parts = [], [], []
-    for motion in motions:
-        offset_s = (motion.records[0].inputs.t_ns - first_ns) / NS_PER_S
-        truth.append(shifted(poses(motion, "mocap").since(0.0), offset_s))
-        seen.append(shifted(camera(motion).since(0.0), offset_s))
-        if len(seen[-1]) > 2:
-            parts.append(intervals(seen[-1]))
-    if not parts or not any(len(t) for t in truth):
+def collected(legs: Sequence[Leg]) -> tuple[Series, Series, Intervals]:
+    """Truth and camera over all legs on one time axis, and the camera's intervals within each."""
+    parts = [intervals(leg.seen) for leg in legs if len(leg.seen) > 2]
+    if not parts or not any(len(leg.truth) for leg in legs):
         raise DeviceError("tracker", "no usable poses on the whole tour", remedy="hil run bring_up")
-    return _joined(truth), _joined(seen), join(parts)
+    return _joined([leg.truth for leg in legs]), _joined([leg.seen for leg in legs]), join(parts)
 
 
 def _joined(parts: list[Series]) -> Series:
@@ -193,14 +172,15 @@ def _joined(parts: list[Series]) -> Series:
     return Series(t_s, host_s, device_s, values, sum(p.seen for p in parts))
 
 
-def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
-    """Solve, measure, draw."""
+def evaluate(ctx: Context, driven: Sequence[Sequence[Leg]]) -> Extrinsics:
+    """Solve, measure, draw; `driven` are the legs of each round trip."""
+    legs = list(chain.from_iterable(driven))
     config = ctx.source.config.of(TrackerConfig)
     assert config is not None
-    truth_series, seen, parts = collected(motions)
+    truth_series, seen, parts = collected(legs)
     truth = Truth(truth_series)
     found = solve(parts, truth, config.mount_position_m, config.mount_rotation_wxyz)
-    found = by_whole_legs(motions, found)
+    found = by_whole_legs(legs, found)
     for k, axis in enumerate("xy"):
         ctx.measure(f"mount_{axis}", 1e3 * found.position_m[k])
         ctx.measure(f"mount_{axis}_uncertainty", 1e3 * found.position_uncertainty_m[k])
@@ -217,26 +197,26 @@ def evaluate(ctx: Context, motions: list[Motion]) -> Extrinsics:
     table(ctx, found)
     draw_path(ctx, truth, seen, found)
     draw_lateness(ctx, parts, truth, found)
-    ctx.measure("before.position_rmse", 1e3 * disagreement_m(motions[:5]))
+    ctx.measure("before.position_rmse", 1e3 * disagreement_m(chain.from_iterable(driven[:_TRIED])))
     return found
 
 
-def disagreement_m(motions: list[Motion]) -> float:
-    """RMS distance of the aligned camera from motion capture, both from the start of each motion."""
+def disagreement_m(legs: Iterable[Leg]) -> float:
+    """RMS distance of the aligned camera from motion capture, both from the start of each leg."""
     errors = []
-    for motion in motions:
-        truth, seen = poses(motion, "mocap").since(0.0), poses(motion, "tracker").since(0.0)
+    for leg in legs:
+        truth, seen = leg.truth, leg.aligned
         if len(truth) < 2 or len(seen) < 2:
             continue
-        track = Truth(truth)
-        path, _ = track.steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
-        own, _ = Truth(seen).steps(np.full(len(seen), seen.t_s[0]), seen.t_s)
+        begin_s = np.full(len(seen), seen.t_s[0])
+        path, _ = Truth(truth).steps(begin_s, seen.t_s)
+        own, _ = Truth(seen).steps(begin_s, seen.t_s)
         errors.append(np.sum((path - own) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(errors)))) if errors else float("nan")
 
 
-def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
-    """Drive the beginning of the tour with the result; leave it as a fragment.
+def apply(ctx: Context, found: Extrinsics, trips: Sequence[Trip]) -> None:
+    """Drive some of the tour's trips with the result; leave it as a fragment.
 
     What the bench believes changes; how an emulated camera is mounted does not.
     """
@@ -256,9 +236,9 @@ def apply(ctx: Context, found: Extrinsics, unused: dict[str, object]) -> None:
         "mount_position_m": config.mount_position_m, "mount_rotation_wxyz": config.mount_rotation_wxyz,
         **ctx.source.config.imperfections("tracker"),
     }  # fmt: skip
-    overrides = {**unused, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
-    bench = ctx.reopen("applied", overrides=overrides)
-    ctx.measure("applied.position_rmse", 1e3 * disagreement_m(drive(ctx, bench, 5)))
+    overrides = {**_UNUSED, **{f"tracker.{k}": v for k, v in values.items()}, "emulation.tracker": true}
+    driven = drive_trips(ctx, "applied", trips, overrides)
+    ctx.measure("applied.position_rmse", 1e3 * disagreement_m(chain.from_iterable(driven)))
     write_fragment(ctx, {"tracker": values}, "Mount, scale and latency of the tracking camera.")
     _leave(ctx, found, values, own_sigma, spread)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,6 +45,10 @@ class Series:
         return Series(
             self.t_s[keep], self.host_s[keep], self.device_s[keep], self.values[keep], int(keep.sum())
         )
+
+    def later(self, by_s: float) -> Series:
+        """The same samples on a time axis that begins so much earlier."""
+        return replace(self, t_s=self.t_s + by_s, host_s=self.host_s + by_s)
 
     def between(self, begin_s: float, end_s: float) -> Array:
         """Mean row of a stretch of time, (k,); NaN where nothing was usable."""

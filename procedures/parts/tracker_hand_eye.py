@@ -208,8 +208,3 @@ def laid_over(own_m: Array, wanted_m: Array) -> Array:
     flat = np.column_stack([wanted_m - middle, np.zeros(len(wanted_m))])
     turn, _ = Rotation.align_vectors(flat, own_m - own_m.mean(axis=0))
     return np.asarray(turn.apply(own_m - own_m.mean(axis=0))[:, :2] + middle, dtype=np.float64)
-
-
-def shifted(seen: Series, offset_s: float) -> Series:
-    """The same samples on a time axis that begins `offset_s` earlier."""
-    return replace(seen, t_s=seen.t_s + offset_s, host_s=seen.host_s + offset_s)

@@ -16,9 +16,8 @@ from scipy import stats
 
 from hil.config.record import RobotRecord
 from hil.procedure import Context
-from hil.procedure.samples import camera, poses
+from hil.procedures.parts.tracker_driving import Leg
 from hil.procedures.parts.tracker_hand_eye import Extrinsics, Truth
-from hil.ring.motion import Motion
 from hil.vocabulary.geometry import Array
 
 _FEWEST_LEGS, _SHORTEST_M, _REST_S = 4, 0.1, 0.1
@@ -26,14 +25,14 @@ _SCALE = 5
 _SESSIONS_ASSUMED = 3
 
 
-def by_whole_legs(motions: Sequence[Motion], found: Extrinsics) -> Extrinsics:
+def by_whole_legs(legs: Sequence[Leg], found: Extrinsics) -> Extrinsics:
     """With the scale of the legs that went anywhere, where at least four did and they know it better.
 
     Args:
-        motions: legs, each from rest to rest.
+        legs: each from rest to rest.
         found: by half-second intervals; its mount counts.
     """
-    ways = np.array([w for w in (_ways(motion, found) for motion in motions) if w is not None])
+    ways = np.array([w for w in (_ways(leg, found) for leg in legs) if w is not None])
     if len(ways) < _FEWEST_LEGS:
         return found
     seen_m, true_m = ways.T
@@ -50,13 +49,13 @@ def by_whole_legs(motions: Sequence[Motion], found: Extrinsics) -> Extrinsics:
     return replace(found, scale=scale, scale_uncertainty=half, covariance=covariance)
 
 
-def _ways(motion: Motion, found: Extrinsics) -> tuple[float, float] | None:
+def _ways(leg: Leg, found: Extrinsics) -> tuple[float, float] | None:
     """Distance of the leg's ends by the camera, and of the same places by motion capture and mount, m."""
-    truth, seen = poses(motion, "mocap").since(0.0), camera(motion).since(0.0)
+    truth, seen = leg.truth, leg.seen
     if len(truth) < 2 or len(seen) < 2:
         return None
     end_s = min(truth.t_s[-1], seen.t_s[-1])
-    ends = [(0.0, _REST_S), (end_s - _REST_S, end_s)]
+    ends = [(leg.begin_s, leg.begin_s + _REST_S), (end_s - _REST_S, end_s)]
     if any(not np.any((s.t_s >= a) & (s.t_s <= b)) for s in (truth, seen) for a, b in ends):
         return None
     by_camera = [seen.between(a, b)[0:3] for a, b in ends]

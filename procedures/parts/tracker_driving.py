@@ -1,0 +1,129 @@
+"""Drives round trips for the camera's calibration; keeps of each leg what camera and motion capture said.
+
+On one bench, leg after leg; in virtual time, where several processes are asked for, each round trip on a
+bench of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hil.bench import Bench
+from hil.procedure import BenchSource, Context
+from hil.procedure.samples import Series, camera, poses
+from hil.procedure.tracking import stand
+from hil.procedure.workers import at_once, driven
+from hil.ring.motion import Motion
+from hil.robot.trajectories import Trajectory, line
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.geometry import Array
+
+Trip = tuple[tuple[float, float, float], ...]
+"""Poses that a round trip goes to, relative to its start, m and rad; the last is the start."""
+_REST_S, _STAGGER_S = 0.5, 0.13
+_BETWEEN_S = 1.0
+
+
+@dataclass(frozen=True)
+class Leg:
+    """What was seen of one leg, times in s since the first cycle of its bench's first leg.
+
+    Attributes:
+        begin_s, end_s: of the leg.
+        truth: poses by motion capture, (n, 3).
+        seen: the camera's own poses, as `hil.procedure.samples.camera` gives them.
+        aligned: poses of the body by the camera and its mount as configured, (n, 3).
+    """
+
+    begin_s: float
+    end_s: float
+    truth: Series
+    seen: Series
+    aligned: Series
+
+    def later(self, by_s: float) -> Leg:
+        """The same leg, so much later."""
+        return Leg(
+            self.begin_s + by_s, self.end_s + by_s, self.truth.later(by_s), self.seen.later(by_s),
+            self.aligned.later(by_s),
+        )  # fmt: skip
+
+
+def legs_of(trips: Sequence[Trip], start: Array, speed_m_s: float) -> list[Trajectory]:
+    """The legs of round trips from one place, one after the other."""
+    legs, before = [], np.zeros(3)
+    for stop in (stop for trip in trips for stop in trip):
+        after = np.array(stop, dtype=np.float64)
+        name = "to {:.2g} {:.2g} {:.2g}".format(*stop)
+        legs.append(line(start + before, start + after, speed_m_s=speed_m_s, name=name))
+        before = after
+    return legs
+
+
+def drive_trips(
+    ctx: Context, slug: str, trips: Sequence[Trip], overrides: Mapping[str, object]
+) -> list[list[Leg]]:
+    """Drive round trips; returns the legs of each, on one time axis.
+
+    Args:
+        ctx: of the run; its parameters say `speed_m_s` and how many `processes`.
+        slug: names the bench's recording, as `Context.reopen` wants it.
+        trips: where to go.
+        overrides: of the bench.
+    """
+    p: Any = ctx.parameters
+    total = sum(map(len, trips))
+    done: list[list[Leg]] = []
+    if p.processes > 1 and ctx.source.virtual:
+        source = ctx.source.changed(overrides=overrides)
+        jobs = [(source, trip, p.speed_m_s, number) for number, trip in enumerate(trips)]
+        with closing(_elsewhere(jobs, p.processes)) as found:
+            for legs, took_s in found:
+                ctx.count_bench_time(took_s)
+                shift_s = done[-1][-1].end_s + _BETWEEN_S if done else 0.0
+                done.append([leg.later(shift_s) for leg in legs])
+                ctx.progress(ctx.where, sum(map(len, done)), total)
+        return done
+    bench = ctx.reopen(slug, overrides=overrides)
+    coming = iter(_legs(bench, trips, p.speed_m_s, _REST_S, lambda k: ctx.progress(ctx.where, k, total)))
+    return [[next(coming) for _ in trip] for trip in trips]
+
+
+def _legs(
+    bench: Bench, trips: Sequence[Trip], speed_m_s: float, rest_s: float, told: Callable[[int], object]
+) -> Iterator[Leg]:
+    """Drive on one bench; odometry goes on from one leg to the next."""
+    here = begin = stand(bench, rest_s)
+    first_ns: int | None = None
+    for number, leg in enumerate(legs_of(trips, begin, speed_m_s), start=1):
+        motion = bench.drive(leg, feedback="odometry", hold_s=0.2, start_pose=here)
+        here = motion.estimate[-1]
+        began_ns = motion.records[0].inputs.t_ns
+        first_ns = began_ns if first_ns is None else first_ns
+        told(number)
+        yield _seen(motion).later((began_ns - first_ns) / NS_PER_S)
+
+
+def _seen(motion: Motion) -> Leg:
+    """What was seen of a leg that begins at 0; queues may hold older samples, which do not count."""
+    truth, aligned = (poses(motion, kind).since(0.0) for kind in ("mocap", "tracker"))
+    return Leg(0.0, float(motion.t_s[-1]), truth, camera(motion).since(0.0), aligned)
+
+
+_Job = tuple[BenchSource, Trip, float, int]
+
+
+def _elsewhere(jobs: Sequence[_Job], processes: int) -> Generator[tuple[list[Leg], float], None, None]:
+    yield from at_once(_alone, jobs, processes)
+
+
+def _alone(job: _Job) -> tuple[list[Leg], float]:
+    """A trip in another process, a little later than others, so that it does not repeat their noise."""
+    source, trip, speed_m_s, number = job
+    rest_s = _REST_S + _STAGGER_S * number
+    return driven(source, lambda bench: list(_legs(bench, [trip], speed_m_s, rest_s, lambda k: None)))
