@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
-from scipy.integrate import trapezoid
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
@@ -34,6 +33,7 @@ from hil.procedures.parts.bring_up_jogs import (
 )
 from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
+from hil.procedures.parts.latency_fit import integrated
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.geometry import Array
@@ -323,7 +323,7 @@ def move_body(ctx: Context, bench: Bench) -> None:
             row.append(f"{went * (_DEG if axis == 2 else 1e3):+.2f}")
         if axis == 2 and "imu" in p.devices:
             data = inertial(motion)
-            ctx.measure("imu.gyro_response", float(trapezoid(data[0], data.t_s)) / true)
+            ctx.measure("imu.gyro_response", float(integrated(data.t_s, data[0])[-1]) / true)
         rows.append(row)
     head = ["step", p.body, *seen]
     ctx.table("Small steps of the body", head, rows, "mm, and deg for the turn.")

@@ -16,7 +16,7 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
@@ -255,7 +255,7 @@ def turn_and_compare(ctx: Context, bench: Bench) -> float:
     sigma = np.hypot(
         np.sqrt(np.sum(scatter**2) / freedom), _GRAVITY_LSB_M_S2 / _STANDARD_GRAVITY / np.sqrt(12)
     )
-    half = float(student.ppf(0.975, freedom)) * sigma / np.sqrt(len(error))
+    half = float(stdtrit(freedom, 0.975)) * sigma / np.sqrt(len(error))
     ctx.measure("heading_offset", offset * _DEG)
     ctx.measure("heading_offset_uncertainty", float(half) * _DEG)
     ctx.measure("heading_scatter", float(np.sqrt(np.mean(scatter**2))) * _DEG)

@@ -139,7 +139,7 @@ def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
 @procedure(
     name="tracker_extrinsics", needs=("servos", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan,
-    headline=headlines.tracker_extrinsics, bench="emulated_floor", 
+    headline=headlines.tracker_extrinsics, bench="emulated_floor",
     quick={"repetitions": 1, "way_m": 0.8, "processes": 2},
 )  # fmt: skip
 def run(ctx: Context) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import theilslopes
 
 from hil.config.bench import BenchConfig
 from hil.procedure.samples import Series, arrivals, camera, encoders, inertial, poses, wheels
@@ -98,6 +97,8 @@ def clock_drift(series: Series, arrived_s: Array) -> tuple[float, float, Array]:
     edges = np.linspace(at[0], at[-1], _BLOCKS + 1)[1:-1]
     blocks = [b for b in np.split(np.arange(len(at)), np.searchsorted(at, edges)) if len(b)]
     best = np.array([b[np.argmin(delay[b])] for b in blocks])
+    from scipy.stats import theilslopes  # takes 1 s to import, and is not needed to drive
+
     slope, _, low, high = theilslopes(delay[best], device[best], 0.95)
     lag = np.stack([at[best], delay[best] - delay[best].min()])
     return -1e6 * float(slope), 0.5e6 * float(high - low), lag

@@ -17,8 +17,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import CubicSpline
-from scipy.optimize import least_squares
 
 from hil.ring.motion import Motion
 from hil.vocabulary.clock import NS_PER_S
@@ -103,6 +101,8 @@ def fit_delay(command: Command, t_s: Array, path: Array) -> Delay:
 
     NaN where there are too few samples. The interval comes from leaving out each eighth of the motion.
     """
+    from scipy.optimize import least_squares  # half a second to import, and not needed to drive
+
     known = np.isfinite(path)
     t, y = t_s[known], path[known]
     if len(t) < 10 * _BLOCKS:
@@ -197,6 +197,8 @@ def fit_driven(
         slack_rad: more than the backlash.
         about_s: delay to start from.
     """
+    from scipy.interpolate import CubicSpline  # as above
+
     spline = CubicSpline(t_s, angle_rad)
     direction = _directions(t_s, angle_rad, spline(t_s, 1), slack_rad)
     found = Delay(about_s, math.nan, math.nan, math.nan)

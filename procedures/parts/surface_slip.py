@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hil.ring.motion import Motion
 from hil.vocabulary.errors import DataError
@@ -96,7 +96,7 @@ def rate(there: ArrayLike, back: ArrayLike, systematic: float) -> Rate:
     pairs = 0.5 * (np.asarray(there, dtype=np.float64) + np.asarray(back, dtype=np.float64))
     mean, spread = float(pairs.mean()), 0.0
     if len(pairs) > 1:
-        quantile = float(stats.t.ppf(0.975, len(pairs) - 1))
+        quantile = float(stdtrit(len(pairs) - 1, 0.975))
         spread = quantile * float(pairs.std(ddof=1)) / math.sqrt(len(pairs))
     return Rate(mean, math.hypot(spread, systematic * mean))
 

@@ -10,10 +10,9 @@ camera only counts within an interval. Not seen from motion in a plane: how high
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from hil.procedure.samples import Series
@@ -139,6 +138,8 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
     Raises:
         DataError: the camera was not tracking, or hardly moved.
     """
+    from scipy.optimize import least_squares  # half a second to import, and not needed to drive
+
     x, y, _ = np.asarray(believed_m, dtype=np.float64)
     step_m, turn = truth.steps(parts.begin_s, parts.end_s)
     used = (np.abs(turn) > _LOWEST_TURN_RAD) | (np.hypot(*step_m.T) > _SHORTEST_STEP_M)

@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scipy import stats
+from scipy.special import stdtrit
 
 from hil.config.record import RobotRecord
 from hil.procedure import Context
@@ -40,7 +40,7 @@ def by_whole_legs(legs: Sequence[Leg], found: Extrinsics) -> Extrinsics:
     scale = float(true_m @ seen_m) / weight
     rest = seen_m - scale * true_m
     sigma = math.sqrt(float(rest @ rest) / (len(ways) - 1) / weight)
-    half = float(stats.t.ppf(0.975, len(ways) - 1)) * sigma
+    half = float(stdtrit(len(ways) - 1, 0.975)) * sigma
     if half > found.scale_uncertainty:
         return found
     covariance = found.covariance.copy()

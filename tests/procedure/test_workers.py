@@ -1,4 +1,4 @@
-"""Work in other processes: results come in their order, and every error arrives as the one that was raised."""
+"""Work in other processes: results come in order, and every error arrives as the one that was raised."""
 
 import pickle
 
