@@ -254,7 +254,7 @@ def read_version(path: Path, remedy: str) -> RecordFile:
     except ConfigError as error:
         raise ConfigError(f"{path}: half-written? {error.message}", remedy=remedy) from None
     told = tree.pop("sha256", None)
-    if told != digest_of(tree):
+    if not _holds(told, tree):
         raise ConfigError(
             f"{path}: half-written, or changed by hand: its digest does not hold", remedy=remedy
         )
@@ -263,6 +263,14 @@ def read_version(path: Path, remedy: str) -> RecordFile:
     except ValidationError as error:
         problems = tuple(f"{'.'.join(map(str, e['loc']))}: {e['msg']}" for e in error.errors())
         raise ConfigError(f"{path}: no record of schema 1", problems=problems, remedy=remedy) from None
+
+
+def _holds(told: object, tree: dict[str, Any]) -> bool:
+    """Whether a digest is that of a tree; never of one with dates or NaN, which no record has."""
+    try:
+        return told == digest_of(tree)
+    except (TypeError, ValueError):
+        return False
 
 
 @contextmanager
