@@ -40,8 +40,8 @@ from hil.vocabulary.kinds import kinds
 WAY_M, MINUTE_S = 0.12, 60.0
 LEAST_MINUTES = 5.0
 """Of the second half: with fewer its slope says nothing."""
-LASTING = ("jump",)
-"""Faults that leave a device another one than before."""
+LASTING = ("jump", "unplug")
+"""Faults that leave a device another one than before, or one that somebody has to open again."""
 LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
 """Devices whose faults may truly let the robot go, or leave nobody who knows how it is held."""
 EVERY_S, LONGEST_S, BACK_S = (2.0, 6.0), 1.5, 3.5
@@ -131,11 +131,14 @@ def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
         while bench.clock.now_ns() < end_ns:
             here = bench.truth().pose_body_in_wall.copy()
             there = home + np.array([WAY_M if up else 0.0, 0.0, 0.0])
-            up, last_ns = not up, 0
+            up, last_ns, before = not up, 0, seen.cycles
             try:
                 bench.drive(line(here, there), start_pose=here, hold_s=0.2, on_cycle=look)
             except HilError as stop:
                 _stopped(bench, seen, trouble, stop)
+                if seen.cycles == before:
+                    seen.wrong.append(f"does not go on after {trouble.recent}: {stop}")
+                    break
         seen.faults = trouble.count
     return seen
 
