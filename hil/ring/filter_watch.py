@@ -1,4 +1,4 @@
-"""What the estimator could not believe: a sensor whose samples it refused until it had to begin anew with it.
+"""What the estimator could not believe: a sensor that it refused for long, or that fits badly on the whole.
 
 Deterministic: depends on the states seen since `reset` and on nothing else.
 """
@@ -16,6 +16,11 @@ _SENSORS: Mapping[str, tuple[str, str]] = {
 """By what the filter calls samples: their device, and what they are held against."""
 
 
+_MOST, _CALM = 2.5, 1.5
+"""Mean normalised innovation squared that is told, and below which it may be told again; honest sensors on
+both plants stay below 1.2."""
+
+
 class FilterWatch:
     """Follows the estimate of one run."""
 
@@ -25,6 +30,13 @@ class FilterWatch:
     def reset(self) -> None:
         """Forget what was refused."""
         self._before: dict[str, tuple[float, float]] = {}
+        self._misfit, self._largest_m = False, 0.0
+        self._off = (0.0, 0.0)
+
+    def take_off(self) -> tuple[float, float]:
+        """By how much the estimate may be off (m, rad) by what was found since the last call."""
+        off, self._off = self._off, (0.0, 0.0)
+        return off
 
     def judge(self, state: RobotState, events: list[Event]) -> None:
         """Look at one cycle's estimate; what is noticed is added to `events`.
@@ -40,3 +52,20 @@ class FilterWatch:
                 sigma_mm = 1e3 * math.sqrt(max(*state.covariance.diagonal()[:2].tolist(), 0.0))
                 said = f"did not fit {others} for long: the estimate is unsure by {sigma_mm:.1f} mm now"
                 events.append(Event(state.t_ns, "warning", device, said))
+        self._judge_fit(state, events)
+
+    def _judge_fit(self, state: RobotState, events: list[Event]) -> None:
+        """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not."""
+        figures = state.diagnostics
+        misfit = figures.get("nis_mean_tracker", 1.0)
+        if misfit < _CALM:
+            self._misfit, self._largest_m = False, 0.0
+            return
+        self._largest_m = max(self._largest_m, figures.get("innovation_tracker_m", 0.0))
+        if misfit > _MOST and not self._misfit:
+            self._misfit, self._off = True, (self._largest_m, 0.0)
+            said = (
+                f"camera and wheels do not fit (mean NIS {misfit:.1f}, expected 1): one of them is late or "
+                f"wrong; the estimate is unsure by {1e3 * self._largest_m:.1f} mm more"
+            )
+            events.append(Event(state.t_ns, "warning", "tracker", said))

@@ -31,9 +31,9 @@ class LeftOut:
         self._names: set[str] = set()
         self.begin()
 
-    def begin(self) -> None:
-        """A new cycle."""
-        self.shaken = (0.0, 0.0)
+    def begin(self, off: tuple[float, float] = (0.0, 0.0)) -> None:
+        """A new cycle; `off`: by how much the estimate may be off (m, rad) for other reasons."""
+        self.shaken = off
 
     def __contains__(self, name: str) -> bool:
         return name in self._names

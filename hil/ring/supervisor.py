@@ -153,7 +153,7 @@ class Supervisor:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes = {}
-        self.left_out.begin()
+        self.left_out.begin(self._filter.take_off())
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)

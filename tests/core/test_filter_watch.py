@@ -1,10 +1,11 @@
 """A sensor with which the estimate had to begin anew is told of, and what that costs."""
 
 import numpy as np
+import pytest
 
 from hil.ring.filter_watch import FilterWatch
 from hil.ring.supervisor import SafetyLimits, Supervisor
-from hil.vocabulary.signals import RobotState
+from hil.vocabulary.signals import Inputs, Measurements, RobotState
 
 
 def state(t_ns=0, sigma_m=0.001, **figures):
@@ -39,3 +40,24 @@ def test_the_supervisor_tells_it_with_its_judgement_of_the_estimate():
     assert [event.source for event in supervisor.guard(refused, None)] == ["tracker"]
     supervisor.reset()
     assert [event.source for event in supervisor.guard(refused, None)] == ["tracker"]
+
+
+def misfits(*means):
+    return [state(k, nis_mean_tracker=mean, innovation_tracker_m=1e-3 * mean) for k, mean in enumerate(means)]
+
+
+def test_a_camera_that_fits_badly_on_the_whole_is_told_once_and_again_after_a_calm():
+    events = told(*misfits(1.0, 1.2, 2.0, 2.6, 3.0, 2.4, 2.7, 1.0, 2.6))
+    assert [(event.t_ns, event.source) for event in events] == [(3, "tracker"), (8, "tracker")]
+    assert "mean NIS 2.6" in events[0].message
+    assert events[0].message.endswith("unsure by 2.6 mm more")
+    assert not told(*misfits(1.0, 1.2, 2.4, 1.6, 2.4))
+
+
+def test_what_fits_badly_shakes_the_estimate_in_the_next_cycle_only():
+    supervisor = Supervisor(SafetyLimits(stale_s={}))
+    for one in misfits(1.0, 2.0, 2.6):
+        supervisor.guard(one, None)
+    for shaken_m in (pytest.approx(0.0026), 0.0):
+        supervisor.check(Inputs(0, 0), Measurements(0, 0))
+        assert supervisor.left_out.shaken == (shaken_m, 0.0)

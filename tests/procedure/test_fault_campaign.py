@@ -88,6 +88,10 @@ def seen(**given):
         ({"fallen": True, "said": "NOT HELD", "thrust_n": 12.0, "moved_m": 1.0}, ""),
         ({"stop": "SafetyStop: robot stopped (blocked): wheel FL", "events": []}, "is not named"),
         ({"stop": "SafetyStop: robot stopped (x): the IMU is mad", "events": []}, ""),
+        (
+            {"stop": "SafetyStop: robot stopped (x)", "events": [], "why": "at rest by IMU"},
+            "is not named",
+        ),
         ({"unreadable": "torn"}, "the recording: torn"),
         ({"foreign": "KeyError: 3"}, "an exception of another kind: KeyError: 3"),
         ({"off_m": np.array([0.03, 0.0]), "sigma_m": np.array([0.005, 0.005])}, "30 mm beside its estimate"),
@@ -123,7 +127,7 @@ def test_of_several_faults_the_stop_need_not_name_the_one_that_did_nothing():
 
 
 def test_a_run_that_goes_on_without_a_word_about_the_device_is_marked():
-    quiet = judge(cell(), seen(events=[]))
+    quiet = judge(cell(), seen(events=[], why="torque on, at rest by servo positions, IMU, camera"))
     assert (quiet.why, quiet.told, quiet.ended) == ((), False, "went on")
     stopped = judge(
         cell("servos", "jump"), seen(events=[("servos", "a leap")], stop="robot stopped (servo_jump)")

@@ -147,7 +147,8 @@ def _is_named(device: str, seen: Seen) -> bool:
     kind = kind_of(device)
     if any(source == kind.name for source, _ in seen.events):
         return True
-    said = " ".join((*(m for _, m in seen.events), seen.stop, seen.error, seen.why)).lower()
+    why = "" if seen.said == "HELD" else seen.why
+    said = " ".join((*(m for _, m in seen.events), seen.stop, seen.error, why)).lower()
     words = {kind.name, kind.noun.lower(), kind.shown_as, *kind.aliases}
     return any(word in said or word.rstrip("s") in said for word in words)
 
