@@ -8,7 +8,7 @@ is that of `hil.recording.cycle_layout`, the way back is `hil.recording.cycle_de
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from itertools import chain, groupby
 from operator import attrgetter
@@ -77,8 +77,16 @@ def _code_of(layout: Layout) -> str:
     return CODES.get(layout, "") if isinstance(layout, str) else ""
 
 
-def _all_at_once(layout: struct.Struct) -> Encode:
-    return lambda put, values: put(layout.pack(*values))
+def _numbers(layouts: list[Layout]) -> Encode:
+    """Several numbers in one step."""
+    pack = struct.Struct("<" + "".join(map(_code_of, layouts))).pack
+    return lambda put, values: put(pack(*values))
+
+
+def _kind_of(field: tuple[str, Layout]) -> str:
+    """What a field can be put together with: `numbers`, `arrays`, or nothing."""
+    layout = field[1]
+    return "numbers" if _code_of(layout) else "arrays" if layout == "array" else ""
 
 
 @lru_cache(maxsize=256)
@@ -88,10 +96,20 @@ def _row(code: str, count: int) -> struct.Struct:
 
 
 def _encode_array(put: Put, value: Any) -> None:
-    if type(value) is np.ndarray and value.dtype is _DOUBLE:
-        put(_double_head(value.shape))
-        put(value.tobytes())
-        return
+    _encode_arrays(put, (value,))
+
+
+def _encode_arrays(put: Put, values: Iterable[Any]) -> None:
+    for value in values:
+        if type(value) is np.ndarray and value.dtype is _DOUBLE:
+            put(_double_head(value.shape))
+            put(value.tobytes())
+        else:
+            _encode_other(put, value)
+
+
+def _encode_other(put: Put, value: Any) -> None:
+    """An array that is not of doubles, or not yet an array."""
     array = np.asarray(value)
     if array.dtype not in _CHARS:
         array = array.astype(np.int64 if array.dtype.kind in "iu" else np.float64)
@@ -199,17 +217,17 @@ class CycleEncoder:
         return encode
 
     def _class_encoder(self, name: str) -> Encode:
-        """Neighbouring numbers, those of inner classes too, go in one step."""
+        """Neighbouring numbers, those of inner classes too, go in one step, and so do neighbouring arrays."""
         if name in self._known:
             return self._known[name]
         steps: list[tuple[Callable[[Any], Any], Encode]] = []
-        for numbers, run in groupby(self._flat(name), lambda field: bool(_code_of(field[1]))):
+        for kind, run in groupby(self._flat(name), _kind_of):
             fields = list(run)
-            if not numbers or len(fields) == 1:
+            if not kind or len(fields) == 1:
                 steps += [(attrgetter(path), self._encoder(layout)) for path, layout in fields]
-            else:
-                layout = struct.Struct("<" + "".join(_code_of(layout) for _, layout in fields))
-                steps.append((attrgetter(*(path for path, _ in fields)), _all_at_once(layout)))
+                continue
+            together = _encode_arrays if kind == "arrays" else _numbers([layout for _, layout in fields])
+            steps.append((attrgetter(*(path for path, _ in fields)), together))
 
         def encode(put: Put, value: Any) -> None:
             for get, encode_part in steps:
@@ -235,10 +253,7 @@ class CycleEncoder:
         if code:
             return lambda put, value: put(_row(code, len(value)).pack(len(value), *value))
         if layout[0] == "enum":
-            codes = self._codes(layout[1])
-            return lambda put, value: put(
-                COUNT.pack(len(value)) + b"".join([codes[item._value_] for item in value])
-            )
+            return self._members(layout[1])
         encode_item = self._encoder(layout)
 
         def encode(put: Put, value: Any) -> None:
@@ -248,7 +263,25 @@ class CycleEncoder:
 
         return encode
 
+    def _members(self, name: str) -> Encode:
+        """A tuple of an enumeration's members; most are as the one before (all channels are well)."""
+        codes = self._codes(name)
+        last: tuple[Any, ...] = ()
+        encoded = COUNT.pack(0)
+
+        def encode(put: Put, value: Any) -> None:
+            nonlocal last, encoded
+            if value != last:
+                encoded = COUNT.pack(len(value)) + b"".join([codes[item._value_] for item in value])
+                last = value
+            put(encoded)
+
+        return encode
+
     def _optional(self, layout: Layout) -> Encode:
+        if code := _code_of(layout):
+            pack = struct.Struct(f"<?{code}").pack
+            return lambda put, value: put(b"\x00" if value is None else pack(True, value))
         encode_value = self._encoder(layout)
 
         def encode(put: Put, value: Any) -> None:

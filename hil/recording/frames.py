@@ -8,13 +8,14 @@ cycle of each run with a good pose, so that what the camera drifts stays visible
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hil.vocabulary.clock import WallOffset
-from hil.vocabulary.geometry import Array, conjugated, multiplied, quat_from_yaw, rotated
+from hil.vocabulary.geometry import Array, conjugated, multiplied, rotated
 from hil.vocabulary.signals import WHEELS, CycleRecord, RobotState, Status, TrackerSample
 
 WALL, BODY, CAMERA, CAMERA_START, CAPTURE = "wall", "body", "tracker", "tracker_start", "mocap"
@@ -88,22 +89,27 @@ class FrameTree:
         if record.cycle <= self._latest_cycle:
             self._camera_start = None
         self._latest_cycle = record.cycle
-        if not np.all(np.isfinite(record.state.pose_body_in_wall)):
+        if not _finite(record.state.pose_body_in_wall):
             return ()
         body = _body(record.state)
         if self._camera_start is None and self._camera is not None:
-            good = (s for s in record.inputs.tracker if s.status is Status.OK and _finite(s))
+            good = (s for s in record.inputs.tracker if s.status is Status.OK and _is_known(s))
             self._camera_start = next((_start_of(body, self._camera, s) for s in good), None)
         return (body,) if self._camera_start is None else (body, self._camera_start)
 
 
-def _finite(sample: TrackerSample) -> bool:
-    return bool(np.all(np.isfinite(sample.position_m)) and np.all(np.isfinite(sample.quaternion_wxyz)))
+def _finite(values: Array) -> bool:
+    return all(map(math.isfinite, values.tolist()))
+
+
+def _is_known(sample: TrackerSample) -> bool:
+    return _finite(sample.position_m) and _finite(sample.quaternion_wxyz)
 
 
 def _body(state: RobotState) -> Frame:
     x_m, y_m, theta_rad = state.pose_body_in_wall.tolist()
-    return Frame(WALL, BODY, (x_m, y_m, 0.0), tuple(quat_from_yaw(theta_rad).tolist()))
+    axes = (math.cos(0.5 * theta_rad), 0.0, 0.0, math.sin(0.5 * theta_rad))
+    return Frame(WALL, BODY, (x_m, y_m, 0.0), axes)
 
 
 def _start_of(body: Frame, camera: Frame, sample: TrackerSample) -> Frame:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import chain
 
-from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles, xyzw
+from hil.recording.cdr import TIME, CdrForm, CdrWriter, Doubles
 from hil.recording.frames import BODY, WALL, Frame
-from hil.vocabulary.geometry import Array, quat_from_yaw
+from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord, Event, Reference, RobotState
 
@@ -26,7 +27,7 @@ TOPICS = {
 """Topics that belong to no device, with their types."""
 
 _LOG_LEVEL = {"debug": 10, "info": 20, "warning": 30, "error": 40, "fatal": 50}
-_PLANAR = tuple(6 * row + column for row in (0, 1, 5) for column in (0, 1, 5))
+_ZEROS = (0.0,) * 18
 _ODOMETRY = CdrForm(TIME, WALL, BODY, Doubles(7 + 36 + 6 + 36))
 _REFERENCE = CdrForm(TIME, WALL, Doubles(7))
 _CLOCK = CdrForm(TIME)
@@ -56,15 +57,18 @@ def _transform_form(names: tuple[tuple[str, str], ...]) -> CdrForm:
 def _planar_pose(pose: Array) -> tuple[float, ...]:
     """Position, and quaternion in the order of ROS."""
     x_m, y_m, theta_rad = pose.tolist()
-    return x_m, y_m, 0.0, *xyzw(quat_from_yaw(theta_rad))
+    return x_m, y_m, 0.0, 0.0, 0.0, math.sin(0.5 * theta_rad), math.cos(0.5 * theta_rad)
 
 
-def _spatial_covariance(planar: Array) -> list[float]:
-    """Covariance of six (36 numbers) from that of x, y and the turn about z."""
-    spatial = [0.0] * 36
-    for place, value in zip(_PLANAR, planar.ravel().tolist(), strict=True):
-        spatial[place] = value
-    return spatial
+def _spatial_covariance(planar: Array) -> tuple[float, ...]:
+    """Covariance of six (36 numbers) from that (3, 3) of x, y and the turn about z."""
+    (xx, xy, xt), (yx, yy, yt), (tx, ty, tt) = planar.tolist()
+    return (
+        xx, xy, 0.0, 0.0, 0.0, xt,
+        yx, yy, 0.0, 0.0, 0.0, yt,
+        *_ZEROS,
+        tx, ty, 0.0, 0.0, 0.0, tt,
+    )  # fmt: skip
 
 
 def odometry(state: RobotState, wall_ns: int = 0) -> bytes:
