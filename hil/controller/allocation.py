@@ -11,12 +11,13 @@ contradict each other.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hil.robot.kinematics import WheelGeometry, inverse, wheel_vectors
-from hil.vocabulary.geometry import Array, wrap, wrap_array
+from hil.robot.kinematics import WheelGeometry, inverse
+from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import WheelSetpoint
 
 _QUARTER_RAD = np.pi / 2.0
@@ -56,15 +57,10 @@ def optimize(
     return speed, near
 
 
-def desaturate(values: Array, limit: float) -> Array:
-    """All values (4,) scaled by one factor so that none exceeds the limit."""
-    peak = max(map(abs, values.tolist()))
-    return values if peak <= limit else values * (limit / peak)
-
-
-def _clipped(values: Array, limit: float) -> Array:
-    """Values within -limit and limit, without what `np.clip` spends on its arguments."""
-    return np.asarray(np.minimum(np.maximum(values, -limit), limit), dtype=np.float64)
+def desaturate(values: Sequence[float], limit: float) -> list[float]:
+    """All values scaled by one factor so that none exceeds the limit."""
+    peak = max(map(abs, values))
+    return list(values) if peak <= limit else [value * (limit / peak) for value in values]
 
 
 class ModuleLayer:
@@ -83,51 +79,74 @@ class ModuleLayer:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
         p = geometry.projection()
         self._contradicting = np.eye(8) - p @ np.linalg.pinv(p)
+        self._zeros = 2 * geometry.steering_zero_rad.tolist()
         self.reset()
 
     def reset(self) -> None:
         """Forget held and sent angles: they start again from the measured ones."""
         self.following = False
-        self._held: Array | None = None
-        self._sent: Array | None = None
+        self._held: list[float] | None = None
+        self._sent: list[float] | None = None
 
     def hold(self, measured_rad: Array) -> WheelSetpoint:
         """Wheels at rest at the held, or else the measured, steering angles (4,), rad."""
-        held = measured_rad.copy() if self._held is None else self._held
+        held = measured_rad.tolist() if self._held is None else self._held
         self._held = self._sent = held
         self.following = False
-        return WheelSetpoint(np.zeros(4), held.copy())
+        return WheelSetpoint(np.zeros(4), np.array(held))
 
     def allocate(self, twist_body: Array, measured_rad: Array) -> WheelSetpoint:
-        """Setpoint for a twist (3,) given the measured steering angles (4,)."""
-        held = measured_rad if self._held is None else self._held
-        goals, measured, limits = held.tolist(), measured_rad.tolist(), self.limits
+        """Setpoint for a twist (3,) given the measured steering angles (4,).
+
+        Four values a step: plain floats are quicker than arrays, and give the same bits in sums and
+        products. Sine, cosine, angle, hypotenuse and matrix product stay numpy's, whose last bit may differ.
+        """
+        measured: list[float] = measured_rad.tolist()
+        asked, target = self._wanted(twist_body, measured)
+        self._held = target
+        reach = self.limits.steering_rate_rad_s * self.dt_s
+        sent = measured if self._sent is None else self._sent
+        step = desaturate([goal - at for goal, at in zip(target, sent, strict=True)], reach)
+        self._sent = sent = [at + more for at, more in zip(sent, step, strict=True)]
+        widest = self.limits.steering_rad
+        bounded = [min(max(angle, -widest), widest) for angle in sent]
+        headings = [angle - zero for angle, zero in zip(measured + bounded, self._zeros, strict=True)]
+        error = [wrap(goal - now) for goal, now in zip(target, measured, strict=True)]
+        cosines = np.cos(error + headings).tolist()
+        speed = [v * max(0.0, part) for v, part in zip(asked, cosines[:4], strict=True)]
+        speed = desaturate(speed, self.limits.speed_m_s)
+        speed = self._agreeing(speed, cosines[4:], np.sin(headings).tolist())
+        self.following = any(asked) and all(
+            [abs(v) >= _FOLLOWING * abs(wanted) for v, wanted in zip(speed, asked, strict=True)]
+        )
+        return WheelSetpoint(np.array(speed) / self.geometry.radius_m, np.array(bounded))
+
+    def _wanted(self, twist_body: Array, measured: list[float]) -> tuple[list[float], list[float]]:
+        """Signed speeds (4,) and angles (4,) of a twist (3,): the equivalent nearest to the measured angles."""
+        goals = list(measured if self._held is None else self._held)
         speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
         for i in range(4):
-            if speeds[i] < limits.still_speed_m_s:
+            if speeds[i] < self.limits.still_speed_m_s:
                 speeds[i] = 0.0
-                continue
-            speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], limits)
-        asked, target = np.array(speeds), np.array(goals)
-        self._held = target
-        error = wrap_array(target - measured_rad)
-        speed = desaturate(asked * np.maximum(0.0, np.cos(error)), limits.speed_m_s)
-        reach = limits.steering_rate_rad_s * self.dt_s
-        sent = measured_rad if self._sent is None else self._sent
-        self._sent = sent + desaturate(target - sent, reach)
-        bounded = _clipped(self._sent, limits.steering_rad)
-        speed = self._agreeing(speed, np.stack([measured_rad, bounded]))
-        self.following = bool(np.any(asked) and np.all(np.abs(speed) >= _FOLLOWING * np.abs(asked)))
-        return WheelSetpoint(speed / self.geometry.radius_m, bounded)
+            else:
+                speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], self.limits)
+        return speeds, goals
 
-    def _agreeing(self, speed: Array, steering_rad: Array) -> Array:
+    def _agreeing(self, speed: list[float], cosines: list[float], sines: list[float]) -> list[float]:
         """Speeds (4,) scaled by one factor so that no wheel slips by more than the limit.
 
         What a wheel slips is what the rigid-body motion that fits all wheels best, by least squares,
-        leaves of its velocity; at each of the steering angles (n, 4) that the wheels may have meanwhile.
+        leaves of its velocity; at the angles that the wheels have and at those that they are sent to.
+
+        Args:
+            speed: of the wheels, m/s.
+            cosines: (8,) of the wheels' headings at the first angles, then at the others.
+            sines: (8,) of the same.
         """
-        u = wheel_vectors(speed, steering_rad - self.geometry.steering_zero_rad)
-        left = u @ self._contradicting
-        peak = float(np.max(np.hypot(left[:, 0::2], left[:, 1::2])))
+        u: list[float] = []
+        for v, cosine, sine in zip(speed + speed, cosines, sines, strict=True):
+            u += (v * cosine, v * sine)
+        left = np.array(u).reshape(2, 8) @ self._contradicting
+        peak = max(np.hypot(left[:, 0::2], left[:, 1::2]).ravel().tolist())
         limit = self.limits.contradiction_m_s
-        return speed if peak <= limit else speed * (limit / peak)
+        return speed if peak <= limit else [v * (limit / peak) for v in speed]

@@ -19,14 +19,15 @@ from hil.vocabulary.signals import Reference, RobotState
 
 def pose_error(state: RobotState, reference: Reference) -> Array:
     """Reference minus state, shape (3,), in the measured body frame, heading wrapped."""
-    pose, wanted = state.pose_body_in_wall, reference.pose_in_wall
-    ahead = rotation2(-float(pose[2])) @ (wanted[:2] - pose[:2])
-    return np.array([ahead[0], ahead[1], wrap(float(wanted[2] - pose[2]))])
+    (x, y, theta), (x_d, y_d, theta_d) = state.pose_body_in_wall.tolist(), reference.pose_in_wall.tolist()
+    ahead = rotation2(-theta) @ np.array([x_d - x, y_d - y])
+    return np.array([*ahead.tolist(), wrap(theta_d - theta)])
 
 
 def beyond(error: Array, dead_zone: Array) -> Array:
     """The part of an error (3,) that exceeds a dead zone (3,); zero inside, continuous at its edge."""
-    return np.asarray(error - np.minimum(np.maximum(error, -dead_zone), dead_zone), dtype=np.float64)
+    pairs = zip(error.tolist(), dead_zone.tolist(), strict=True)
+    return np.array([e - min(max(e, -zone), zone) for e, zone in pairs])
 
 
 class Law(Protocol):

@@ -7,6 +7,7 @@ a recording's inputs fed back through it reproduce the recorded setpoints exactl
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -152,16 +153,19 @@ class Brain:
     def _control(
         self, state: RobotState, reference: Reference | None, measurements: Measurements
     ) -> WheelSetpoint:
-        wheels = measurements.wheels[-1] if measurements.wheels else None
-        if wheels is not None:
-            known = np.isfinite(wheels.steering_rad)
-            self._steering = np.where(known, wheels.steering_rad, self._steering)
+        wheels = self._complete(measurements.wheels[-1]) if measurements.wheels else None
         if self.controller is None or reference is None or wheels is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
-        return self.controller.update(state, reference, self._complete(wheels))
+        return self.controller.update(state, reference, wheels)
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
-        return replace(wheels, steering_rad=self._steering.copy())
+        """Newest wheels; where a steering angle was not read, with the last one that was."""
+        steering = wheels.steering_rad
+        if not all(map(math.isfinite, steering.tolist())):
+            steering = np.where(np.isfinite(steering), steering, self._steering)
+            wheels = replace(wheels, steering_rad=steering)
+        self._steering = steering
+        return wheels
 
 
 class ControlLoop:
