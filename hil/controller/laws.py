@@ -150,27 +150,29 @@ class OptimalLaw(Law):
         state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
         if q_i == 0.0:
             models = [_without_integral(m) for m in models]
-        self._gains = riccati_gains(models, state_cost, r * np.eye(3))[:steps]
+        self._gains = [-gain for gain in riccati_gains(models, state_cost, r * np.eye(3))[:steps]]
         self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
         self._integrates = q_i > 0.0
         self.reset()
 
     def reset(self) -> None:
         """Empty integral and lag states."""
-        self._integral, self._lagged = np.zeros(3), np.zeros(3)
+        self._integral, self._lagged = [0.0] * 3, [0.0] * 3
 
     def twist(self, error: Array, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus optimal correction."""
         k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
-        z = np.concatenate([error, self._integral, self._lagged])
-        correction = -self._gains[k] @ z
-        self._lagged = self._decay * self._lagged + (1.0 - self._decay) * correction
+        correction = self._gains[k] @ np.array([*error.tolist(), *self._integral, *self._lagged])
+        keep, take = self._decay, 1.0 - self._decay
+        pairs = zip(self._lagged, correction.tolist(), strict=True)
+        self._lagged = [keep * lagged + take * new for lagged, new in pairs]
         return np.asarray(reference.twist_body + correction, dtype=np.float64)
 
     def learn(self, error: Array) -> None:
         """One step of the integral over the error (3,), m, m, rad, body axes, within its clamp."""
         if self._integrates:
-            self._integral = np.clip(self._integral + error * self._dt_s, -self._clamp, self._clamp)
+            grown = [i + e * self._dt_s for i, e in zip(self._integral, error.tolist(), strict=True)]
+            self._integral = [min(max(i, -self._clamp), self._clamp) for i in grown]
 
 
 def _without_integral(model: tuple[Array, Array]) -> tuple[Array, Array]:

@@ -64,14 +64,14 @@ class Intake:
         if many > len(staged.t_ns):
             staged = self._staged = Staged(2 * many)
         staged.count = 0
+        staged.data[:many] = 0.0
         newest_ns = measurements.t_ns + self._future_ns
         for (number, name, pack, part), samples in zip(self._sensors, came, strict=True):
             for sample in samples:
-                row = staged.data[staged.count]
-                row[:] = 0.0
-                reason = pack(sample, row[part])
+                reason = pack(sample, staged.data[staged.count, part])
                 if reason:
                     self.refused[reason] += 1
+                    staged.data[staged.count] = 0.0
                 else:
                     self._keep(staged, number, name, sample.stamp, oldest_ns, newest_ns)
         return staged

@@ -76,8 +76,8 @@ class Alignment:
         return Measurements(
             cycle=inputs.cycle,
             t_ns=inputs.t_ns,
-            wheels=tuple(self._wheels(s) for s in inputs.servos),
-            gyro=tuple(self._gyro(s) for s in inputs.imu if s.status is Status.OK),
+            wheels=tuple([self._wheels(s) for s in inputs.servos]),
+            gyro=tuple([self._gyro(s) for s in inputs.imu if s.status is Status.OK]),
             **self._poses.measure(inputs),
         )
 
@@ -89,13 +89,14 @@ class Alignment:
         )
 
     def _wheels(self, sample: ServoSample) -> WheelMeasurement:
-        valid = tuple(sample.status[i] is Status.OK and sample.status[i + 4] is Status.OK for i in range(4))
+        ok = [status is Status.OK for status in sample.status]
+        position = sample.position_rad
         return WheelMeasurement(
             stamp=sample.stamp,
-            wheel_angle_rad=self._drive_sign * sample.position_rad[:4],
+            wheel_angle_rad=self._drive_sign * position[:4],
             wheel_rate_rad_s=self._drive_sign * sample.velocity_rad_s[:4],
-            steering_rad=self._steer_sign * (sample.position_rad[4:] - self._zero),
-            valid=valid,
+            steering_rad=self._steer_sign * (position[4:] - self._zero),
+            valid=(ok[0] and ok[4], ok[1] and ok[5], ok[2] and ok[6], ok[3] and ok[7]),
         )
 
     def _gyro(self, sample: ImuSample) -> GyroMeasurement:

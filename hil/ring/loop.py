@@ -124,7 +124,10 @@ class Brain:
         believed = left_out.believed(measurements)
         state = self._states[_OWN] = self.estimator.update(believed)  # 4
         if figures := self.supervisor.figures():
-            state = replace(state, diagnostics={**state.diagnostics, **figures})
+            state = RobotState(
+                state.t_ns, state.pose_body_in_wall, state.twist_body, state.covariance,
+                {**state.diagnostics, **figures},
+            )  # fmt: skip
         others = {name: observer.update(believed) for name, observer in self.observers.items()}
         self._states.update(others)
         lap("estimate")

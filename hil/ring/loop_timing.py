@@ -18,7 +18,7 @@ class Distribution:
     """Mean, worst value and quantiles (to 1 %) of durations in ns, in a fixed amount of memory."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(_BINS, dtype=np.int64)
+        self._counts = [0] * _BINS
         self._total_ns = self.worst_ns = self.count = 0
         self._last_ns = self._last_bin = 0
 

@@ -65,10 +65,10 @@ class PoseAlignment:
 
     def measure(self, inputs: Inputs) -> dict[str, tuple[PoseMeasurement, ...]]:
         """Measurements by the names that they have in `Measurements`."""
-        camera = (self._tracker(s) for s in inputs.tracker)
+        camera = [self._tracker(s) for s in inputs.tracker]
         return {
-            "tracker": tuple(m for m in camera if m is not None),
-            "mocap": tuple(self._mocap(s) for s in inputs.mocap),
+            "tracker": tuple([m for m in camera if m is not None]),
+            "mocap": tuple([self._mocap(s) for s in inputs.mocap]),
         }
 
     def _tracker(self, sample: TrackerSample) -> PoseMeasurement | None:
@@ -109,12 +109,11 @@ class PoseAlignment:
         )
 
     def _mocap(self, sample: MocapSample) -> PoseMeasurement:
-        x, y = sample.position_m[:2].tolist()
+        x, y, _ = sample.position_m.tolist()
+        turned = sample.quaternion_wxyz.tolist()
         valid = sample.status is Status.OK and sample.tracking_valid
-        valid = valid and _is_near(x, y) and _is_attitude(sample.quaternion_wxyz.tolist())
-        yaw = math.nan
-        if valid:
-            yaw = self._mocap_yaw.follow(yaw_of_quat(sample.quaternion_wxyz))
+        valid = valid and _is_near(x, y) and _is_attitude(turned)
+        yaw = self._mocap_yaw.follow(yaw_of_quat(turned)) if valid else math.nan
         return PoseMeasurement(
             stamp=sample.stamp,
             source="mocap",
@@ -131,4 +130,4 @@ def _is_near(*position_m: float) -> bool:
 
 def _is_attitude(quaternion_wxyz: list[float]) -> bool:
     """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
-    return 0.9 < sum(q * q for q in quaternion_wxyz) < 1.1
+    return 0.9 < sum([q * q for q in quaternion_wxyz]) < 1.1

@@ -53,6 +53,8 @@ class SampleWatch:
         t_ns = inputs.t_ns
         for name, labels in self._channels.items():
             good, samples = False, inputs.of(name)
+            if not samples and name not in self._told_ns:
+                continue
             for sample in samples:
                 if sample.status is Status.OK:
                     good = True

@@ -13,6 +13,7 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
@@ -43,8 +44,16 @@ class Straight:
 
     def __call__(self, s: float) -> tuple[Array, Array, Array]:
         """Pose (3,), its first and its second derivative by s."""
+        a, way = self._ends
+        return a + s * way, way, np.zeros(3)
+
+    @cached_property
+    def _ends(self) -> tuple[Array, Array]:
+        """First pose, and the way from it to the last."""
         a, b = np.array(self.start), np.array(self.end)
-        return a + s * (b - a), b - a, np.zeros(3)
+        way: Array = b - a
+        way.setflags(write=False)
+        return a, way
 
 
 @dataclass(frozen=True)
@@ -155,8 +164,8 @@ def _pose(value: ArrayLike) -> Pose:
 
 
 def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, done: bool) -> Reference:
-    body = rotation2(-pose[2]) @ velocity[:2]
-    return Reference(t_s, pose, np.array([body[0], body[1], velocity[2]]), acceleration, done)
+    body = rotation2(-pose.item(2)) @ velocity[:2]
+    return Reference(t_s, pose, np.array([*body.tolist(), velocity.item(2)]), acceleration, done)
 
 
 def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:

@@ -254,8 +254,11 @@ class Inputs:
 
 def worst(sample: Any) -> Status:
     """OK where all of a sample can be used, else the first reason why not."""
-    states = sample.status if isinstance(sample.status, tuple) else (sample.status,)
-    return next((s for s in states if s is not Status.OK), Status.OK)
+    status = sample.status
+    for state in status if isinstance(status, tuple) else (status,):
+        if state is not Status.OK:
+            return state
+    return Status.OK
 
 
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))

@@ -177,16 +177,16 @@ def is_used(config: EstimatorConfig) -> bool:
 def pack(sample: WheelMeasurement, row: Array) -> str:
     """Event row (16,) of a servo read; a wheel beyond any robot is marked, not the sample refused."""
     turned, steered = np.asarray(sample.wheel_angle_rad), np.asarray(sample.steering_rad)
-    rates, valid = np.asarray(sample.wheel_rate_rad_s), sample.valid
+    rates, valid = np.asarray(sample.wheel_rate_rad_s), list(sample.valid)
     if not turned.shape == steered.shape == rates.shape == _FOUR or len(valid) != 4:
         return "shape"
-    row[:4], row[4:8], row[8:12], row[12:] = turned, steered, rates, valid
-    sizes = np.abs(row[:8]).tolist()
+    angles = turned.tolist() + steered.tolist()
+    sizes = list(map(abs, angles))
     if not sum(sizes) < FARTHEST_RAD:
         for i in range(4):
             if not (sizes[i] < FARTHEST_RAD and sizes[4 + i] < FARTHEST_RAD):
-                row[12 + i] = 0.0
-        valid = row[12:].tolist()
+                valid[i] = False
+    row[:] = angles + rates.tolist() + valid
     return "" if any(valid) else "not_finite"
 
 
