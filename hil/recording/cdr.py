@@ -156,9 +156,10 @@ class CdrForm:
             wall_ns: wall-clock time at its zero.
             numbers: one sequence for each `Doubles` that is not empty.
         """
-        values, when = self._values.copy(), _seconds(t_ns + wall_ns)
+        values = self._values.copy()
+        seconds, nanoseconds = _seconds(t_ns + wall_ns)
         for at in self._times:
-            values[at : at + 2] = when
+            values[at], values[at + 1] = seconds, nanoseconds
         for place, given in zip(self._numbers, numbers, strict=True):
             values[place] = given
         return self._layout.pack(*values)

@@ -39,6 +39,7 @@ _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 _INDEX_HEAD = struct.Struct("<BQHI")
 """Opcode and length of a message index, channel, bytes of its entries."""
 _FOOTER_HEAD = struct.Struct("<BQQQ")
+_MESSAGE = int(Opcode.MESSAGE)
 _INSIDE = _MESSAGE_HEAD.size - _RECORD_HEAD.size
 _MOST_U32 = 0xFFFFFFFF
 
@@ -124,10 +125,8 @@ class ChunkedFile:
             struct.error: a time is negative.
         """
         size = _INSIDE + len(data)
-        head = _MESSAGE_HEAD.pack(
-            Opcode.MESSAGE, size, topic.number, topic.sent & _MOST_U32, log_ns, publish_ns
-        )
-        self._open += (head, data)
+        number = topic.sent & _MOST_U32
+        self._open += (_MESSAGE_HEAD.pack(_MESSAGE, size, topic.number, number, log_ns, publish_ns), data)
         topic.index += (log_ns, self._length)
         topic.sent += 1
         self._length += _RECORD_HEAD.size + size

@@ -168,20 +168,21 @@ class RecordingFile:
 
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
-        now_ns = record.start_ns
+        now_ns, wall_ns = record.start_ns, self._wall_ns
         payload = octet_array(self._encoder.encode(record))
         self._add("/hil/cycle", now_ns, record.inputs.t_ns, payload)
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, self._wall_ns))
+            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, wall_ns))
             if self._description:
                 self._add("/robot_description", now_ns, now_ns, string(self._description))
         moving, t_ns = self._frames.moving(record), record.state.t_ns
         if moving:
-            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))
-        for topic, t_ns, data in messages(record, self._kinds, self._wall_ns):
-            self._add(topic, now_ns, t_ns, data)
+            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, wall_ns))
+        add, log_ns = self._mcap.add, max(0, now_ns + wall_ns)
+        for topic, t_ns, data in messages(record, self._kinds, wall_ns):
+            add(self._topics[topic], log_ns, max(0, t_ns + wall_ns), data)
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
