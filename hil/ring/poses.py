@@ -61,7 +61,7 @@ class PoseAlignment:
 
     def _forget_start(self) -> None:
         self._tracker_yaw = Unwrapped()
-        self._start: tuple[Three, Four] | None = None
+        self._start: tuple[Three, Four] | None = None  # where the camera began, and its attitude, conjugated
 
     def measure(self, inputs: Inputs) -> dict[str, tuple[PoseMeasurement, ...]]:
         """Measurements by the names that they have in `Measurements`."""
@@ -90,9 +90,8 @@ class PoseAlignment:
         if self._start is None:
             if sample.status is not Status.OK:
                 return None
-            self._start = ((px, py, pz), tuple(turned))
-        (sx, sy, sz), start_wxyz = self._start
-        back = conjugated(start_wxyz)
+            self._start = ((px, py, pz), conjugated(turned))
+        (sx, sy, sz), back = self._start
         mount_m, mount_wxyz = self._mount.position_m, self._mount.rotation_wxyz
         turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), conjugated(mount_wxyz)))
         scale = self._scale
@@ -125,7 +124,7 @@ class PoseAlignment:
 
 def _is_near(*position_m: float) -> bool:
     """Whether a position can be one: finite, and on any wall that there is."""
-    return all([abs(p) < _FARTHEST_M for p in position_m])
+    return all([-_FARTHEST_M < p < _FARTHEST_M for p in position_m])
 
 
 def _is_attitude(quaternion_wxyz: list[float]) -> bool:

@@ -227,20 +227,22 @@ class Supervisor:
         """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
         events: list[Event] = []
         self._filter.judge(state, events)
+        found: dict[str, str] = {}
+        x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
-            self.checks.hold.heading_rad = float(state.pose_body_in_wall[2])
-        pose, found = state.pose_body_in_wall, {}
-        if not (_finite(pose) and _finite(state.twist_body)):
+            self.checks.hold.heading_rad = heading_rad
+        if not (_finite(state.pose_body_in_wall) and _finite(state.twist_body)):
             raise SafetyStop("not_finite", "the estimated state is not finite")
-        if self.limits.on_wall and abs(wrap(float(pose[2]))) > self.limits.heading_limit_rad:
+        if self.limits.on_wall and abs(wrap(heading_rad)) > self.limits.heading_limit_rad:
             found["heading"] = (
-                f"heading {math.degrees(pose[2]):.1f} deg exceeds "
+                f"heading {math.degrees(heading_rad):.1f} deg exceeds "
                 f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold"
             )
         if reference is not None:
             if not _finite(reference.pose_in_wall):
                 raise SafetyStop("not_finite", "the reference is not finite")
-            error_m = math.hypot(*(reference.pose_in_wall[:2] - pose[:2]))
+            wanted_x_m, wanted_y_m, _ = reference.pose_in_wall.tolist()
+            error_m = math.hypot(wanted_x_m - x_m, wanted_y_m - y_m)
             if error_m > self.limits.tracking_error_limit_m:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
         if found:

@@ -246,7 +246,7 @@ class Inputs:
 
     def of(self, kind: str) -> tuple[Any, ...]:
         """Samples of a kind by its name; none of a kind that delivered nothing."""
-        if kind in KINDS:
+        if kind in _KNOWN:
             samples: tuple[Any, ...] = getattr(self, kind)
             return samples
         return self.added.get(kind, ())
@@ -263,6 +263,7 @@ def worst(sample: Any) -> Status:
 
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
 """Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
+_KNOWN = frozenset(KINDS)
 
 
 @dataclass(frozen=True)
