@@ -122,7 +122,7 @@ class ModuleLayer:
         return WheelSetpoint(np.array(speed) / self.geometry.radius_m, np.array(bounded))
 
     def _wanted(self, twist_body: Array, measured: list[float]) -> tuple[list[float], list[float]]:
-        """Signed speeds (4,) and angles (4,) of a twist (3,): the equivalent nearest to the measured angles."""
+        """Signed speeds (4,) and angles (4,) of a twist (3,): those nearest to the measured angles."""
         goals = list(measured if self._held is None else self._held)
         speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
         for i in range(4):

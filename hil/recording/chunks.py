@@ -1,7 +1,7 @@
 """An MCAP file chunk by chunk: messages are put together here, every other record is `mcap`'s own.
 
-`mcap.writer.Writer` takes some sixty Python calls for a message, and a control cycle has thirteen of them. Here
-a message is one call: its head has a fixed layout, and its place in the chunk follows from the lengths
+`mcap.writer.Writer` takes some fifty Python calls for a message, and a control cycle has thirteen of them.
+Here a message is one call: its head has a fixed layout, and its place in the chunk follows from the lengths
 before it. A chunk is packed, checked and indexed when it is closed (docs/decisions/0030).
 
 Format: https://mcap.dev/spec
@@ -98,10 +98,10 @@ class ChunkedFile:
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Describe a type of messages; its number."""
-        schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
-        self._schemas.append(schema)
-        self._put(_bytes_of(schema))
-        return schema.id
+        number = len(self._schemas) + 1
+        self._schemas.append(Schema(id=number, name=name, encoding=encoding, data=data))
+        self._put(_bytes_of(self._schemas[-1]))
+        return number
 
     def add_topic(self, name: str, encoding: str, schema: int, metadata: Mapping[str, str]) -> Topic:
         """Open a channel for messages of one type."""
@@ -207,7 +207,7 @@ class ChunkedFile:
 
 
 def _indexes(topics: Iterable[Topic], begin: int) -> tuple[dict[int, int], bytes]:
-    """Message indexes of a chunk from the place `begin` in the file on: place of each channel's, and bytes."""
+    """Message indexes of a chunk that begin at a place in the file: each channel's place, and their bytes."""
     places, out = {}, b""
     for topic in topics:
         entries = struct.pack(f"<{len(topic.index)}Q", *topic.index)

@@ -255,7 +255,8 @@ class Inputs:
 def worst(sample: Any) -> Status:
     """OK where all of a sample can be used, else the first reason why not."""
     status = sample.status
-    for state in status if isinstance(status, tuple) else (status,):
+    states: tuple[Status, ...] = status if isinstance(status, tuple) else (status,)
+    for state in states:
         if state is not Status.OK:
             return state
     return Status.OK

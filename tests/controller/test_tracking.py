@@ -135,7 +135,7 @@ def test_module_oracles_of_wpimath():
     limits = ModuleLimits(steering_rad=3.0, flip_hysteresis_rad=0.0)
     speed, angle = optimize(1.0, 2.5, 0.0, limits)
     assert (speed, angle) == (-1.0, pytest.approx(2.5 - math.pi))
-    np.testing.assert_allclose(desaturate(np.array([0.5, 0.3, 0.2, 0.1]), 0.28), [0.28, 0.168, 0.112, 0.056])
+    np.testing.assert_allclose(desaturate([0.5, 0.3, 0.2, 0.1], 0.28), [0.28, 0.168, 0.112, 0.056])
 
 
 @given(st.floats(-3.14, 3.14), st.floats(-2.09, 2.09))

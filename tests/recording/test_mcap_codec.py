@@ -28,6 +28,17 @@ def test_every_bit_comes_back(record):
     assert CycleEncoder().encode(back) == data
 
 
+def test_an_encoder_that_has_seen_others_writes_the_same():
+    """It remembers statuses of the record before: all well, then not, then another number of channels."""
+    encoder, records = CycleEncoder(), []
+    for k, status in enumerate(((Status.OK,) * 8, (Status.OK,) * 7 + (Status.CRC,), (), (Status.OK,) * 8)):
+        record = driving_record(k)
+        servos = tuple(dataclasses.replace(s, status=status) for s in record.inputs.servos)
+        records.append(dataclasses.replace(record, inputs=dataclasses.replace(record.inputs, servos=servos)))
+    for record in records:
+        assert encoder.encode(record) == CycleEncoder().encode(record)
+
+
 def test_comparison_sees_a_single_bit():
     record = driving_record(1)
     pose = record.state.pose_body_in_wall.copy()
