@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.errors import TrajectoryError
-from hil.vocabulary.geometry import Array, rotation2
+from hil.vocabulary.geometry import Array
 
 _CHECK_STEP_S = 0.01
 _LONGEST_S = 7200.0
+_AT_ONCE = 1000
 _SLACK = 1.0 + 1e-6
 
 
@@ -49,33 +51,69 @@ def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> No
             trajectory.name, t_s=0.0, quantity="duration (s)", value=trajectory.duration_s, limit=_LONGEST_S,
             remedy="divide the motion",
         )  # fmt: skip
-    steps = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
-    for t_s in steps.tolist():
-        now = trajectory.sample(t_s)
-        if not (np.all(np.isfinite(now.pose_in_wall)) and np.all(np.isfinite(now.twist_body))):
-            raise TrajectoryError(
-                trajectory.name, t_s=t_s, quantity="reference", value=math.nan, limit=math.inf
-            )
-        speed = np.hypot(*(projection @ now.twist_body).reshape(4, 2).T)
-        _hold(trajectory, t_s, "wheel speed (m/s)", float(speed.max()), limits.wheel_speed_m_s)
-        body = rotation2(-float(now.pose_in_wall[2])) @ now.acceleration_wall[:2]
-        pull = np.hypot(
-            *(projection @ np.array([body[0], body[1], now.acceleration_wall[2]])).reshape(4, 2).T
-        )
-        _hold(
-            trajectory, t_s, "wheel acceleration (m/s^2)", float(pull.max()), limits.wheel_acceleration_m_s2
-        )
-        if limits.heading_limit_rad is not None:
-            heading = abs(float(now.pose_in_wall[2]))
-            _hold(trajectory, t_s, "heading on the wall (rad)", heading, limits.heading_limit_rad)
-        for axis, bounds in enumerate((limits.x_range_m, limits.y_range_m)):
-            if bounds is not None:
-                value = float(now.pose_in_wall[axis])
-                label = f"{'xy'[axis]} on the wall (m)"
-                _hold(trajectory, t_s, label, value, bounds[1])
-                _hold(trajectory, t_s, "-" + label, -value, -bounds[0])
+    times_s = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S).tolist()
+    for begin in range(0, len(times_s), _AT_ONCE):
+        _check(trajectory, times_s[begin : begin + _AT_ONCE], projection, limits)
 
 
-def _hold(trajectory: Trajectory, t_s: float, quantity: str, value: float, limit: float) -> None:
-    if not value <= limit + abs(limit) * (_SLACK - 1.0) + 1e-12:
-        raise TrajectoryError(trajectory.name, t_s=t_s, quantity=quantity, value=value, limit=limit)
+def _check(trajectory: Trajectory, times_s: list[float], projection: Array, limits: MotionLimits) -> None:
+    """Refuse the first of these times at which a limit does not hold, or the reference is no number."""
+    samples = [trajectory.sample(t_s) for t_s in times_s]
+    pose = np.array([now.pose_in_wall for now in samples])
+    twist = np.array([now.twist_body for now in samples])
+    pull = np.array([now.acceleration_wall for now in samples])
+    finite = np.isfinite(pose).all(axis=1) & np.isfinite(twist).all(axis=1)
+    known = len(times_s) if finite.all() else int(np.argmin(finite))
+    held = _held(pose[:known], twist[:known], pull[:known], projection, limits)
+    beyond = np.array([~(q.values <= q.limit + abs(q.limit) * (_SLACK - 1.0) + 1e-12) for q in held])
+    if beyond.any():
+        k = int(np.argmax(beyond.any(axis=0)))
+        first = held[int(np.argmax(beyond[:, k]))]
+        raise TrajectoryError(
+            trajectory.name, t_s=times_s[k], quantity=first.name, value=float(first.values[k]),
+            limit=first.limit,
+        )  # fmt: skip
+    if known < len(times_s):
+        raise TrajectoryError(
+            trajectory.name, t_s=times_s[known], quantity="reference", value=math.nan, limit=math.inf
+        )
+
+
+class _Held(NamedTuple):
+    """What must not exceed a limit: values (n,) over time."""
+
+    name: str
+    values: Array
+    limit: float
+
+
+def _held(pose: Array, twist: Array, pull: Array, projection: Array, limits: MotionLimits) -> list[_Held]:
+    """What is held against the limits, in the order in which it is told.
+
+    Args:
+        pose: (n, 3) in the wall frame.
+        twist: (n, 3) in the body frame.
+        pull: (n, 3) accelerations in wall axes.
+        projection: P (8, 3) of the wheels.
+        limits: what must hold.
+    """
+    c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+    ahead, left = c * pull[:, 0] + s * pull[:, 1], c * pull[:, 1] - s * pull[:, 0]
+    body = np.column_stack([ahead, left, pull[:, 2]])
+    found = [
+        _Held("wheel speed (m/s)", _fastest(twist, projection), limits.wheel_speed_m_s),
+        _Held("wheel acceleration (m/s^2)", _fastest(body, projection), limits.wheel_acceleration_m_s2),
+    ]
+    if limits.heading_limit_rad is not None:
+        found.append(_Held("heading on the wall (rad)", np.abs(pose[:, 2]), limits.heading_limit_rad))
+    for axis, bounds in enumerate((limits.x_range_m, limits.y_range_m)):
+        if bounds is not None:
+            label = f"{'xy'[axis]} on the wall (m)"
+            found += [_Held(label, pose[:, axis], bounds[1]), _Held("-" + label, -pose[:, axis], -bounds[0])]
+    return found
+
+
+def _fastest(motion: Array, projection: Array) -> Array:
+    """Largest of the four wheel vectors of body motions (n, 3): (n,)."""
+    wheels = motion @ projection.T
+    return np.asarray(np.hypot(wheels[:, 0::2], wheels[:, 1::2]).max(axis=1), dtype=np.float64)
