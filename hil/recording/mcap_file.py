@@ -125,7 +125,7 @@ class RecordingFile:
     """
 
     def __init__(self, path: Path, header: Mapping[str, Any]) -> None:
-        from hil.recording.chunks import ChunkedFile
+        from mcap.writer import CompressionType, Writer
 
         self._offset = recorded_offset(header)
         self._wall_ns = 0 if self._offset is None else self._offset.offset_ns
@@ -135,10 +135,13 @@ class RecordingFile:
         self._kinds = _recorded(header)
         own = tuple(kind for kind in self._kinds if kind.name not in KINDS)
         self._encoder = CycleEncoder(own)
+        topics = topics_with(self._kinds)
+        self._sequence = dict.fromkeys(topics, 0)
         self._flushed_ns: int | None = None
         self._safe_bytes = 0
         self.flushed = self.unflushed = 0
-        self._mcap = ChunkedFile(self._file, profile="ros2", library=LIBRARY)
+        self._mcap = Writer(self._file, compression=CompressionType.ZSTD, chunk_size=1 << 30)
+        self._mcap.start(profile="ros2", library=LIBRARY)
         self._mcap.add_metadata(
             METADATA,
             {
@@ -149,13 +152,12 @@ class RecordingFile:
         )
         if self._offset is not None:
             self._mcap.add_metadata(CLOCK_AT_START, _texts(self._offset))
-        topics = topics_with(self._kinds)
         schemas = {
-            kind: self._mcap.add_schema(kind, "ros2msg", _definition(kind).encode())
+            kind: self._mcap.register_schema(kind, "ros2msg", _definition(kind).encode())
             for kind in sorted(set(topics.values()))
         }
-        self._topics = {
-            topic: self._mcap.add_topic(
+        self._channels = {
+            topic: self._mcap.register_channel(
                 topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
             )
             for topic, kind in topics.items()
@@ -163,26 +165,26 @@ class RecordingFile:
         self._safe_bytes = self._file.tell()
 
     def _add(self, topic: str, log_ns: int, t_ns: int, data: bytes) -> None:
-        wall_ns = self._wall_ns
-        self._mcap.add(self._topics[topic], max(0, log_ns + wall_ns), max(0, t_ns + wall_ns), data)
+        log_ns, t_ns = max(0, log_ns + self._wall_ns), max(0, t_ns + self._wall_ns)
+        self._mcap.add_message(self._channels[topic], log_ns, data, t_ns, self._sequence[topic] & 0xFFFFFFFF)
+        self._sequence[topic] += 1
 
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
-        now_ns, wall_ns = record.start_ns, self._wall_ns
+        now_ns = record.start_ns
         payload = octet_array(self._encoder.encode(record))
         self._add("/hil/cycle", now_ns, record.inputs.t_ns, payload)
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, wall_ns))
+            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, self._wall_ns))
             if self._description:
                 self._add("/robot_description", now_ns, now_ns, string(self._description))
         moving, t_ns = self._frames.moving(record), record.state.t_ns
         if moving:
-            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, wall_ns))
-        add, log_ns = self._mcap.add, max(0, now_ns + wall_ns)
-        for topic, t_ns, data in messages(record, self._kinds, wall_ns):
-            add(self._topics[topic], log_ns, max(0, t_ns + wall_ns), data)
+            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))
+        for topic, t_ns, data in messages(record, self._kinds, self._wall_ns):
+            self._add(topic, now_ns, t_ns, data)
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
