@@ -7,6 +7,7 @@ has been put into the registry by `CanChannel.open`. Across processes it is serv
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from copy import deepcopy
 from typing import Any
 
@@ -47,7 +48,7 @@ class CanChannel:
         self, world: World, name: str = "hil", *, bitrate: int = 500_000, device: str = "encoders"
     ) -> None:
         self.world, self.name, self.bitrate, self._device = world, name, bitrate, device
-        self._listeners: list[deque[Frame]] = []
+        self._listeners: list[tuple[deque[Frame], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
         self._told_bus_off = False
@@ -65,15 +66,19 @@ class CanChannel:
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
-    def listen(self) -> deque[Frame]:
-        """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads."""
+    def listen(self, told: Callable[[], None] | None = None) -> deque[Frame]:
+        """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads.
+
+        Args:
+            told: called when frames have been added.
+        """
         queue: deque[Frame] = deque(maxlen=_QUEUE)
-        self._listeners.append(queue)
+        self._listeners.append((queue, told))
         return queue
 
     def leave(self, queue: deque[Frame]) -> None:
         """Stop filling a queue."""
-        self._listeners = [q for q in self._listeners if q is not queue]
+        self._listeners = [(q, told) for q, told in self._listeners if q is not queue]
 
     def transmit(self, frame_id: int, data: bytes, t_ns: int) -> None:
         """Put a standard data frame on the bus, not before `t_ns`."""
@@ -91,11 +96,13 @@ class CanChannel:
             message, copies = spoilt
         message.timestamp = self._free_ns / NS_PER_S
         heard = False
-        for queue in self._listeners:
+        for queue, told in self._listeners:
             if queue is not sender:
                 for _ in range(copies):
                     queue.append((self._free_ns, deepcopy(message) if heard else message))
                     heard = True
+                if told is not None:
+                    told()
 
     def check_plugged(self) -> None:
         """Raise as a CAN adapter does that has been pulled out."""

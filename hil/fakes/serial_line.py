@@ -71,6 +71,7 @@ class SerialLine(Scheduled):
         self._out_free_ns = self._in_free_ns = 0
         self._baud = _BAUD_UNSAID
         self.in_use = False
+        self.tells = chip.polls_alone
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
 
@@ -98,6 +99,7 @@ class SerialLine(Scheduled):
             start_ns += self._duration_ns(len(piece), baud)
             self._out.append((start_ns, piece, baud))
         self._out_free_ns = start_ns
+        self.world.changed(self)
 
     def take(self, limit: int) -> bytes:
         """Up to `limit` bytes that have reached the host."""

@@ -26,10 +26,12 @@ class SerialChip(Protocol):
     Attributes:
         name: device name, also of its faults.
         supported_faults: faults that arise in the chip itself; the line declares them with its own.
+        polls_alone: `next_poll_ns` becomes earlier only while it receives or is polled.
     """
 
     name: str
     supported_faults: Supported
+    polls_alone: bool = False
 
     @abstractmethod
     def receive(self, data: bytes, t_ns: int, baud: int) -> list[Reply]:

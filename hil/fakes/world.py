@@ -2,7 +2,8 @@
 
 Devices register as `Scheduled` parts: each says when it next has something to do and does it. In
 virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emulation server calls
-`advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
+`advance_to` with the monotonic clock. When each part is due stands in a list; a part of ours says when its
+entry has to change, any other one is asked before every step. World time starts at 0 in both cases, so the order of events
 and every random number depend on the seed alone.
 """
 
@@ -28,11 +29,13 @@ class Scheduled(Protocol):
     """A part of the world that acts at times of its own.
 
     Attributes:
-        alone: what it does in `on_due` never changes when another part is due, so that only this one needs to
-            be asked again.
+        alone: what it does in `on_due` never changes when another part is due.
+        tells: it calls `World.changed` whenever it will be due at another time than it has said, unless that
+            follows from its own `on_due`; so it need not be asked again and again.
     """
 
     alone: bool = False
+    tells: bool = False
 
     @abstractmethod
     def next_due_ns(self) -> int:
@@ -57,7 +60,9 @@ class World:
         self.seed = seed
         self.faults = faults if faults is not None else FaultPlan()
         self._parts: list[Scheduled] = []
-        self._alone: list[bool] = []
+        self._due_ns: list[int] = []
+        self._places: dict[int, int] = {}
+        self._asked: list[tuple[int, Scheduled]] = []
         self.now_ns = 0
         self.failures: dict[str, HilError] = {}
         self.enclose: Callable[[Scheduled], Scheduled] | None = None
@@ -66,8 +71,23 @@ class World:
         """Register a part; ties in time are resolved in order of registration."""
         if self.enclose is not None:
             part = self.enclose(part)
+        place, tells = len(self._parts), getattr(part, "tells", False)
         self._parts.append(part)
-        self._alone.append(getattr(part, "alone", False))
+        self._due_ns.append(part.next_due_ns() if tells else NEVER_NS)
+        self._places[id(part)] = place
+        if not tells:
+            self._asked.append((place, part))
+
+    def changed(self, part: Scheduled) -> None:
+        """A part that `tells` will be due at another time than it has said."""
+        place = self._places.get(id(part))
+        if place is not None:
+            self._due_ns[place] = part.next_due_ns()
+
+    def _ask(self) -> None:
+        """Find out when those are due who do not tell."""
+        for place, part in self._asked:
+            self._due_ns[place] = part.next_due_ns()
 
     def rng(self, name: str) -> np.random.Generator:
         """An independent random stream for a named device, fixed by the world's seed."""
@@ -81,23 +101,25 @@ class World:
         """Move the world to `t_ns`, letting every part act at its own time on the way."""
         if t_ns < self.now_ns:
             return
-        parts, plant = self._parts, self.plant
-        due_ns = [part.next_due_ns() for part in parts]
+        parts, due_ns, asked, plant = self._parts, self._due_ns, self._asked, self.plant
+        if asked:
+            self._ask()
         while due_ns and (first_ns := min(due_ns)) <= t_ns:
             if first_ns > self.now_ns:
                 self.now_ns = first_ns
             plant.advance(self.now_ns)
-            first = due_ns.index(first_ns)
-            parts[first].on_due(self.now_ns)
-            if self._alone[first]:
-                due_ns[first] = parts[first].next_due_ns()
-            else:
-                due_ns = [part.next_due_ns() for part in parts]
+            place = due_ns.index(first_ns)
+            part = parts[place]
+            part.on_due(self.now_ns)
+            due_ns[place] = part.next_due_ns()
+            if asked and not getattr(part, "alone", False):
+                self._ask()
         self.now_ns = t_ns
 
     def next_due_ns(self) -> int:
         """World time of the earliest planned action."""
-        return min((part.next_due_ns() for part in self._parts), default=NEVER_NS)
+        self._ask()
+        return min(self._due_ns, default=NEVER_NS)
 
 
 def random_stream(seed: int, name: str) -> np.random.Generator:

@@ -79,6 +79,8 @@ class KeptInWorld(Kept, Scheduled):
         world: of the fan.
     """
 
+    tells = True
+
     def __init__(self, world: World) -> None:
         self._world = world
         self._beat: Beat | None = None

@@ -55,6 +55,7 @@ class MotorNode(Scheduled):
     """
 
     supported_faults = FAN_FAULTS
+    tells = True
 
     def __init__(
         self,
@@ -78,7 +79,7 @@ class MotorNode(Scheduled):
         self._rng = world.rng(stream)
         self._faults = DeviceFaults(world.faults, name, world.rng(f"{stream}.faults"))
         world.faults.declare(name, self.supported_faults)
-        self._queue = channel.listen()
+        self._queue = channel.listen(lambda: world.changed(self))
         self._timeout_ns = nanoseconds(options.timeout_s)
         self._commanded_ns = 0
         self._booted_ns = 0

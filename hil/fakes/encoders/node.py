@@ -68,6 +68,8 @@ class EncoderNode(Scheduled):
         clock_ppm: error of the node's clock.
     """
 
+    tells = True
+
     def __init__(
         self,
         world: World,

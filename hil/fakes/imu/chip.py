@@ -43,7 +43,8 @@ class Bno055Chip(SerialChip, Scheduled):
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
-    alone = True
+    alone = tells = True
+    polls_alone = True
 
     def __init__(
         self,
@@ -144,6 +145,7 @@ class Bno055Chip(SerialChip, Scheduled):
         self.sensors.calibration.clear()
         self.sensors.set_remap(0x24, 0x00)
         self.sensors.restart_fusion()
+        self._world.changed(self)
 
     def _power(self, t_ns: int) -> bool:
         """Follow power faults; True while the chip has no power or is booting."""
@@ -236,6 +238,7 @@ class Bno055Chip(SerialChip, Scheduled):
             self.sensors.restart_fusion()
         stopped = mode == reg.CONFIG or suspended
         self._due_ns = NEVER_NS if stopped else self._switched_ns + round(1e9 / self._mode.rate_hz)
+        self._world.changed(self)
         return uart.WRITE_SUCCESS
 
     def _trigger(self, value: int, t_ns: int) -> int:

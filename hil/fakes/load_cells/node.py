@@ -31,6 +31,8 @@ class CellNode(Scheduled):
         cells: what is measured.
     """
 
+    tells = True
+
     def __init__(self, world: World, channel: CanChannel, config: CanCellsConfig, cells: Cells) -> None:
         self._channel, self._cells = channel, cells
         self._frame_id = FRAME_ID + config.node_id

@@ -81,6 +81,8 @@ class NatNetServer(Scheduled):
         offered_group: multicast group that frames go to besides, where they go to each client; None for none.
     """
 
+    tells = True
+
     def __init__(
         self,
         world: World,

@@ -38,7 +38,8 @@ class ServoBus(SerialChip, Scheduled):
         options: how the servos are set up and supplied.
     """
 
-    alone = True
+    alone = tells = True
+    polls_alone = True
 
     def __init__(self, world: World, name: str = "servos", options: ServoBusOptions | None = None) -> None:
         self.name = name

@@ -28,7 +28,7 @@ class Cadence(Scheduled):
         renew: takes one measurement.
     """
 
-    alone = True
+    alone = tells = True
 
     def __init__(self, options: ServoBusOptions, rng: np.random.Generator, renew: Callable[[], None]) -> None:
         self._options, self._rng, self._renew = options, rng, renew

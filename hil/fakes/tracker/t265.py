@@ -40,7 +40,7 @@ class T265(Scheduled):
         model: name that the device gives itself.
     """
 
-    alone = True
+    alone = tells = True
 
     def __init__(
         self,
@@ -135,6 +135,7 @@ class T265(Scheduled):
     def _rest(self) -> None:
         self._travelling.clear()
         self._exposure_ns = NEVER_NS
+        self._world.changed(self)
 
     def _restart(self, t_ns: int) -> None:
         self.odometry.restart()
@@ -142,6 +143,7 @@ class T265(Scheduled):
         self._start_ns = self._exposed_ns = t_ns
         self._shaken_until_ns = 0
         self._exposure_ns = t_ns + nanoseconds(self._options.boot_s)
+        self._world.changed(self)
 
     def _expose(self, t_ns: int) -> None:
         options = self._options
