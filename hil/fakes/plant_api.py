@@ -15,8 +15,7 @@ from hil.vocabulary.geometry import Array
 JointMode = Literal["off", "velocity", "position", "pwm", "current"]
 
 
-@dataclass(frozen=True)
-class JointCommand:
+class JointCommand(NamedTuple):
     """What a servo's firmware asks of its motor.
 
     Attributes:

@@ -81,7 +81,7 @@ class Serial(SerialBase):
         else:
             deadline_ns = world.now_ns + max(nanoseconds(self.timeout), line.client_cost_ns)
         while len(out) < size and world.now_ns < deadline_ns:
-            step_ns = min(line.next_event_ns(), deadline_ns)
+            step_ns = min(line.next_event_ns(size - len(out)), deadline_ns)
             if step_ns >= NEVER_NS:
                 step_ns = world.next_due_ns()
             if step_ns >= NEVER_NS:

@@ -27,7 +27,8 @@ LINE_FAULTS: Supported = {
     "unplug": (),
 }
 
-_BITS_PER_BYTE = 10
+_BITS_NS = 10 * NS_PER_S
+"""Of one byte on the wire, at 1 baud."""
 _BAUD_UNSAID = 115_200
 _USB_PACKET = 62
 _WRONG_BAUD_FACTOR = 0.5
@@ -94,9 +95,10 @@ class SerialLine(Scheduled):
         """Bytes from the client, now; raises `Unplugged`."""
         self.check_plugged()
         self._baud = baud
-        start_ns = max(self.world.now_ns, self._out_free_ns)
-        for piece in self._spoil(data, self.world.now_ns):
-            start_ns += self._duration_ns(len(piece), baud)
+        now_ns = self.world.now_ns
+        start_ns = now_ns if now_ns > self._out_free_ns else self._out_free_ns
+        for piece in (data,) if self.world.faults.empty else self._spoil(data, now_ns):
+            start_ns += len(piece) * _BITS_NS // baud
             self._out.append((start_ns, piece, baud))
         self._out_free_ns = start_ns
         self.world.changed(self)
@@ -106,11 +108,10 @@ class SerialLine(Scheduled):
         arrived, now_ns, out = self._in, self.world.now_ns, b""
         while arrived and arrived[0][0] <= now_ns and len(out) < limit:
             host_ns, data = arrived.popleft()
-            room = limit - len(out)
-            if len(data) > room:
-                arrived.appendleft((host_ns, data[room:]))
-                data = data[:room]
             out += data
+            if len(out) > limit:
+                arrived.appendleft((host_ns, out[limit:]))
+                return out[:limit]
         return out
 
     def waiting(self) -> int:
@@ -130,13 +131,19 @@ class SerialLine(Scheduled):
         """When the next bytes reach the host, as far as is known now."""
         return self._in[0][0] if self._in else NEVER_NS
 
-    def next_event_ns(self) -> int:
-        """The next moment at which anything changes on this line."""
-        now_ns, event_ns = self.world.now_ns, self.next_due_ns()
-        for host_ns, _ in self._in:
-            if host_ns > now_ns:
-                return min(event_ns, host_ns)
-        return event_ns
+    def next_event_ns(self, wanted: int) -> int:
+        """When `wanted` bytes will have reached the host, or else when something else may happen on this line.
+
+        Bytes come one after the other, so that those in between need not be waited for one by one.
+        """
+        ready_ns = self.world.now_ns
+        for host_ns, data in self._in:
+            if host_ns > ready_ns:
+                ready_ns = host_ns
+            wanted -= len(data)
+            if wanted <= 0:
+                return ready_ns
+        return self.next_due_ns()
 
     def next_due_ns(self) -> int:
         """When bytes next reach the chip or the chip next speaks unasked."""
@@ -147,7 +154,9 @@ class SerialLine(Scheduled):
         """Let the chip hear what has arrived, and take its answers."""
         while self._out and self._out[0][0] <= t_ns:
             _, data, baud = self._out.popleft()
-            self._answer(self.chip.receive(data, t_ns, self._heard(baud, t_ns)), baud, t_ns)
+            replies = self.chip.receive(data, t_ns, self._heard(baud, t_ns))
+            if replies:
+                self._answer(replies, baud, t_ns)
         if self.chip.next_poll_ns() <= t_ns:
             self._answer(self.chip.poll(t_ns), self._baud, t_ns)
 
@@ -165,28 +174,23 @@ class SerialLine(Scheduled):
 
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
         for reply in replies:
-            for data in self._spoil(reply.data, t_ns):
-                self._deliver(data, max(reply.ready_ns, self._in_free_ns), baud)
+            for data in (reply.data,) if self.world.faults.empty else self._spoil(reply.data, t_ns):
+                ready_ns, free_ns = reply.ready_ns, self._in_free_ns
+                self._deliver(data, ready_ns if ready_ns > free_ns else free_ns, baud)
 
     def _deliver(self, data: bytes, start_ns: int, baud: int) -> None:
         """Put a paced answer into the host's buffer, in the adapter's packets."""
         packet = _USB_PACKET if self._latency_ns else 1
         for first in range(0, len(data), packet):
             piece = data[first : first + packet]
-            start_ns += self._duration_ns(len(piece), baud)
+            start_ns += len(piece) * _BITS_NS // baud
             latency_ns = self._latency_ns if len(piece) < packet else 0
             self._in.append((start_ns + latency_ns, piece))
         self._in_free_ns = start_ns
 
-    @staticmethod
-    def _duration_ns(count: int, baud: int) -> int:
-        return count * _BITS_PER_BYTE * NS_PER_S // baud
-
     def _spoil(self, data: bytes, t_ns: int) -> tuple[bytes, ...]:
         """The transfers that one becomes under the active wire faults."""
         faults = self.world.faults
-        if faults.empty:
-            return (data,)
 
         def hit(kind: str) -> bool:
             fault = faults.find(self.chip.name, kind, t_ns)

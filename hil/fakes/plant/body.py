@@ -82,19 +82,20 @@ class SteppedBody(Plant):
         Raises:
             UsageError: no such joint, or a goal or limit that is not a number.
         """
-        limits = (command.velocity_limit_rad_s, command.current_limit_a, command.pwm_limit)
-        if not 0 <= joint < 8 or not math.isfinite(command.goal) or not all(v >= 0.0 for v in limits):
+        asked, goal, rate_limit, amps_limit, duty_limit = command
+        limits_given = rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0
+        if not (0 <= joint < 8 and math.isfinite(goal) and limits_given):
             raise UsageError(
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )
-        q, mode = self._commands, _MODES[command.mode]
+        q, mode = self._commands, _MODES[asked]
         self.by_hand = self.by_hand and mode == k.MODE_OFF
         if mode != q[k.MODE + joint]:
             self._state[k.INTEGRAL + joint] = 0.0
         q[k.MODE + joint] = mode
-        q[k.GOAL + joint] = command.goal
-        q[k.RATE_LIMIT + joint], q[k.AMPS_LIMIT + joint] = limits[:2]
-        q[k.DUTY_LIMIT + joint] = min(limits[2], 1.0)
+        q[k.GOAL + joint] = goal
+        q[k.RATE_LIMIT + joint], q[k.AMPS_LIMIT + joint] = rate_limit, amps_limit
+        q[k.DUTY_LIMIT + joint] = duty_limit if duty_limit < 1.0 else 1.0
 
     @property
     def working_point(self) -> HoldingForces:

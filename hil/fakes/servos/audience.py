@@ -7,9 +7,9 @@ a servo says that something about it has changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from hil.fakes.servos import protocol
+from hil.fakes.servos.block import GoalBlock, MotionBlock
 from hil.fakes.servos.group import Wanted
 from hil.fakes.servos.options import ServoBusOptions
 from hil.fakes.servos.protocol import Instruction
@@ -28,20 +28,6 @@ def reads_fast(servo: Servo) -> bool:
     return servo.firmware >= servo.table.model.fast_read_firmware and answers_most(servo)
 
 
-class Chain(NamedTuple):
-    """Servos that answer one and the same fast sync read together.
-
-    Attributes:
-        servos: in the order asked.
-        declared: length of the answer, as its head announces it.
-        delay_ns: return delay of the slowest.
-    """
-
-    servos: tuple[Servo, ...]
-    declared: int
-    delay_ns: int
-
-
 class Audience:
     """The servos of a bus by what they do with a packet.
 
@@ -50,6 +36,7 @@ class Audience:
 
     Attributes:
         servos: all, by joint; set by the bus.
+        goals: the group write that came last, if all whom it concerns have taken goals there before.
     """
 
     def __init__(self, options: ServoBusOptions) -> None:
@@ -61,7 +48,8 @@ class Audience:
         """Something has changed: find out again."""
         self._listeners: list[Servo] | None = None
         self._by_id: dict[int, list[Servo]] = {}
-        self._chains: dict[bytes, Chain] = {}
+        self._motions: dict[bytes, MotionBlock] = {}
+        self.goals: GoalBlock | None = None
 
     def listeners(self, baud: int, t_ns: int) -> list[Servo]:
         """Who hears what is sent now at a baud rate; another rate needs `forget` first."""
@@ -89,17 +77,17 @@ class Audience:
                 self._by_id[servo_id] = found
         return found
 
-    def chain(self, instruction: Instruction) -> Chain | None:
-        """Servos that answer this fast sync read together, as `keep_chain` has found."""
+    def motion(self, instruction: Instruction) -> MotionBlock | None:
+        """Servos that answer this fast sync read together, as `keep_motion` has found."""
         if instruction.code != protocol.FAST_SYNC_READ:
             return None
-        return self._chains.get(instruction.parameters)
+        return self._motions.get(instruction.parameters)
 
-    def keep_chain(self, instruction: Instruction, wanted: Wanted) -> None:
+    def keep_motion(self, instruction: Instruction, wanted: Wanted) -> None:
         """Remember a read of current, velocity and position that all who were asked have answered."""
         able = [s for s in self._listeners or () if reads_fast(s)]
         by_id = {s.id: s for s in able}
-        chain = tuple(by_id[servo_id] for servo_id, _, _ in wanted if servo_id in by_id)
+        chain = [by_id[servo_id] for servo_id, _, _ in wanted if servo_id in by_id]
         if (
             0 < len(chain) == len(wanted)
             and len(by_id) == len(able)
@@ -108,6 +96,16 @@ class Audience:
                 for s, (_, address, length) in zip(chain, wanted, strict=True)
             )
         ):
-            declared = 1 + sum(length + 4 for _, _, length in wanted)
-            slowest_ns = max(s.delay_ns for s in chain)
-            self._chains[instruction.parameters] = Chain(chain, declared, slowest_ns)
+            self._motions[instruction.parameters] = MotionBlock(chain, wanted)
+
+    def keep_goals(self, instruction: Instruction, parts: Sequence[tuple[int, int, bytes]]) -> None:
+        """Remember a group write of goals that servos with torque have taken, each its own part."""
+        listeners = self._listeners
+        if not parts or listeners is None or not all(s.torque for s in listeners):
+            return
+        taken = [(address, data, self.addressed(i, listeners)) for i, address, data in parts]
+        takers = [s for _, _, servos in taken for s in servos]
+        if len(set(map(id, takers))) == len(takers) and all(
+            s.has_goal(address, data) for address, data, servos in taken for s in servos
+        ):
+            self.goals = GoalBlock(instruction, taken)

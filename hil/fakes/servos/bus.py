@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from hil.config.servo_models.codes import WATCHDOG_STEP_S
 from hil.fakes.servos import protocol
-from hil.fakes.servos.audience import Audience, Chain, answers_most, reads_fast
+from hil.fakes.servos.audience import Audience, answers_most, reads_fast
+from hil.fakes.servos.block import MotionBlock
 from hil.fakes.servos.faulty import BUS_FAULTS, ServoFaults
 from hil.fakes.servos.group import GROUP_READS, Wanted, write_parts
 from hil.fakes.servos.live import LiveRegisters
@@ -122,15 +123,15 @@ class ServoBus(SerialChip, Scheduled):
             ]
         if listeners:
             self._traffic_ns = t_ns
-        chain = self._audience.chain(instruction)
-        if chain is not None:
-            return self._read_motion(chain, t_ns)
+        motion = self._audience.motion(instruction)
+        if motion is not None:
+            return self._read_motion(motion, t_ns)
         if instruction.code in GROUP_READS:
             wanted = GROUP_READS[instruction.code](instruction)
             if instruction.code not in _FAST:
                 return self._read_in_turn(wanted, listeners, t_ns)
             if self._faults.none:
-                self._audience.keep_chain(instruction, wanted)
+                self._audience.keep_motion(instruction, wanted)
             return self._fast_read(wanted, listeners, t_ns)
         if instruction.code in (protocol.SYNC_WRITE, protocol.BULK_WRITE):
             self._write_group(instruction, listeners, t_ns)
@@ -183,12 +184,18 @@ class ServoBus(SerialChip, Scheduled):
 
     def _write_group(self, instruction: Instruction, listeners: list[Servo], t_ns: int) -> None:
         """Sync and bulk write: no answers, each servo takes its part or refuses it in silence."""
+        goals = self._audience.goals
+        if goals is not None and goals.write(instruction):
+            return
         for servo in listeners:
             if not servo.torque:
                 self._live.sense(servo, t_ns)
-        for servo_id, address, data in write_parts(instruction):
+        parts = write_parts(instruction)
+        for servo_id, address, data in parts:
             for servo in self._audience.addressed(servo_id, listeners):
                 servo.write(address, data)
+        if self._faults.none:
+            self._audience.keep_goals(instruction, parts)
 
     def _read_in_turn(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Sync and bulk read: each servo answers when the one before it has finished."""
@@ -211,12 +218,10 @@ class ServoBus(SerialChip, Scheduled):
                 free_ns = reply.ready_ns + len(reply.data) * byte_ns
         return replies
 
-    def _read_motion(self, chain: Chain, t_ns: int) -> list[Reply]:
+    def _read_motion(self, block: MotionBlock, t_ns: int) -> list[Reply]:
         """The fast sync read of every cycle, from servos that have answered it before: all in one go."""
-        shown = self._live.motions(chain.servos, t_ns)
-        parts = [(s.id, s.alert, data) for s, data in zip(chain.servos, shown, strict=True)]
-        pieces = protocol.fast_status(parts, chain.declared)
-        return [Reply(t_ns + self._processing_ns + chain.delay_ns, b"".join(pieces))]
+        ready_ns = t_ns + self._processing_ns + block.delay_ns
+        return [Reply(ready_ns, block.reply(*self._live.measured(t_ns)))]
 
     def _fast_read(self, wanted: Wanted, listeners: list[Servo], t_ns: int) -> list[Reply]:
         """Fast sync and bulk read: one packet that the servos write together."""

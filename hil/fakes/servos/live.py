@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 from hil.fakes.servos.faulty import ServoFaults
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.servos.servo import Servo
@@ -30,11 +28,10 @@ class LiveRegisters:
         self._holding = True
         self._measure()
 
-    def motions(self, servos: Sequence[Servo], t_ns: int) -> list[bytes]:
-        """What servos without a fault show in the registers that every cycle reads, now."""
+    def measured(self, t_ns: int) -> tuple[list[int], list[int], list[int]]:
+        """Encoder counts, velocities and currents (8,) by joint of servos without a fault, now."""
         self._renew(t_ns)
-        counts, velocities, currents = self._all
-        return [s.motion(counts[j], velocities[j], currents[j]) for s in servos for j in (s.joint,)]
+        return self._all
 
     def sense(self, servo: Servo, t_ns: int) -> tuple[int, int]:
         """Let a servo sense; its velocity and current counts in the joint's direction."""
@@ -58,7 +55,8 @@ class LiveRegisters:
             return
         velocity, current = self.sense(servo, t_ns)
         if address >= motion.address and end <= motion.end:
-            servo.table.put_row(motion, servo.motion(servo.axis.position.encoder, velocity, current))
+            values = servo.motion(servo.axis.position.encoder, velocity, current)
+            servo.table.put_row(motion, motion.pack(*values))
             return
         thermal, j = self._thermal, servo.joint
         duty = float(self._sensing.duty(thermal.volts)[j])

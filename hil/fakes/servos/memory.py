@@ -40,12 +40,14 @@ class Row:
     Attributes:
         address, end: from the first byte to behind the last.
         size: how many bytes these are.
+        form: of their values, for `struct`.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
         registers = [model.table[name] for name in names]
         self.address, self.end = registers[0].address, registers[-1].end
-        self._layout = struct.Struct("<" + "".join(map(_code, registers)))
+        self.form = "".join(map(_code, registers))
+        self._layout = struct.Struct("<" + self.form)
         self.size = self._layout.size
         assert self.size == self.end - self.address
 

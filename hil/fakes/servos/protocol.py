@@ -64,6 +64,11 @@ def status(servo_id: int, error: int, parameters: bytes = b"") -> bytes:
     return packet(servo_id, bytes((STATUS, error)) + parameters)
 
 
+def fast_head(declared: int) -> bytes:
+    """What a fast read's reply begins with; it announces how many bytes of instruction and pieces follow."""
+    return HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
+
+
 def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[bytes]:
     """The pieces of a fast read's reply, one per servo (ID, error, data), the head with the first.
 
@@ -73,7 +78,7 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
         parts: servos that answer, in order.
         declared: bytes of instruction and pieces of all servos asked, which the head announces.
     """
-    sent = HEADER + bytes((BROADCAST,)) + (declared & 0xFFFF).to_bytes(2, "little") + bytes((STATUS,))
+    sent = fast_head(declared)
     pieces = []
     crc, uncounted, head = 0, sent, sent
     for servo_id, error, data in parts:
@@ -104,6 +109,8 @@ class InstructionParser:
         if first_ns - self._last_ns > BYTE_GAP_NS:
             self._buffer.clear()
         self._last_ns = last_ns
+        if not self._buffer and (whole := _whole(data)) is not None:
+            return [whole]
         self._buffer += data
         found = []
         while (one := self._next()) is not None:
@@ -133,3 +140,15 @@ class InstructionParser:
             if data[7] == STATUS:
                 continue
             return Instruction(data[4], data[7], unstuff(data[8:-2]), sound)
+
+
+def _whole(data: bytes) -> Instruction | None:
+    """The instruction of bytes that are one sound instruction packet and nothing else."""
+    if len(data) < _OVERHEAD + _SHORTEST or not data.startswith(HEADER):
+        return None
+    length = data[5] | data[6] << 8
+    if length > _LONGEST or len(data) != _OVERHEAD + length or data[7] == STATUS:
+        return None
+    if checksum(data[:-2]) != data[-2] | data[-1] << 8:
+        return None
+    return Instruction(data[4], data[7], unstuff(data[8:-2]))

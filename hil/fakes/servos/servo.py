@@ -150,8 +150,8 @@ class Servo:
         measured = self.table.layout.measured
         self.table.put_row(measured, measured.pack(*values))
 
-    def motion(self, encoder: int, velocity: int, current: int) -> bytes:
-        """Sense, and show the registers that every cycle reads: current, velocity and position.
+    def motion(self, encoder: int, velocity: int, current: int) -> tuple[int, int, int]:
+        """Sense; what the registers that every cycle reads show: current, velocity and position.
 
         Args:
             encoder: counts from joint angle 0, as the other two in the joint's direction.
@@ -159,9 +159,8 @@ class Servo:
             current: in its counts.
         """
         position = self.axis.position
-        position.encoder, self._velocity = encoder, velocity
-        sign = position.sign
-        return self.table.layout.motion.pack(sign * current, sign * velocity, position.present)
+        sign, self._velocity = position.sign, velocity
+        return sign * current, sign * velocity, position.sense(encoder)
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
@@ -183,9 +182,19 @@ class Servo:
                 self._goal = goal_place(self.table, self.axis.mode, plan, address, data)
         return protocol.OK
 
+    def has_goal(self, address: int, data: bytes) -> bool:
+        """Whether a write of these bytes would change nothing: they stand there, and the motor follows them."""
+        goal = self._goal
+        return (
+            goal is not None
+            and data == goal.data
+            and address == goal.address
+            and not self.axis.trajectory.ongoing
+        )
+
     def _rewrite(self, goal: GoalPlace, data: bytes) -> bool:
         """Write a goal where one was written last; False where it is to be looked at closely."""
-        if data == goal.data and not self.axis.trajectory.ongoing:
+        if self.has_goal(goal.address, data):
             return True
         raw = goal.register.decode(data)
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
