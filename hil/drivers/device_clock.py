@@ -50,10 +50,12 @@ class DeviceClock:
                 return host_ns - self._latency_ns, False
             self._offset_ns = float(offset_ns)
         else:
-            leaked_ns = self._offset_ns + _LEAK * max(host_ns - self._seen_ns, 0)
-            self._offset_ns = min(float(offset_ns), leaked_ns)
+            passed_ns = host_ns - self._seen_ns
+            leaked_ns = self._offset_ns + _LEAK * (passed_ns if passed_ns > 0 else 0)
+            self._offset_ns = leaked_ns if leaked_ns < offset_ns else float(offset_ns)
         self._strange = 0
         self._seen_ns = host_ns
         t_ns = device_ns + round(self._offset_ns) - self._latency_ns
-        self._t_ns = max(min(t_ns, host_ns), self._t_ns + 1)
+        t_ns = t_ns if t_ns < host_ns else host_ns
+        self._t_ns = t_ns if t_ns > self._t_ns else self._t_ns + 1
         return self._t_ns, True

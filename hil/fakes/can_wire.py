@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from copy import deepcopy
+from copy import copy
+from functools import lru_cache
 from typing import Any
 
 import can
@@ -86,8 +87,8 @@ class CanChannel:
 
     def send(self, message: can.Message, t_ns: int, *, sender: deque[Frame] | None = None) -> None:
         """Put any frame on the bus; everybody but the sender hears it, each in an object of his own."""
-        bits = (_OVERHEAD_BITS + 20 * message.is_extended_id + 8 * message.dlc) * _STUFFING
-        self._free_ns = max(t_ns, self._free_ns) + round(bits * 1e9 / self.bitrate)
+        begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
+        self._free_ns = begins_ns + _takes_ns(message.is_extended_id, message.dlc, self.bitrate)
         copies = 1
         if not self.world.faults.empty:
             spoilt = self._spoil(message, t_ns)
@@ -99,7 +100,7 @@ class CanChannel:
         for queue, told in self._listeners:
             if queue is not sender:
                 for _ in range(copies):
-                    queue.append((self._free_ns, deepcopy(message) if heard else message))
+                    queue.append((self._free_ns, _copied(message) if heard else message))
                     heard = True
                 if told is not None:
                     told()
@@ -185,7 +186,7 @@ class WorldBus(can.BusABC):
         """Send a copy of a frame to everybody else on the channel, and here if it is wanted here, too."""
         self._channel.check_plugged()
         sender = None if self._hears_itself else self._queue
-        self._channel.send(deepcopy(msg), self._channel.world.now_ns, sender=sender)
+        self._channel.send(_copied(msg), self._channel.world.now_ns, sender=sender)
 
     def shutdown(self) -> None:
         """Leave the channel."""
@@ -199,6 +200,21 @@ class WorldBus(can.BusABC):
     @staticmethod
     def _detect_available_configs() -> list[Any]:
         return [{"interface": "hil", "channel": name} for name in _CHANNELS]
+
+
+@lru_cache(maxsize=64)
+def _takes_ns(extended: bool, dlc: int, bitrate: int) -> int:
+    """How long a frame is on the bus."""
+    bits = (_OVERHEAD_BITS + 20 * extended + 8 * dlc) * _STUFFING
+    return round(bits * 1e9 / bitrate)
+
+
+def _copied(message: can.Message) -> can.Message:
+    """A frame of one's own; `deepcopy` does the same in three times as long."""
+    own = copy(message)
+    if own.data:
+        own.data = bytearray(own.data)
+    return own
 
 
 def _deadline_ns(now_ns: int, timeout_s: float | None) -> int:

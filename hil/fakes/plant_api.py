@@ -150,6 +150,10 @@ class Plant(Protocol):
         pose, twist, acceleration = state.pose_body_in_wall, state.twist_body, state.acceleration_body
         return BodyMotion._make((*pose.tolist(), *twist.tolist(), *acceleration.tolist(), state.tilt_rad))
 
+    def adhesion_n(self) -> float:
+        """The fan's force as it acts now; NaN where nobody knows: a part of `truth`, as `body`."""
+        return self.truth().adhesion_n
+
     def steering_rad(self) -> list[float]:
         """True heading of each wheel in the body frame, wheel order: a part of `truth`, as `body`."""
         return self.truth().steering_true_rad.tolist()  # type: ignore[no-any-return]

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.records import quickly_made
 
 WHEELS = ("FL", "BL", "BR", "FR")
 SERVOS = tuple(f"drive_{w}" for w in WHEELS) + tuple(f"steer_{w}" for w in WHEELS)
@@ -42,6 +43,7 @@ class Status(str, enum.Enum):
     RESET = "reset"
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Stamp:
     """When a sample was measured and when the host saw it.
@@ -59,6 +61,7 @@ class Stamp:
     device_ns: int | None = None
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ServoSample:
     """One synchronised read of the eight servos; arrays of shape (8,), order `SERVOS`.
@@ -80,6 +83,7 @@ class ServoSample:
         return all(s is Status.OK for s in self.status)
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ServoHealth:
     """Slow bulk read: shape (8,), NaN where a servo did not answer."""
@@ -90,6 +94,7 @@ class ServoHealth:
     status: tuple[Status, ...]
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ServoHold:
     """What the servos say about holding the robot, when they were last looked after.
@@ -108,6 +113,7 @@ class ServoHold:
     trouble: Mapping[str, str] = field(default_factory=dict)
 
 
+@quickly_made
 @dataclass(frozen=True)
 class EncoderSample:
     """External steering encoders (AS5045), shape (4,), rad in [-pi, pi), NaN where not OK."""
@@ -118,6 +124,7 @@ class EncoderSample:
     raw_word: tuple[int, ...]
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ImuSample:
     """Rates, gravity and attitude of an inertial unit, in the sensor's own frame.
@@ -140,6 +147,7 @@ class ImuSample:
     status: Status = Status.OK
 
 
+@quickly_made
 @dataclass(frozen=True)
 class TrackerSample:
     """Pose of a tracking camera in robot axes (x forward, y left, z up of the camera), in its start frame.
@@ -156,6 +164,7 @@ class TrackerSample:
     status: Status = Status.OK
 
 
+@quickly_made
 @dataclass(frozen=True)
 class MocapSample:
     """Motion-capture pose of the robot's rigid body in the capture frame."""
@@ -169,6 +178,7 @@ class MocapSample:
     status: Status = Status.OK
 
 
+@quickly_made
 @dataclass(frozen=True)
 class AdhesionSample:
     """What the fan's controller reports; NaN for what it has not reported yet, or no longer does.
@@ -194,6 +204,7 @@ class AdhesionSample:
     trouble: str = ""
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ThrustSample:
     """The propellers that carry part of the weight.
@@ -210,6 +221,7 @@ class ThrustSample:
     status: Status = Status.OK
 
 
+@quickly_made
 @dataclass(frozen=True)
 class LoadCellSample:
     """The cells that measure with which force the fan presses; shape (2,), N, NaN where not OK.
@@ -223,6 +235,7 @@ class LoadCellSample:
     raw: tuple[int, ...]
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Inputs:
     """Everything that the devices delivered since the previous cycle, oldest first per device.
@@ -267,6 +280,7 @@ KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", 
 _KNOWN = frozenset(KINDS)
 
 
+@quickly_made
 @dataclass(frozen=True)
 class WheelMeasurement:
     """Aligned wheel state: shape (4,) each, wheel order; signs and zero offsets applied.
@@ -281,6 +295,7 @@ class WheelMeasurement:
     valid: tuple[bool, ...]
 
 
+@quickly_made
 @dataclass(frozen=True)
 class GyroMeasurement:
     """Aligned inertial sample in body axes.
@@ -297,6 +312,7 @@ class GyroMeasurement:
     acceleration_m_s2: Array
 
 
+@quickly_made
 @dataclass(frozen=True)
 class PoseMeasurement:
     """Planar pose of the body from a camera or the capture system, shape (3,): (m, m, rad unwrapped).
@@ -311,6 +327,7 @@ class PoseMeasurement:
     valid: bool
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Measurements:
     """Aligned inputs of one cycle: what the estimator sees."""
@@ -323,6 +340,7 @@ class Measurements:
     mocap: tuple[PoseMeasurement, ...] = ()
 
 
+@quickly_made
 @dataclass(frozen=True)
 class RobotState:
     """Estimated state.
@@ -341,6 +359,7 @@ class RobotState:
     diagnostics: Mapping[str, float] = field(default_factory=dict)
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Reference:
     """Where the robot should be at `t_s`: pose in the wall frame, body twist, acceleration in wall axes."""
@@ -352,6 +371,7 @@ class Reference:
     done: bool = False
 
 
+@quickly_made
 @dataclass(frozen=True)
 class WheelSetpoint:
     """Wheel rates and steering angles in the aligned (body) convention, shape (4,) each."""
@@ -360,6 +380,7 @@ class WheelSetpoint:
     steering_rad: Array
 
 
+@quickly_made
 @dataclass(frozen=True)
 class ServoSetpoint:
     """What goes on the bus: drive velocity goals and steering position goals of the servos themselves."""
@@ -368,6 +389,7 @@ class ServoSetpoint:
     steer_position_rad: Array
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Event:
     """Something worth telling: a fault, a rejected sample, a stop, a mode change."""
@@ -378,6 +400,7 @@ class Event:
     message: str
 
 
+@quickly_made
 @dataclass(frozen=True)
 class CycleRecord:
     """Everything about one cycle; what sinks receive and what `hil replay --verify` reproduces.

@@ -7,6 +7,7 @@ of a general decode (a test holds the two against each other).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -48,6 +49,26 @@ class FrameLayout:
     sequence: Field
     time: Field
     time_lsb_s: float
+
+    @cached_property
+    def _order(self) -> Literal["little", "big"] | None:
+        """Byte order of all signals; None where they differ."""
+        orders = {self.sequence.order, self.time.order, *(field.order for _, field in self.words)}
+        return orders.pop() if len(orders) == 1 else None
+
+    @cached_property
+    def _places(self) -> tuple[tuple[int, int, int], ...]:
+        """(wheel index, shift, mask) of the words."""
+        return tuple((wheel, field.shift, field.mask) for wheel, field in self.words)
+
+    def decode(self, data: bytes | bytearray) -> tuple[int, int, list[tuple[int, int]]]:
+        """Raw sequence number, node time and (wheel index, word) of a frame's data."""
+        if self._order is None:
+            words = [(wheel, field.take(data)) for wheel, field in self.words]
+            return self.sequence.take(data), self.time.take(data), words
+        value, sequence, time = int.from_bytes(data, self._order), self.sequence, self.time
+        words = [(wheel, value >> shift & mask) for wheel, shift, mask in self._places]
+        return value >> sequence.shift & sequence.mask, value >> time.shift & time.mask, words
 
 
 def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:

@@ -238,9 +238,11 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._warn_of_layout()
             return None
         layout = self._layout_of(message)
-        data = message.data
-        sequence = -1 if layout is None else layout.sequence.take(data)
-        if layout is None or sequence == self._finished:
+        if layout is None:
+            self.passed_over += 1
+            return None
+        sequence, time_raw, words = layout.decode(message.data)
+        if sequence == self._finished:
             self.passed_over += 1
             return None
         sample = None
@@ -250,7 +252,10 @@ class As5045Encoders(Sensor[EncoderSample]):
                 self.incomplete += 1
                 sample = self._finish(host_ns)
             self._begin(sequence, arrival_ns)
-        self._fill(layout, data)
+        for wheel, word in words:
+            self._missing -= self._words[wheel] < 0
+            self._words[wheel] = word
+        self._time_raw = time_raw
         if not self._missing:
             sample = self._finish(host_ns)
         return sample
@@ -278,14 +283,6 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._words = [-1] * 4
         self._missing = 4
 
-    def _fill(self, layout: FrameLayout, data: bytes | bytearray) -> None:
-        words = self._words
-        for wheel, field in layout.words:
-            if words[wheel] < 0:
-                self._missing -= 1
-            words[wheel] = field.take(data)
-        self._time_raw = layout.time.take(data)
-
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""
         assert self._sequence is not None
@@ -299,9 +296,8 @@ class As5045Encoders(Sensor[EncoderSample]):
             self._discard -= 1
             return None
         yellow = self._config.yellow_mode
-        angles, status = zip(
-            *[decode_word(w, yellow_mode=yellow) if w >= 0 else _NO_WORD for w in words], strict=True
-        )
+        read = [decode_word(w, yellow_mode=yellow) if w >= 0 else _NO_WORD for w in words]
+        angles, status = zip(*read, strict=True)
         return EncoderSample(
             stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._timeline.sequence, device_ns=node_ns),
             angle_rad=np.array(angles),

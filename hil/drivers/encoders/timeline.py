@@ -20,6 +20,7 @@ class NodeTimeline:
         self._sequence_mask = sequence_mask
         self._lsb_ns = time_lsb_s * NS_PER_S
         self._wrap = time_mask + 1
+        self._wrap_ns = round(self._wrap * self._lsb_ns)
         self._started = False
         self._sequence_raw = self._time_raw = self._host_ns = self._node_ns = 0
         self._offset_ns = 0.0
@@ -37,8 +38,7 @@ class NodeTimeline:
             return self._forward(host_ns, host_ns), self._node_ns, False
         elapsed_ns = host_ns - self._host_ns
         node_step_ns = round((time_raw - self._time_raw) % self._wrap * self._lsb_ns)
-        wrap_ns = round(self._wrap * self._lsb_ns)
-        node_step_ns += round((elapsed_ns - node_step_ns) / wrap_ns) * wrap_ns
+        node_step_ns += round((elapsed_ns - node_step_ns) / self._wrap_ns) * self._wrap_ns
         step = (sequence - self._sequence_raw) & self._sequence_mask
         if abs(node_step_ns - elapsed_ns) > _RESTART_NS or node_step_ns < 0:
             before = self.sequence
@@ -49,12 +49,14 @@ class NodeTimeline:
         self._sequence_raw, self._time_raw, self._host_ns = sequence, time_raw, host_ns
         self._node_ns += node_step_ns
         leaked_ns = self._offset_ns + _LEAK * elapsed_ns
-        self._offset_ns = min(host_ns - self._node_ns, leaked_ns)
+        offset_ns = host_ns - self._node_ns
+        self._offset_ns = leaked_ns if leaked_ns < offset_ns else offset_ns
         t_ns = self._forward(round(self._node_ns + self._offset_ns), host_ns)
         return t_ns, self._node_ns, False
 
     def _forward(self, t_ns: int, host_ns: int) -> int:
-        self._t_ns = max(min(t_ns, host_ns), self._t_ns + 1)
+        t_ns = t_ns if t_ns < host_ns else host_ns
+        self._t_ns = t_ns if t_ns > self._t_ns else self._t_ns + 1
         return self._t_ns
 
     def _start(self, sequence: int, time_raw: int, host_ns: int) -> None:

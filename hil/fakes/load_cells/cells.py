@@ -94,27 +94,24 @@ class Cells:
 
     def counts(self, t_ns: int) -> tuple[int, ...]:
         """One conversion of both."""
-        true_n = self._world.plant.truth().adhesion_n
+        true_n = self._world.plant.adhesion_n()
         if not self._noise:
             self._noise = self._rng.standard_normal((_BLOCK, 2)).tolist()
         noise = self._noise.pop()
-        t_s = t_ns / NS_PER_S
-        seen = [
-            self._scale[i] * self._share[i] * true_n
-            + self._zero_n[i]
-            + self._drift_n_s[i] * t_s
-            + self._options.noise_n * noise[i]
-            for i in (0, 1)
-        ]
-        if not self._world.faults.empty:
-            seen = self._wrong(seen, t_ns)
-        counts = tuple(self._converted(force_n, i) for i, force_n in enumerate(seen))
-        return counts if self._world.faults.empty else self._spoilt(counts, t_ns)
+        t_s, sigma = t_ns / NS_PER_S, self._options.noise_n
+        cells = zip(self._scale, self._share, self._zero_n, self._drift_n_s, noise, strict=True)
+        seen = [c * share * true_n + zero_n + drift * t_s + sigma * n for c, share, zero_n, drift, n in cells]
+        if self._world.faults.empty:
+            return tuple(map(self._converted, seen, self._config.n_per_count))
+        counts = tuple(map(self._converted, self._wrong(seen, t_ns), self._config.n_per_count))
+        return self._spoilt(counts, t_ns)
 
-    def _converted(self, force_n: float, cell: int) -> int:
+    def _converted(self, force_n: float, n_per_count: float) -> int:
         top_n = self._config.largest_n
-        raw = round(min(max(force_n, -top_n), top_n) / self._config.n_per_count[cell])
-        return min(max(raw, -COUNTS), COUNTS - 1)
+        if not -top_n <= force_n <= top_n:
+            force_n = min(max(force_n, -top_n), top_n)
+        raw = round(force_n / n_per_count)
+        return raw if -COUNTS <= raw < COUNTS else min(max(raw, -COUNTS), COUNTS - 1)
 
     def _wrong(self, seen: list[float], t_ns: int) -> list[float]:
         """Forces under a fault of scale, drift or zero."""

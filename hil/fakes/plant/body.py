@@ -49,6 +49,7 @@ class SteppedBody(Plant):
         self._faults = faults if faults is not None else FaultPlan()
         self._faults.declare("plant", {"adhesion_loss": ("factor", "over_s")})
         self._step_ns, self._steps = step_ns, 0
+        self._ahead_ns = 0  # before that no step more is whole
         self._constants, self._state = constants, np.zeros(k.STATE_SIZE)
         self._commands = np.zeros(k.COMMANDS_SIZE)
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
@@ -70,6 +71,10 @@ class SteppedBody(Plant):
     def steering_rad(self) -> list[float]:
         """True heading of each wheel in the body frame, wheel order."""
         return self._headings.tolist()  # type: ignore[no-any-return]
+
+    def adhesion_n(self) -> float:
+        """The fan's force as it acts now."""
+        return float(self._constants[k.ADHESION]) * self._adhesion_factor(self._steps)
 
     @property
     def t_ns(self) -> int:
@@ -123,7 +128,10 @@ class SteppedBody(Plant):
 
     def advance(self, t_ns: int) -> None:
         """Integrate up to `t_ns`: whole internal steps; the remainder waits."""
+        if t_ns < self._ahead_ns:
+            return
         end = t_ns // self._step_ns
+        self._ahead_ns = (end + 1) * self._step_ns
         if end <= self._steps:
             return
         if self.by_hand:
@@ -178,7 +186,7 @@ class SteppedBody(Plant):
             slip_m_s=s[k.SLIP : k.SLIP + 8].reshape(4, 2),
             tilt_rad=self.tilt_rad,
             fallen=bool(s[k.FALLEN]),
-            adhesion_n=float(self._constants[k.ADHESION]) * self._adhesion_factor(self._steps),
+            adhesion_n=self.adhesion_n(),
             thrust_n=float(self._constants[k.THRUST]),
         )
 
