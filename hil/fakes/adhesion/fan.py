@@ -54,6 +54,10 @@ class Fan:
         self.input_v, self.fet_c = options.pack_v, options.ambient_c
         loaded_v = options.pack_v - options.pack_ohm * config.rated_input_a
         self._a_per_rpm2 = self._rated_motor_a(loaded_v) / config.rated_rpm**2
+        per_rpm, square = 1.0 / config.rpm_per_v, options.motor_ohm * self._a_per_rpm2
+        self._at_volts_terms = per_rpm, per_rpm**2, 4.0 * square, 2.0 * square
+        self._hot_c = max(options.hot_end_c - options.hot_start_c, 1e-6)
+        self._low_v = max(options.cut_start_v - options.cut_end_v, 1e-6)
 
     def _rated_motor_a(self, loaded_v: float) -> float:
         """Motor current at the rated speed, so that the battery gives the rated current."""
@@ -109,8 +113,10 @@ class Fan:
     def highest_a(self) -> float:
         """Motor current that heat and battery leave."""
         o = self._options
-        cool = (o.hot_end_c - self.fet_c) / max(o.hot_end_c - o.hot_start_c, 1e-6)
-        full = (self.input_v - o.cut_end_v) / max(o.cut_start_v - o.cut_end_v, 1e-6)
+        cool = (o.hot_end_c - self.fet_c) / self._hot_c
+        full = (self.input_v - o.cut_end_v) / self._low_v
+        if cool >= 1.0 and full >= 1.0:
+            return o.highest_a
         return o.highest_a * min(max(min(cool, full), 0.0), 1.0)
 
     def _aim_rpm(self) -> float:
@@ -129,8 +135,8 @@ class Fan:
 
     def _at_volts(self, motor_v: float) -> float:
         """Speed at which back-EMF and resistance take up a voltage."""
-        per_rpm, square = 1.0 / self._config.rpm_per_v, self._options.motor_ohm * self._a_per_rpm2
-        return (math.sqrt(per_rpm**2 + 4.0 * square * motor_v) - per_rpm) / (2.0 * square)
+        per_rpm, squared, four, two = self._at_volts_terms
+        return (math.sqrt(squared + four * motor_v) - per_rpm) / two
 
     def _measure(self) -> None:
         """Currents and duty that belong to the speed."""

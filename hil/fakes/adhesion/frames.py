@@ -30,8 +30,8 @@ def command_value(command: int, data: bytes) -> float | None:
 
 def clipped(value: float, bits: int) -> int:
     """A figure as the firmware casts it into a signed integer, kept within it."""
-    top = (1 << (bits - 1)) - 1
-    return int(min(max(round(value), -top - 1), top))
+    top, figure = (1 << (bits - 1)) - 1, round(value)
+    return figure if -top <= figure <= top else min(max(figure, -top - 1), top)
 
 
 def status_1(erpm: float, motor_a: float, duty: float) -> bytes:

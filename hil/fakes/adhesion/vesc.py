@@ -106,7 +106,7 @@ class VescNode(MotorNode):
         fan = self.fan
         for number in which:
             if number == 1:
-                noise = self._rng.standard_normal(2)
+                noise: list[float] = self._rng.standard_normal(2).tolist()
                 rpm = fan.speed_rpm + self._offset_rpm + (_SPEED_NOISE_RPM * noise[0] if fan.speed_rpm else 0)
                 amps = fan.motor_a + (_AMPS_NOISE_A * noise[1] if fan.motor_a else 0.0)
                 yield 9, frames.status_1(self._vesc.pole_pairs * rpm, amps, fan.duty)

@@ -69,10 +69,15 @@ class SelfCalibration:
         headings = len(self._headings) - 1 + _RESTORED_ATTITUDES * self._restored["magnetometer"]
         still_s = self._still_s + _GYRO_LEVEL_S * self._restored["gyroscope"]
         return (
-            max(0, min(_MAX_LEVEL, attitudes // _ATTITUDES_PER_LEVEL)),
-            min(_MAX_LEVEL, int(still_s / _GYRO_LEVEL_S)),
-            max(0, min(_MAX_LEVEL, headings // _ATTITUDES_PER_LEVEL)),
+            _level(attitudes / _ATTITUDES_PER_LEVEL),
+            _level(still_s / _GYRO_LEVEL_S),
+            _level(headings / _ATTITUDES_PER_LEVEL),
         )
+
+
+def _level(share: float) -> int:
+    """How often a level has been earned, as far as there are levels."""
+    return 0 if share < 1.0 else _MAX_LEVEL if share >= _MAX_LEVEL else int(share)
 
 
 class SensorOffsets:

@@ -88,16 +88,17 @@ class Bno055Chip(SerialChip, Scheduled):
 
     def on_due(self, t_ns: int) -> None:
         """Sense and publish one set of outputs."""
-        mode = self._mode
-        period_ns = round(1e9 / mode.rate_hz * self._stretch * self._faults.slowness(t_ns))
+        mode, sensors = self._mode, self.sensors
+        faults = None if self._world.faults.empty else self._faults
+        period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
         self._due_ns = t_ns + period_ns
-        if self._power(t_ns):
-            return
-        sensors = self.sensors
-        sensors.yaw_error_rad += self._faults.jump_rad(t_ns)
+        if faults is not None:
+            if self._power(t_ns):
+                return
+            sensors.yaw_error_rad += faults.jump_rad(t_ns)
         sensed = sensors.sense(self._world.plant.body(), mode, period_ns * 1e-9)
-        if not self._world.faults.empty:
-            sensed = self._faults.distort(sensed, t_ns)
+        if faults is not None:
+            sensed = faults.distort(sensed, t_ns)
         block = encode(sensed, mode, self._pages[0][reg.UNIT_SEL], self._calibration_byte(mode), _CELSIUS)
         self._history.append((t_ns, block))
         self._pages[0][reg.DATA : reg.DATA + LENGTH] = self._faults.shown(block, self._history, t_ns)
@@ -258,5 +259,9 @@ class Bno055Chip(SerialChip, Scheduled):
         accelerometer, gyroscope, magnetometer = self.sensors.calibration.levels()
         gyroscope = gyroscope if mode.gyroscope else 0
         magnetometer = magnetometer if mode.magnetometer else 0
-        used = [accelerometer] + [gyroscope] * mode.gyroscope + [magnetometer] * mode.magnetometer
-        return min(used) << 6 | gyroscope << 4 | accelerometer << 2 | magnetometer
+        system = accelerometer
+        if mode.gyroscope and gyroscope < system:
+            system = gyroscope
+        if mode.magnetometer and magnetometer < system:
+            system = magnetometer
+        return system << 6 | gyroscope << 4 | accelerometer << 2 | magnetometer

@@ -88,6 +88,9 @@ class ImuFaults(InertialFaults):
 
     def shown(self, block: bytes, history: Iterable[tuple[int, bytes]], t_ns: int) -> bytes:
         """The data registers that a client gets to see."""
+        if self._plan.empty:
+            self._frozen = None
+            return block
         if self.find("stuck", t_ns) is not None:
             if self._frozen is None:
                 self._frozen = block

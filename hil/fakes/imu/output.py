@@ -40,9 +40,10 @@ def euler_rad(q: Quaternion, *, android: bool) -> Vector:
 def _counts(vector: Vector, scale: float) -> tuple[int, int, int]:
     x, y, z = vector
     counts = round(x * scale), round(y * scale), round(z * scale)
-    if max(counts) > _MOST or min(counts) < -_MOST - 1:
-        x, y, z = (max(-_MOST - 1, min(_MOST, count)) for count in counts)
-        return x, y, z
+    for count in counts:
+        if not -_MOST <= count <= _MOST:
+            x, y, z = (max(-_MOST - 1, min(_MOST, count)) for count in counts)
+            return x, y, z
     return counts
 
 

@@ -7,8 +7,7 @@ y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -23,8 +22,7 @@ _DISTRACTOR = (1.2, -0.7, 0.4)
 Point = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class SeenBody:
+class SeenBody(NamedTuple):
     """One rigid body in streamed axes: m, quaternion x y z w, markers (4 points), m."""
 
     name: str
@@ -77,7 +75,7 @@ class CaptureVolume:
         if often and t_ns >= self._hidden_until_ns and self._rng.random() < often:
             self._hidden_until_ns = t_ns + round(1e9 * self._options.occlusion_s)
         if (hidden or t_ns < self._hidden_until_ns) and self._last is not None:
-            return self._other, replace(self._last, tracked=False)
+            return self._other, self._last._replace(tracked=False)
         self._last = self._body_at(self._body, self._body_id, x, y, theta, tuple(noise))
         return self._other, self._last
 
@@ -104,10 +102,9 @@ class CaptureVolume:
     ) -> SeenBody:
         options = self._options
         c, s = math.cos(theta), math.sin(theta)
-        markers = tuple(
-            self._streamed(x + c * mx - s * my, y + s * mx + c * my, options.height_m + mz)
-            for mx, my, mz in _MARKERS
-        )
+        y_up, height_m = self._y_up, options.height_m
+        places = [(x + c * mx - s * my, y + s * mx + c * my, height_m + mz) for mx, my, mz in _MARKERS]
+        markers = tuple([(u, w, -v) for u, v, w in places] if y_up else places)
         sigma, half = options.position_noise_m, 0.5 * options.angle_noise_rad
         c, s = math.cos(0.5 * theta), math.sin(0.5 * theta)
         ex, ey, ez = half * noise[3], half * noise[4], half * noise[5]

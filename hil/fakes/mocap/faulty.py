@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 
 import numpy as np
 
@@ -74,7 +73,7 @@ class MocapFaults(DeviceFaults):
         wrong = self.find("wrong", t_ns)
         if wrong is not None:
             x, y, z = body.position_m
-            body = replace(body, position_m=(x + wrong.option("offset_m", _OFFSET_M), y, z))
+            body = body._replace(position_m=(x + wrong.option("offset_m", _OFFSET_M), y, z))
         garbage = self.find("garbage", t_ns)
         if garbage is not None:
             body = self._garbage(body, garbage)
@@ -104,13 +103,12 @@ class MocapFaults(DeviceFaults):
         if fault.option("nan", 0.0):
             bits[:] = 255
         x, y, z, qx, qy, qz, qw = (float(v) for v in bits.view(np.float32))
-        return replace(body, position_m=(x, y, z), rotation_xyzw=(qx, qy, qz, qw))
+        return body._replace(position_m=(x, y, z), rotation_xyzw=(qx, qy, qz, qw))
 
 
 def _at(body: SeenBody, place: SeenBody) -> SeenBody:
     """A body that is taken for the one at another place."""
-    return replace(
-        body,
+    return body._replace(
         position_m=place.position_m,
         rotation_xyzw=place.rotation_xyzw,
         markers_m=place.markers_m,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -87,10 +86,10 @@ class TrackerFaults(DeviceFaults):
             self._frozen = None
         else:
             self._frozen = self._frozen or frame
-            frame = dataclasses.replace(frame, pose=self._frozen.pose, confidence=self._frozen.confidence)
+            frame = frame._replace(pose=self._frozen.pose, confidence=self._frozen.confidence)
         wrong = self.find("wrong", t_ns)
         if wrong is not None and "confidence" in wrong.options:
-            frame = dataclasses.replace(frame, confidence=int(wrong.options["confidence"]))
+            frame = frame._replace(confidence=int(wrong.options["confidence"]))
         garbage = self.find("garbage", t_ns)
         if garbage is not None:
             frame = self._garbage(frame, garbage)
@@ -98,15 +97,15 @@ class TrackerFaults(DeviceFaults):
 
     def _garbage(self, frame: PoseFrame, fault: Fault) -> PoseFrame:
         if fault.option("clock", 0.0):
-            return dataclasses.replace(frame, timestamp_ms=float(self._rng.uniform(0.0, 1e13)))
+            return frame._replace(timestamp_ms=float(self._rng.uniform(0.0, 1e13)))
         if fault.option("nan", 0.0):
-            return dataclasses.replace(frame, pose=_NOT_A_POSE)
+            return frame._replace(pose=_NOT_A_POSE)
         bits = self._rng.integers(0, 256, 52, dtype=np.uint8)
         values = [float(v) for v in bits.view(np.float32)]
         pose = CameraPose(
             Vector(*values[:3]), Vector(*values[3:6]), Quaternion(*values[6:10]), Vector(*values[10:])
         )
-        return dataclasses.replace(frame, pose=pose, confidence=int(self._rng.integers(0, 4)))
+        return frame._replace(pose=pose, confidence=int(self._rng.integers(0, 4)))
 
 
 def seen_scale(fault: Fault | None) -> float:

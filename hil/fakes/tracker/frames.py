@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from hil.fakes.tracker.odometry import CameraPose
 from hil.fakes.tracker.wheel_input import WheelInput
@@ -20,8 +19,7 @@ class PoseData:
         self.tracker_confidence = self.mapper_confidence = confidence
 
 
-@dataclass(frozen=True)
-class PoseFrame:
+class PoseFrame(NamedTuple):
     """One pose with its number and time stamp, as `rs.frame` and `rs.pose_frame` in one."""
 
     number: int

@@ -204,18 +204,18 @@ class VisualOdometry:
         x, y, z = self._position
         along, left = speed
         qx, qy, qz, qw = self._rotation(theta_rad, noise)
-        return CameraPose(
-            camera_axes(x + sp * noise[4], y + sp * noise[5], z + sp * noise[6]),
-            camera_axes(
-                ax[0] * along + ay[0] * left + sv * noise[7],
-                ax[1] * along + ay[1] * left + sv * noise[8],
+        return CameraPose(  # each vector in the camera's axes: (-y, z, -x) of the robot's
+            Vector(-(y + sp * noise[5]), z + sp * noise[6], -(x + sp * noise[4])),
+            Vector(
+                -(ax[1] * along + ay[1] * left + sv * noise[8]),
                 ax[2] * along + ay[2] * left + sv * noise[9],
+                -(ax[0] * along + ay[0] * left + sv * noise[7]),
             ),
-            Quaternion(*camera_axes(qx, qy, qz), qw),
-            camera_axes(
-                az[0] * omega_rad_s + sw * noise[10],
-                az[1] * omega_rad_s + sw * noise[11],
+            Quaternion(-qy, qz, -qx, qw),
+            Vector(
+                -(az[1] * omega_rad_s + sw * noise[11]),
                 az[2] * omega_rad_s + sw * noise[12],
+                -(az[0] * omega_rad_s + sw * noise[10]),
             ),
         )
 

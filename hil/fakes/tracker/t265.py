@@ -66,6 +66,7 @@ class T265(Scheduled):
         self.serial = f"{int(self._rng.integers(0, 10**12)):012d}"
         self._epoch_ms = 1.6e12 + round(float(self._rng.uniform(0.0, 1e10)))
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
+        self._period_ns = NS_PER_S / RATE_HZ * self._stretch
         self._faults = TrackerFaults(world.faults, name, self._rng)
         self._callbacks: list[FrameCallback] = []
         self.settings = dict.fromkeys(SETTINGS, 1.0)
@@ -142,6 +143,7 @@ class T265(Scheduled):
         self._number = _FIRST_NUMBER
         self._start_ns = self._exposed_ns = t_ns
         self._shaken_until_ns = 0
+        self._settled = False
         self._exposure_ns = t_ns + nanoseconds(self._options.boot_s)
         self._world.changed(self)
 
@@ -152,35 +154,32 @@ class T265(Scheduled):
             self._restart(t_ns)
             return
         slowness = 1.0 if faults is None else faults.slowness(t_ns)
-        self._exposure_ns = t_ns + round(NS_PER_S / RATE_HZ * self._stretch * slowness)
+        self._exposure_ns = t_ns + round(self._period_ns * slowness)
         number, self._number = self._number, self._number + 1
         body = self._world.plant.body()
         dt_s, self._exposed_ns = (t_ns - self._exposed_ns) / NS_PER_S, t_ns
         if faults is not None:
             self.odometry.drift(*faults.drift_m(t_ns, dt_s))
         scale = 1.0 if faults is None else faults.scale(t_ns)
-        pose = self.odometry.observe(body, dt_s, scale, self._by_wheels(body, t_ns))
-        self._relocalise(t_ns, dt_s)
+        by_wheels = self._by_wheels(body, t_ns) if self.wheels.taken else None
+        pose = self.odometry.observe(body, dt_s, scale, by_wheels)
+        if faults is not None or options.relocalisations_per_s > 0.0:
+            self._relocalise(t_ns, dt_s)
         lost, jitter = self._rng.random(), self._rng.standard_exponential()
         if lost < options.drop_probability or (faults is not None and faults.silent(t_ns)):
             return
-        frame = PoseFrame(
-            number=number,
-            timestamp_ms=self._epoch_ms + t_ns / _NS_PER_MS / self._stretch,
-            pose=pose,
-            confidence=self._confidence(body, t_ns),
-        )
+        timestamp_ms = self._epoch_ms + t_ns / _NS_PER_MS / self._stretch
+        frame = PoseFrame(number, timestamp_ms, pose, self._confidence(body, t_ns))
         late_ns = nanoseconds(options.latency_s + options.jitter_s * jitter)
         if faults is not None:
             late_ns += faults.lateness_ns(t_ns)
-        self._arrived_ns = max(t_ns + late_ns, self._arrived_ns)
+        if t_ns + late_ns > self._arrived_ns:
+            self._arrived_ns = t_ns + late_ns
         for one in (frame,) if faults is None else faults.spoil(frame, t_ns):
             self._travelling.append((self._arrived_ns, one))
 
     def _by_wheels(self, body: BodyMotion, t_ns: int) -> tuple[Array, float] | None:
         """Velocity in the camera's axes as the wheels tell it, and its weight; None where they do not."""
-        if not self.wheels.taken:
-            return None
         return self.wheels.velocity(t_ns, self.odometry.rate_rad_s(body.omega_rad_s))
 
     def _relocalise(self, t_ns: int, dt_s: float) -> None:
@@ -199,9 +198,12 @@ class T265(Scheduled):
             self._shaken_until_ns = t_ns + nanoseconds(options.shaken_s)
         if t_ns < self._shaken_until_ns:
             return 1
+        if self._settled:
+            return 3
         age_s = (t_ns - self._start_ns) / NS_PER_S - options.boot_s
         for level, lasts_s in enumerate(options.settle_s):
             age_s -= lasts_s
             if age_s < 0.0:
                 return level
+        self._settled = True
         return 3
