@@ -16,7 +16,9 @@ APPLICATION = "Motive"
 _HEAD = struct.Struct("<HH")
 _INT = struct.Struct("<i")
 _PAIR = struct.Struct("<iI")
-_BODY_FORM, _MARKER_FORM, _SUFFIX_FORM = "i3f4ffh", "i3ffhf", "IId3QHi"
+_POINTS, _BODY = struct.Struct("<12f"), struct.Struct("<i3f4ffh")
+_LABELLED = struct.Struct("<" + 4 * "i3ffhf")
+_SUFFIX = struct.Struct("<IId3QHi")
 _MARKER_SIZE_M = 0.014
 _SOLVED = 0x0A
 _SHOWN_AS_ALL = b"all\0"
@@ -74,8 +76,16 @@ def frame(number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version:
     return form.pack(number, bodies, times)
 
 
+class _Pieces(NamedTuple):
+    """What a frame says of one body: all of its markers, the body, its labelled markers."""
+
+    points: bytes
+    body: bytes
+    labelled: bytes
+
+
 class _FrameForm:
-    """What frames of the same bodies have in common; a frame is packed in one step.
+    """What frames of the same bodies have in common, so that only what has moved is packed.
 
     Args:
         names: name and streaming id of the bodies, in order.
@@ -85,45 +95,55 @@ class _FrameForm:
     def __init__(self, names: tuple[tuple[str, int], ...], version: tuple[int, int]) -> None:
         self._sized, count = version >= (4, 1), len(names)
         self._sets = [name.encode() + b"\0" + _INT.pack(4) for name, _ in names]
-        self._all = _SHOWN_AS_ALL + _INT.pack(4 * count)
-        self._labels = [identifier << 16 | k for _, identifier in names for k in range(1, 5)]
-        sets = "".join(f"{len(name)}s12f" for name in self._sets) + f"{len(self._all)}s{12 * count}f"
-        bodies, labelled = count * _BODY_FORM, 4 * count * _MARKER_FORM
-        nothing = self._head(0, "")
-        self._heads = (
-            self._head(count + 1, sets),
-            nothing + self._head(count, bodies),
-            nothing * (2 if self._sized else 1) + self._head(4 * count, labelled),
-            nothing * 2,
-        )
-        heads = [f"{len(head)}s" for head in self._heads]
-        parts = ("<HHi", heads[0], sets, heads[1], bodies, heads[2], labelled, heads[3], _SUFFIX_FORM)
-        self._whole = struct.Struct("".join(parts))
+        self._labels = [tuple(identifier << 16 | k for k in range(1, 5)) for _, identifier in names]
+        shown_as_all = _SHOWN_AS_ALL + _INT.pack(4 * count)
+        sets_size = sum(map(len, self._sets)) + len(shown_as_all) + 2 * count * _POINTS.size
+        nothing = self._head(0, 0)
+        self._set_head, self._all = self._head(count + 1, sets_size), shown_as_all
+        self._body_head = nothing + self._head(count, count * _BODY.size)
+        self._label_head = nothing * (2 if self._sized else 1) + self._head(4 * count, count * _LABELLED.size)
+        self._end = nothing * 2
+        fixed = (self._set_head, self._body_head, self._label_head, self._end)
+        each = count * (_BODY.size + _LABELLED.size)
+        self._payload = _INT.size + sets_size + each + sum(map(len, fixed)) + _SUFFIX.size
+        self._known: list[tuple[SeenBody, _Pieces] | None] = [None] * count
 
-    def _head(self, count: int, form: str) -> bytes:
+    def _head(self, count: int, size: int) -> bytes:
         """Beginning of a section of that many items."""
-        return _PAIR.pack(count, struct.calcsize("<" + form)) if self._sized else _INT.pack(count)
+        return _PAIR.pack(count, size) if self._sized else _INT.pack(count)
+
+    def _pieces(self, place: int, body: SeenBody) -> _Pieces:
+        """What the frame says of a body; one that is seen as before is not packed again."""
+        known = self._known[place]
+        if known is not None and known[0] is body:
+            return known[1]
+        _, identifier, position_m, rotation_xyzw, markers_m, error_m, tracked = body
+        labelled: list[float] = []
+        for label, marker in zip(self._labels[place], markers_m, strict=True):
+            labelled += (label, *marker, _MARKER_SIZE_M, _SOLVED, error_m)
+        a, b, c, d = markers_m
+        pieces = _Pieces(
+            _POINTS.pack(*a, *b, *c, *d),
+            _BODY.pack(identifier, *position_m, *rotation_xyzw, error_m, tracked),
+            _LABELLED.pack(*labelled),
+        )
+        self._known[place] = body, pieces
+        return pieces
 
     def pack(self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes) -> bytes:
         """One frame."""
-        set_head, body_head, label_head, end = self._heads
-        values: list[float | bytes] = [FRAME, self._whole.size - _HEAD.size, number, set_head]
-        points: list[float] = []
-        for name, body in zip(self._sets, bodies, strict=True):
-            places = [v for marker in body.markers_m for v in marker]
-            values += (name, *places)
-            points += places
-        values += (self._all, *points, body_head)
-        for body in bodies:
-            values += (body.identifier, *body.position_m, *body.rotation_xyzw)
-            values += (body.marker_error_m, body.tracked)
-        values.append(label_head)
-        labels = iter(self._labels)
-        for body in bodies:
-            for x, y, z in body.markers_m:
-                values += (next(labels), x, y, z, _MARKER_SIZE_M, _SOLVED, body.marker_error_m)
-        values += (end, 0, 0, times.timestamp_s, times.exposure_ticks, times.received_ticks)
-        return self._whole.pack(*values, times.sent_ticks, 0, 0)
+        pieces = [self._pieces(place, body) for place, body in enumerate(bodies)]
+        parts = [_HEAD.pack(FRAME, self._payload), _INT.pack(number), self._set_head]
+        for name, piece in zip(self._sets, pieces, strict=True):
+            parts += (name, piece.points)
+        parts.append(self._all)
+        parts += [piece.points for piece in pieces]
+        parts.append(self._body_head)
+        parts += [piece.body for piece in pieces]
+        parts.append(self._label_head)
+        parts += [piece.labelled for piece in pieces]
+        parts += (self._end, _SUFFIX.pack(0, 0, *times, 0, 0))
+        return b"".join(parts)
 
 
 _frame_form = lru_cache(maxsize=16)(_FrameForm)
