@@ -241,11 +241,9 @@ class NatNetMocap(Sensor[MocapSample]):
     def _status(self, body: BodyPose | None, pose: tuple[float, ...], stamp: Stamp) -> Status:
         if body is None or not body.tracked:
             return Status.NOT_TRACKED
-        if not all(map(math.isfinite, pose)):
-            return Status.NOT_FINITE
         norm = math.hypot(*pose[3:])
         if not (_NORM_LOW < norm < _NORM_HIGH and math.hypot(*pose[:3]) < _FARTHEST_M):
-            return Status.IMPLAUSIBLE
+            return Status.IMPLAUSIBLE if all(map(math.isfinite, pose)) else Status.NOT_FINITE
         if self._stuck.stuck(pose, stamp.host_ns):
             return Status.FROZEN
         if self._jumps.jumped(stamp.t_ns / NS_PER_S, pose[:3], pose[3:]):

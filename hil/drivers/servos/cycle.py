@@ -20,14 +20,17 @@ from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, RegisterMap
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import Status
 
 _DEAD_AFTER = 3
 _AGE_NS = 2_500_000
 _ALL = tuple(range(8))
+_NONE_MISSED = [0] * 8
 ALL_OK = (Status.OK,) * 8
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Reading:
     """One read of all eight.
@@ -94,7 +97,7 @@ class CycleReader:
         self._slack_ns = nanoseconds(config.reply_slack_s)
         self._poll_ns = nanoseconds(config.dead_poll_s)
         self._order = list(_ALL)
-        self._missed = [0] * 8
+        self._missed = list(_NONE_MISSED)
         self._dead: dict[int, int] = {}
         self._cycle = _Kind(registers.cycle_address, registers.cycle_length, CYCLE_FIELDS)
         self._full = (
@@ -174,8 +177,8 @@ class CycleReader:
         full = kind is not self._cycle
         if full and (rows["level"] != FULL_LEVEL).any():
             return None
-        if any(self._missed):
-            self._missed = [0] * 8
+        if self._missed != _NONE_MISSED:
+            self._missed = list(_NONE_MISSED)
         return Reading(rows, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full)
 
     def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:

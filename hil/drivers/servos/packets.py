@@ -121,7 +121,7 @@ class GroupRead:
         self.expected = count * (length + overhead) + (_FAST_HEAD if fast else 0)
         declared = (self.expected - 7).to_bytes(2, "little")
         self._head = _HEADER + bytes((BROADCAST,)) + declared + bytes((_STATUS,))
-        self._ids = np.array(self.ids, dtype=np.uint8)
+        self._ids, self._no_errors = bytes(self.ids), bytes(count)
         tail = (length + 4).to_bytes(2, "little") + bytes((_STATUS,))
         self._heads = [_HEADER + bytes((i,)) + tail for i in self.ids]
 
@@ -143,21 +143,19 @@ class GroupRead:
         """
         if not self.plausible(data):
             return None
+        step = self.length + (_FAST_OVERHEAD if self.fast else _STATUS_OVERHEAD)
+        if data[_FAST_HEAD::step] != self._no_errors:
+            return None
         if self.fast:
-            if crc16.umts(data[:-2]) != data[-2] | data[-1] << 8:
+            if crc16.umts(data[:-2]) != data[-2] | data[-1] << 8 or data[_FAST_HEAD + 1 :: step] != self._ids:
                 return None
             rows = np.frombuffer(data, _fast_layout(fields), offset=_FAST_HEAD)
-            if (rows["id"] != self._ids).any():
-                return None
         else:
-            step = self.length + _STATUS_OVERHEAD
             for k in range(0, self.expected, step):
                 end = k + step - 2
                 if crc16.umts(data[k:end]) != data[end] | data[end + 1] << 8:
                     return None
             rows = np.frombuffer(data, _plain_layout(fields))
-        if rows["error"].any():
-            return None
         registers: np.ndarray = rows["registers"]
         return registers
 

@@ -148,12 +148,14 @@ class T265Tracker(Sensor[TrackerSample]):
             raise DeviceError(self.name, "used while closed", port=self._port, remedy="call open() first")
         queue = self._queue
         samples: list[TrackerSample] = []
+        useful = False
         for _ in range(len(queue)):
             sample = self._sample(queue.popleft())
             if sample is not None:
                 samples.append(sample)
+                useful = useful or sample.status not in _USELESS
         now_ns = self._clock.now_ns()
-        if any(sample.status not in _USELESS for sample in samples):
+        if useful:
             self._good_ns = now_ns
         elif now_ns - self._good_ns > self._fail_ns:
             raise self._silent((now_ns - self._good_ns) / NS_PER_S, samples)
@@ -293,13 +295,9 @@ class T265Tracker(Sensor[TrackerSample]):
         self._restarted = True
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
-        if not all(map(math.isfinite, raw[4:])):
-            return Status.NOT_FINITE
         pose = raw[4:11]
-        norm = math.hypot(*pose[3:])
-        near = math.hypot(*pose[:3]) < _FARTHEST_M and max(map(abs, raw[11:])) < _FASTEST
-        if not (_NORM_LOW < norm < _NORM_HIGH and near):
-            return Status.IMPLAUSIBLE
+        if not (_NORM_LOW < math.hypot(*pose[3:]) < _NORM_HIGH and _plausible(raw)):
+            return Status.IMPLAUSIBLE if all(map(math.isfinite, raw[4:])) else Status.NOT_FINITE
         if self._stuck.stuck(pose, int(raw[0])):
             return Status.FROZEN
         if confidence <= 0:
@@ -309,3 +307,18 @@ class T265Tracker(Sensor[TrackerSample]):
         if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
             return Status.JUMP
         return Status.OK
+
+
+def _plausible(raw: _Raw) -> bool:
+    """Whether place and velocities of a pose can be; none is where a number is not finite."""
+    far, fast = _FARTHEST_M, _FASTEST
+    u, v, w, p, q, r = raw[11:]
+    return (
+        math.hypot(raw[4], raw[5], raw[6]) < far
+        and -fast < u < fast
+        and -fast < v < fast
+        and -fast < w < fast
+        and -fast < p < fast
+        and -fast < q < fast
+        and -fast < r < fast
+    )
