@@ -75,12 +75,13 @@ class Goals:
         limit_rad, model = self._config.steer_limit_rad, self._model
         goals = [v / model.rad_s_per_count for v in setpoint.drive_velocity_rad_s.tolist()]
         for angle, lost in zip(setpoint.steer_position_rad.tolist(), offset[4:].tolist(), strict=True):
-            angle = min(max(angle, -limit_rad), limit_rad)
+            if not -limit_rad <= angle <= limit_rad:
+                angle = min(max(angle, -limit_rad), limit_rad)
             goals.append(angle / model.rad_per_count + (model.zero_counts - lost))
         if not all(map(math.isfinite, goals)):
             raise UsageError(f"{self._device}: a goal is not finite: {setpoint}")
         self._raw = [
-            min(max(round(goal), low), high)
+            raw if low <= (raw := round(goal)) <= high else low if raw < low else high
             for goal, low, high in zip(goals, self._lowest, self._highest, strict=True)
         ]
 

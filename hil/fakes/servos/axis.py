@@ -17,6 +17,7 @@ from hil.config.servo_models.codes import (
     VELOCITY,
 )
 from hil.fakes.plant_api import JointCommand, Plant
+from hil.fakes.servos.goal_place import GoalPlace
 from hil.fakes.servos.memory import ControlTable
 from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
@@ -118,6 +119,21 @@ class Axis:
             acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
             trajectory.move(raw, acceleration, velocity, timed=self._timed)
         self.drive()
+
+    def pursue_again(self, place: GoalPlace, raw: int) -> None:
+        """As `pursue`, where a goal has been written before and nothing else has changed since."""
+        trajectory, model = self.trajectory, self._model
+        if place.motor is None:
+            self.pursue(place.register.name, raw)
+        elif place.motor == "velocity":
+            if trajectory.ongoing or trajectory.velocity != raw:
+                trajectory.turn(raw, place.acceleration, timed=self._timed)
+                goal = self.position.sign * self.share * trajectory.velocity * model.rad_s_per_count
+                self._plant.command(self._joint, JointCommand("velocity", goal, pwm_limit=place.duty))
+        elif trajectory.ongoing or trajectory.position != raw:
+            trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)
+            goal = self.position.joint_rad(trajectory.position)
+            self._plant.command(self._joint, JointCommand("position", goal, pwm_limit=place.duty))
 
     def _there_already(self, name: str, raw: int) -> bool:
         """Whether a goal is what the motor is being asked for anyway."""

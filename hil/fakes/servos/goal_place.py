@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import Literal
 
 from hil.config.servo_models import Register
-from hil.config.servo_models.codes import POSITION
+from hil.config.servo_models.codes import EXTENDED, POSITION, VELOCITY
 from hil.fakes.servos.memory import GOALS, ControlTable, Plan
 
+_MOTORS: dict[tuple[str, int], Literal["velocity", "position"]] = {
+    ("goal_velocity", VELOCITY): "velocity",
+    ("goal_position", POSITION): "position",
+    ("goal_position", EXTENDED): "position",
+}
 
-class GoalPlace(NamedTuple):
+
+@dataclass
+class GoalPlace:
     """A range of addresses that is nothing but one goal, as things stand.
 
     Attributes:
@@ -17,6 +25,9 @@ class GoalPlace(NamedTuple):
         data: what was written there last.
         register: the goal.
         low, high: raw counts between which it is taken.
+        acceleration, velocity: raw counts of the profile in force.
+        motor: how the motor follows this goal alone; None where the mode asks for more, or does not use it.
+        duty: at most.
     """
 
     address: int
@@ -24,6 +35,10 @@ class GoalPlace(NamedTuple):
     register: Register
     low: int
     high: int
+    acceleration: int
+    velocity: int
+    motor: Literal["velocity", "position"] | None
+    duty: float
 
 
 def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: bytes) -> GoalPlace | None:
@@ -43,4 +58,7 @@ def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: b
     low, high = bounds
     if register.name == "goal_position" and mode == POSITION:
         low, high = max(low, table.get("min_position_limit")), min(high, table.get("max_position_limit"))
-    return GoalPlace(address, data, register, low, high)
+    get, motor = table.get, _MOTORS.get((register.name, mode))
+    acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
+    duty = abs(get("goal_pwm") / table.model.full_pwm)
+    return GoalPlace(address, data, register, low, high, acceleration, velocity, motor, duty)

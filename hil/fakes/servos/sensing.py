@@ -18,6 +18,8 @@ _GRID_S = GRID_NS * 1e-9
 _OLD, _SPAN = 3, 19
 _ROWS = 128
 _DITHER_COUNTS = 0.25
+_ROUNDER = 1.5 * 2.0**52
+"""Added to a float and taken off again, it leaves the nearest whole number, the even one of two: as `round`."""
 HISTORY_NS = (_ROWS - _OLD - _SPAN - 1) * GRID_NS
 
 
@@ -49,10 +51,13 @@ class Sensing:
         """Dither of the next samples of the grid, counts."""
         return self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8)).tolist()  # type: ignore[no-any-return]
 
-    def _encoders(self, dither: list[float]) -> list[int]:
-        """Encoder counts of the present angles."""
+    def _encoders(self, dither: list[float]) -> list[float]:
+        """Encoder counts of the present angles, whole numbers."""
         angles = self._plant.joints()[0].tolist()
-        return [round(a * k + d) for a, k, d in zip(angles, self._counts_per_rad, dither, strict=True)]
+        return [
+            (a * k + d + _ROUNDER) - _ROUNDER
+            for a, k, d in zip(angles, self._counts_per_rad, dither, strict=True)
+        ]
 
     def tick(self) -> None:
         """Take one sample of the grid."""
@@ -65,12 +70,14 @@ class Sensing:
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if age_ns:
-            return self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]
-        return self._encoders(self._dither[self._row])
+            return list(map(int, self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]))
+        return list(map(int, self._encoders(self._dither[self._row])))
 
     def velocity(self, age_ns: int = 0) -> list[int]:
         """Present Velocity in its counts, truncated towards zero."""
-        row = self._row - _OLD - min(age_ns, HISTORY_NS) // GRID_NS
+        row = self._row - _OLD
+        if age_ns:
+            row -= min(age_ns, HISTORY_NS) // GRID_NS
         newer, older = self._history[row % _ROWS], self._history[(row - _SPAN) % _ROWS]
         return [int((b - a) * k) for a, b, k in zip(older, newer, self._velocity_gain, strict=True)]
 

@@ -196,12 +196,13 @@ class Servo:
         """Write a goal where one was written last; False where it is to be looked at closely."""
         if self.has_goal(goal.address, data):
             return True
-        raw = goal.register.decode(data)
+        register = goal.register
+        raw = register.decode(data)
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
             return False
-        self._goal = goal._replace(data=data)
-        self.table.put(goal.register.name, raw)
-        self.axis.pursue(goal.register.name, raw)
+        goal.data = data
+        self.table.data[register.address : register.end] = data
+        self.axis.pursue_again(goal, raw)
         return True
 
     def register_write(self, address: int, data: bytes) -> int:

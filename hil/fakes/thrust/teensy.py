@@ -55,6 +55,7 @@ class TeensyChip(SerialChip):
     """
 
     supported_faults = THRUST_FAULTS
+    polls_alone = True
 
     def __init__(
         self, world: World, config: TeensyConfig, options: ThrustTruthOptions, name: str = "thrust"
