@@ -89,19 +89,24 @@ class CanChannel:
         """Put any frame on the bus; everybody but the sender hears it, each in an object of his own."""
         begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
         self._free_ns = begins_ns + _takes_ns(message.is_extended_id, message.dlc, self.bitrate)
-        copies = 1
         if not self.world.faults.empty:
             spoilt = self._spoil(message, t_ns)
             if spoilt is None:
                 return
             message, copies = spoilt
-        message.timestamp = self._free_ns / NS_PER_S
+            if copies > 1:
+                self._hand_over(_copied(message), sender)
+        self._hand_over(message, sender)
+
+    def _hand_over(self, message: can.Message, sender: deque[Frame] | None) -> None:
+        """A frame that has been sent, to everybody but its sender; the first one gets the object itself."""
+        arrival_ns = self._free_ns
+        message.timestamp = arrival_ns / NS_PER_S
         heard = False
         for queue, told in self._listeners:
             if queue is not sender:
-                for _ in range(copies):
-                    queue.append((self._free_ns, _copied(message) if heard else message))
-                    heard = True
+                queue.append((arrival_ns, _copied(message) if heard else message))
+                heard = True
                 if told is not None:
                     told()
 

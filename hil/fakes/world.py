@@ -107,10 +107,10 @@ class World:
         while due_ns and (first_ns := min(due_ns)) <= t_ns:
             if first_ns > self.now_ns:
                 self.now_ns = first_ns
-            plant.advance(self.now_ns)
-            place = due_ns.index(first_ns)
+            now_ns, place = self.now_ns, due_ns.index(first_ns)
             part = parts[place]
-            part.on_due(self.now_ns)
+            plant.advance(now_ns)
+            part.on_due(now_ns)
             due_ns[place] = part.next_due_ns()
             if asked and not getattr(part, "alone", False):
                 self._ask()

@@ -296,8 +296,13 @@ class T265Tracker(Sensor[TrackerSample]):
 
     def _status(self, raw: _Raw, confidence: int, t_ns: int) -> Status:
         pose = raw[4:11]
-        if not (_NORM_LOW < math.hypot(*pose[3:]) < _NORM_HIGH and _plausible(raw)):
-            return Status.IMPLAUSIBLE if all(map(math.isfinite, raw[4:])) else Status.NOT_FINITE
+        norm, distance_m, fastest = math.hypot(*pose[3:]), math.hypot(*pose[:3]), math.hypot(*raw[11:])
+        if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
+            if not all(map(math.isfinite, raw[4:])):
+                return Status.NOT_FINITE
+            fastest = max(map(abs, raw[11:]))
+            if not (_NORM_LOW < norm < _NORM_HIGH and distance_m < _FARTHEST_M and fastest < _FASTEST):
+                return Status.IMPLAUSIBLE
         if self._stuck.stuck(pose, int(raw[0])):
             return Status.FROZEN
         if confidence <= 0:
@@ -307,18 +312,3 @@ class T265Tracker(Sensor[TrackerSample]):
         if self._jumps.jumped(t_ns / NS_PER_S, pose[:3], pose[3:]):
             return Status.JUMP
         return Status.OK
-
-
-def _plausible(raw: _Raw) -> bool:
-    """Whether place and velocities of a pose can be; none is where a number is not finite."""
-    far, fast = _FARTHEST_M, _FASTEST
-    u, v, w, p, q, r = raw[11:]
-    return (
-        math.hypot(raw[4], raw[5], raw[6]) < far
-        and -fast < u < fast
-        and -fast < v < fast
-        and -fast < w < fast
-        and -fast < p < fast
-        and -fast < q < fast
-        and -fast < r < fast
-    )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from math import floor, sin
 
 OCF, COF, LIN, MAG_INC, MAG_DEC = 0x20, 0x10, 0x08, 0x04, 0x02
 COUNTS = 4096
@@ -56,7 +57,7 @@ class As5045Chip:
         zero_rad: float = 0.0,
     ) -> None:
         """`once` and `twice` are (amplitude rad, phase rad) of the eccentricity error."""
-        self._once, self._twice, self._noise_rad = once, twice, noise_rad
+        self._errors = (*once, *twice, noise_rad)
         self._sign, self._zero_rad = sign, zero_rad
         self.flags = 0
         self.offset_rad = 0.0
@@ -65,10 +66,10 @@ class As5045Chip:
     def word(self, angle_rad: float, noise: float, *, started: bool = True) -> int:
         """The word for a true axis angle; `noise` is a standard normal number."""
         theta = self._sign * angle_rad + self._zero_rad + self.offset_rad
-        a1, p1 = self._once
-        a2, p2 = self._twice
-        seen = theta + a1 * math.sin(theta + p1) + a2 * math.sin(2.0 * theta + p2) + self._noise_rad * noise
-        if not self.flags & COF:
-            self._held = math.floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
-        word = self._held << 6 | (OCF if started else 0) | self.flags
+        a1, p1, a2, p2, sigma = self._errors
+        seen = theta + a1 * sin(theta + p1) + a2 * sin(2.0 * theta + p2) + sigma * noise
+        flags = self.flags
+        if not flags & COF:
+            self._held = floor(seen * _COUNTS_PER_RAD + 0.5) % COUNTS
+        word = self._held << 6 | (OCF if started else 0) | flags
         return word | (word.bit_count() & 1)

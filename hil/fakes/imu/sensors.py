@@ -223,9 +223,12 @@ class InertialSensors:
         return self._residual
 
     def _attitude(self, theta: float, tilt: float) -> Quaternion:
-        yaw, half = 0.5 * self.yaw_error_rad, -0.5 * tilt
-        q = multiplied((math.cos(yaw), 0.0, 0.0, math.sin(yaw)), (math.cos(half), 0.0, math.sin(half), 0.0))
-        q = multiplied(q, (math.cos(0.5 * theta), 0.0, 0.0, math.sin(0.5 * theta)))
+        """Attitude that the fusion would know without leaks: turned by its error, tilted, by its heading."""
+        yaw, half, turn = 0.5 * self.yaw_error_rad, -0.5 * tilt, 0.5 * theta
+        cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
+        ct, st = math.cos(turn), math.sin(turn)
+        w, x, y, z = cy * ch, -(sy * sh), cy * sh, sy * ch
+        q = (w * ct - z * st, x * ct + y * st, y * ct - x * st, w * st + z * ct)
         return multiplied(q, self._out_in_body)
 
     def _fuse(

@@ -25,6 +25,7 @@ _MODES = {
     "pwm": k.MODE_PWM,
     "current": k.MODE_CURRENT,
 }
+_GOAL = k.GOAL
 
 
 class SteppedBody(Plant):
@@ -54,6 +55,7 @@ class SteppedBody(Plant):
         self._commands = np.zeros(k.COMMANDS_SIZE)
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
         self._commands[k.DUTY_LIMIT :] = 1.0
+        self._asked: list[tuple[str, float, float, float] | None] = [None] * 8
         self._truth: PlantState | None = None
         self._motion, self._headings = (
             _view(self._state[at : at + size]) for at, size in ((k.BODY, 8), (k.HEADING, 4))
@@ -88,6 +90,9 @@ class SteppedBody(Plant):
             UsageError: no such joint, or a goal or limit that is not a number.
         """
         asked, goal, rate_limit, amps_limit, duty_limit = command
+        if 0 <= joint < 8 and math.isfinite(goal) and self._asked[joint] == (how := (asked, *command[2:])):
+            self._commands[_GOAL + joint] = goal
+            return
         limits_given = rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0
         if not (0 <= joint < 8 and math.isfinite(goal) and limits_given):
             raise UsageError(
@@ -101,6 +106,7 @@ class SteppedBody(Plant):
         q[k.GOAL + joint] = goal
         q[k.RATE_LIMIT + joint], q[k.AMPS_LIMIT + joint] = rate_limit, amps_limit
         q[k.DUTY_LIMIT + joint] = duty_limit if duty_limit < 1.0 else 1.0
+        self._asked[joint] = how
 
     @property
     def working_point(self) -> HoldingForces:

@@ -164,6 +164,8 @@ class Servo:
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
+        if not dry and self.has_goal(address, data):
+            return protocol.OK
         goal = self._goal
         if goal is not None and not dry and address == goal.address and self._rewrite(goal, data):
             return protocol.OK
@@ -194,8 +196,6 @@ class Servo:
 
     def _rewrite(self, goal: GoalPlace, data: bytes) -> bool:
         """Write a goal where one was written last; False where it is to be looked at closely."""
-        if self.has_goal(goal.address, data):
-            return True
         register = goal.register
         raw = register.decode(data)
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
