@@ -29,21 +29,16 @@ class ArrivalClock:
             return now_ns
         stamp_ns = round(timestamp_s * NS_PER_S)
         offset_ns = now_ns - stamp_ns
-        before_ns, self._stamp_ns = self._stamp_ns, stamp_ns
-        if (
-            self._offset_ns is None
-            or offset_ns < self._offset_ns
-            or stamp_ns < before_ns
-            or self._stays_old(offset_ns - self._offset_ns, now_ns)
-        ):
-            self._offset_ns, self._old_since_ns = offset_ns, None
-        return stamp_ns + self._offset_ns
-
-    def _stays_old(self, age_ns: int, now_ns: int) -> bool:
-        """Whether drain after drain has brought nothing but frames that seem to have waited long."""
-        if age_ns < _WAITED_NS:
+        before_ns, self._stamp_ns, known_ns = self._stamp_ns, stamp_ns, self._offset_ns
+        if known_ns is not None and before_ns <= stamp_ns and 0 <= offset_ns - known_ns < _WAITED_NS:
             self._old_since_ns = None
-            return False
+            return stamp_ns + known_ns
+        if known_ns is None or offset_ns < known_ns or stamp_ns < before_ns or self._stays_old(now_ns):
+            self._offset_ns, self._old_since_ns, known_ns = offset_ns, None, offset_ns
+        return stamp_ns + known_ns
+
+    def _stays_old(self, now_ns: int) -> bool:
+        """Whether drain after drain has brought nothing but frames that seem to have waited long."""
         if self._old_since_ns is None:
             self._old_since_ns = now_ns
         return now_ns - self._old_since_ns > _STEPPED_NS

@@ -72,14 +72,15 @@ class Serial(SerialBase):
     def read(self, size: int = 1, /) -> bytes:
         """Wait for `size` bytes, at most `timeout`; raises `SerialException` when unplugged."""
         line = self._opened()
-        world = line.world
+        world, cost_ns = line.world, line.client_cost_ns
         out = line.take(size)
         if len(out) >= size:
             return out
         if self.timeout is None:
             deadline_ns = NEVER_NS
         else:
-            deadline_ns = world.now_ns + max(nanoseconds(self.timeout), line.client_cost_ns)
+            wait_ns = nanoseconds(self.timeout)
+            deadline_ns = world.now_ns + (wait_ns if wait_ns > cost_ns else cost_ns)
         while len(out) < size and world.now_ns < deadline_ns:
             step_ns = min(line.next_event_ns(size - len(out)), deadline_ns)
             if step_ns >= NEVER_NS:

@@ -7,6 +7,7 @@ Most significant bit first: D11..D0, OCF, COF, LIN, MagINC, MagDEC, even parity 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 from hil.vocabulary.signals import Status
 
@@ -34,7 +35,20 @@ def angle_rad(word: int) -> float:
     return (counts - COUNTS if counts >= COUNTS // 2 else counts) * _RAD_PER_COUNT
 
 
+def decode_words(words: Sequence[int], *, yellow_mode: bool) -> tuple[list[float], tuple[Status, ...]]:
+    """As `decode_word` for several; a negative word stands for one that has not come."""
+    angles, statuses, meaning = [], [], _STATUS[yellow_mode]
+    for word in words:
+        if word < 0:
+            status = Status.TIMEOUT
+        else:
+            status = Status.PARITY if word.bit_count() & 1 else meaning[word & 0x3F]
+        angles.append(angle_rad(word) if status is Status.OK else math.nan)
+        statuses.append(status)
+    return angles, tuple(statuses)
+
+
 def decode_word(word: int, *, yellow_mode: bool = False) -> tuple[float, Status]:
     """Angle (rad in [-pi, pi), NaN unless OK) and status of a raw word."""
-    status = Status.PARITY if word.bit_count() & 1 else _STATUS[yellow_mode][word & 0x3F]
-    return (angle_rad(word) if status is Status.OK else math.nan), status
+    (angle,), (status,) = decode_words((word,), yellow_mode=yellow_mode)
+    return angle, status

@@ -12,7 +12,7 @@ import numpy as np
 from hil.config.encoders import EncodersConfig
 from hil.drivers.arrivals import ArrivalClock
 from hil.drivers.can_link import BUS_ERRORS, open_bus, remedy_of_silence, shut
-from hil.drivers.encoders.as5045 import decode_word
+from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
 from hil.drivers.encoders.timeline import NodeTimeline
@@ -30,7 +30,6 @@ _WAIT_S = 0.02
 _GONE_NS = 100_000_000
 _OPEN_SETS = 3
 _MOST_LISTED = 8
-_NO_WORD = (math.nan, Status.TIMEOUT)
 
 
 class As5045Encoders(Sensor[EncoderSample]):
@@ -234,12 +233,8 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Use one frame; returns a sample set when that completes or cuts short one."""
-        if self.node_status.take(message):
-            self._warn_of_layout()
-            return None
         layout = self._layout_of(message)
         if layout is None:
-            self.passed_over += 1
             return None
         sequence, time_raw, words = layout.decode(message.data)
         if sequence == self._finished:
@@ -266,17 +261,20 @@ class As5045Encoders(Sensor[EncoderSample]):
             _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
     def _layout_of(self, message: can.Message) -> FrameLayout | None:
-        """Layout of a frame of ours, None for any other."""
+        """Layout of a frame with words of ours, None for any other."""
+        layout = self._layout.get(message.arbitration_id)
+        ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+        if layout is not None and ours and len(message.data) == layout.length:
+            return layout
+        if self.node_status.take(message):
+            self._warn_of_layout()
+            return None
+        self.passed_over += 1
         if message.is_error_frame:
             self.error_frames += 1
-            return None
-        layout = self._layout.get(message.arbitration_id)
-        if layout is None or message.is_extended_id or message.is_remote_frame:
-            return None
-        if len(message.data) != layout.length:
+        elif layout is not None and ours:
             self.malformed += 1
-            return None
-        return layout
+        return None
 
     def _begin(self, sequence: int, arrival_ns: int) -> None:
         self._sequence, self._arrival_ns = sequence, arrival_ns
@@ -295,9 +293,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         if self._discard > 0:
             self._discard -= 1
             return None
-        yellow = self._config.yellow_mode
-        read = [decode_word(w, yellow_mode=yellow) if w >= 0 else _NO_WORD for w in words]
-        angles, status = zip(*read, strict=True)
+        angles, status = decode_words(words, yellow_mode=self._config.yellow_mode)
         return EncoderSample(
             stamp=Stamp(t_ns=t_ns, host_ns=host_ns, seq=self._timeline.sequence, device_ns=node_ns),
             angle_rad=np.array(angles),

@@ -39,12 +39,16 @@ def euler_rad(q: Quaternion, *, android: bool) -> Vector:
 
 def _counts(vector: Vector, scale: float) -> tuple[int, int, int]:
     x, y, z = vector
-    counts = round(x * scale), round(y * scale), round(z * scale)
-    for count in counts:
-        if not -_MOST <= count <= _MOST:
-            x, y, z = (max(-_MOST - 1, min(_MOST, count)) for count in counts)
-            return x, y, z
-    return counts
+    return round(x * scale), round(y * scale), round(z * scale)
+
+
+def _packed(counts: tuple[int, ...]) -> bytes:
+    """The block; a count that does not fit stays at the end of its range."""
+    try:
+        return _BLOCK.pack(*counts)
+    except struct.error:
+        *counts_, temperature, calibration = counts
+        return _BLOCK.pack(*(max(-_MOST - 1, min(_MOST, c)) for c in counts_), temperature, calibration)
 
 
 def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: float) -> bytes:
@@ -61,14 +65,16 @@ def encode(sensed: Sensed, mode: Mode, units: int, calibration: int, celsius: fl
         degree = 900.0 if units & UNIT_EULER_RAD else 16.0 * 180.0 / math.pi
         euler = _counts(euler_rad(sensed.quaternion, android=bool(units & UNIT_ANDROID)), degree)
         linear, gravity = _counts(sensed.linear, acc), _counts(sensed.gravity, acc)
-    return _BLOCK.pack(
-        *(_counts(sensed.acceleration, acc) if mode.accelerometer else _ZERO),
-        *(_counts(sensed.field, MAG_LSB_PER_UT) if mode.magnetometer else _ZERO),
-        *(_counts(sensed.rate, gyro) if mode.gyroscope else _ZERO),
-        *euler,
-        *quaternion,
-        *linear,
-        *gravity,
-        temperature,
-        calibration,
+    return _packed(
+        (
+            *(_counts(sensed.acceleration, acc) if mode.accelerometer else _ZERO),
+            *(_counts(sensed.field, MAG_LSB_PER_UT) if mode.magnetometer else _ZERO),
+            *(_counts(sensed.rate, gyro) if mode.gyroscope else _ZERO),
+            *euler,
+            *quaternion,
+            *linear,
+            *gravity,
+            temperature,
+            calibration,
+        )
     )

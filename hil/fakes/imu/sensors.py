@@ -173,7 +173,8 @@ class InertialSensors:
         noise = self._draw()
         up = apply(self._body_to_out, (st * c, -st * s, ct))
         kinematic = apply(self._body_to_out, self._acceleration(body, dt_s))
-        spin = apply(self._body_to_out, (0.0, 0.0, w))
+        (_, _, ax), (_, _, ay), (_, _, az) = self._body_to_out
+        spin = ax * w, ay * w, az * w
         still = abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S
         if mode.fusion:
             octant = math.floor(theta * 4.0 / math.pi) % 8

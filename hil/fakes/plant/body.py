@@ -90,11 +90,11 @@ class SteppedBody(Plant):
             UsageError: no such joint, or a goal or limit that is not a number.
         """
         asked, goal, rate_limit, amps_limit, duty_limit = command
-        if 0 <= joint < 8 and math.isfinite(goal) and self._asked[joint] == (how := (asked, *command[2:])):
+        how, possible = (asked, rate_limit, amps_limit, duty_limit), 0 <= joint < 8 and math.isfinite(goal)
+        if possible and how == self._asked[joint]:
             self._commands[_GOAL + joint] = goal
             return
-        limits_given = rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0
-        if not (0 <= joint < 8 and math.isfinite(goal) and limits_given):
+        if not (possible and rate_limit >= 0.0 and amps_limit >= 0.0 and duty_limit >= 0.0):
             raise UsageError(
                 f"joint {joint}: {command}", expected="a joint 0..7, a finite goal and limits >= 0"
             )

@@ -11,10 +11,10 @@ from collections.abc import Sequence
 
 from hil.fakes.servos import protocol
 from hil.fakes.servos.group import Wanted
-from hil.fakes.servos.protocol import Instruction
+from hil.fakes.servos.protocol import Instruction, checksum
 from hil.fakes.servos.servo import Servo
 
-_HEAD_FORM = "BB"
+_HEAD_FORM = "2s"
 
 
 class MotionBlock:
@@ -25,12 +25,11 @@ class MotionBlock:
         wanted: what was asked.
 
     Attributes:
-        servos: in the order asked.
         delay_ns: return delay of the slowest.
     """
 
     def __init__(self, servos: Sequence[Servo], wanted: Wanted) -> None:
-        self.servos = tuple(servos)
+        self._members = [(s, bytes((s.alert, s.id)), s.joint) for s in servos]
         self.delay_ns = max(s.delay_ns for s in servos)
         forms = [_HEAD_FORM + s.table.layout.motion.form for s in servos]
         self._form = struct.Struct("<" + "".join(forms))
@@ -38,7 +37,7 @@ class MotionBlock:
         ends = [sum(sizes[: k + 1]) for k in range(len(sizes))]
         self._cuts = tuple(zip([0, *ends], ends))
         self._head = protocol.fast_head(1 + sum(length + 4 for _, _, length in wanted))
-        self._head_crc = protocol.checksum(self._head)
+        self._head_crc = checksum(self._head)
 
     def reply(self, counts: list[int], velocities: list[int], currents: list[int]) -> bytes:
         """The whole reply; the servos sense what they show.
@@ -48,18 +47,17 @@ class MotionBlock:
             velocities: (8,) in the servos' counts.
             currents: (8,) in the servos' counts.
         """
-        values: list[int] = []
-        for servo in self.servos:
-            j = servo.joint
-            values += (servo.alert, servo.id, *servo.motion(counts[j], velocities[j], currents[j]))
-        data, crc, tail = self._form.pack(*values), self._head_crc, b""
-        pieces = [self._head]
+        values: list[bytes | int] = []
+        for servo, head, j in self._members:
+            values.append(head)
+            values += servo.motion(counts[j], velocities[j], currents[j])
+        data, crc, tail, reply = self._form.pack(*values), self._head_crc, b"", self._head
         for start, end in self._cuts:
             piece = data[start:end]
-            crc = protocol.checksum(tail + piece, crc)
+            crc = checksum(tail + piece, crc)
             tail = crc.to_bytes(2, "little")
-            pieces += (piece, tail)
-        return b"".join(pieces)
+            reply += piece + tail
+        return reply
 
 
 class GoalBlock:
@@ -94,6 +92,5 @@ class GoalBlock:
             return False
         for (address, servos), data in zip(self._takers, values[1::2], strict=True):
             for servo in servos:
-                if not servo.has_goal(address, data):
-                    servo.write(address, data)
+                servo.write_goal(address, data)
         return True

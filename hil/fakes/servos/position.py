@@ -33,8 +33,7 @@ class PositionRegister:
     def sense(self, encoder: int) -> int:
         """Take what the encoder says; Present Position."""
         self.encoder = encoder
-        counts = self.sign * encoder + self._base + self.homing
-        return (counts + _HALF_WORD) % _WORD - _HALF_WORD
+        return (self.sign * encoder + self._base + self.homing + _HALF_WORD) % _WORD - _HALF_WORD
 
     def wrap(self) -> None:
         """Count from one turn again; a homing offset still applies on top."""

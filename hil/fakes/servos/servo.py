@@ -164,10 +164,7 @@ class Servo:
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
-        if not dry and self.has_goal(address, data):
-            return protocol.OK
-        goal = self._goal
-        if goal is not None and not dry and address == goal.address and self._rewrite(goal, data):
+        if not dry and self._rewrite(address, data):
             return protocol.OK
         try:
             plan = self.table.plan(address, len(data))
@@ -194,8 +191,18 @@ class Servo:
             and not self.axis.trajectory.ongoing
         )
 
-    def _rewrite(self, goal: GoalPlace, data: bytes) -> bool:
+    def write_goal(self, address: int, data: bytes) -> None:
+        """As `write`, where most often a goal stands already or is written where one was written last."""
+        if not self._rewrite(address, data):
+            self.write(address, data)
+
+    def _rewrite(self, address: int, data: bytes) -> bool:
         """Write a goal where one was written last; False where it is to be looked at closely."""
+        goal = self._goal
+        if goal is None or address != goal.address:
+            return False
+        if data == goal.data and not self.axis.trajectory.ongoing:
+            return True
         register = goal.register
         raw = register.decode(data)
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
@@ -235,6 +242,7 @@ class Servo:
         """Set bits of Hardware Error Status; drop torque where the Shutdown register says so."""
         self.table.put("hardware_error_status", self.table.get("hardware_error_status") | bits)
         self.alert = protocol.ALERT
+        self._forget()
         if bits & self.table.get("shutdown"):
             self._shut_down = True
             self._set_torque(False)

@@ -200,23 +200,20 @@ class VisualOdometry:
     ) -> CameraPose:
         options = self._options
         sp, sv, sw = options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s
-        ax, ay, az = self._along_x, self._along_y, self._along_z
+        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = self._along_x, self._along_y, self._along_z
         x, y, z = self._position
         along, left = speed
+        _, _, _, _, px, py, pz, vx, vy, vz, wx, wy, wz, *_ = noise
         qx, qy, qz, qw = self._rotation(theta_rad, noise)
         return CameraPose(  # each vector in the camera's axes: (-y, z, -x) of the robot's
-            Vector(-(y + sp * noise[5]), z + sp * noise[6], -(x + sp * noise[4])),
+            Vector(-(y + sp * py), z + sp * pz, -(x + sp * px)),
             Vector(
-                -(ax[1] * along + ay[1] * left + sv * noise[8]),
-                ax[2] * along + ay[2] * left + sv * noise[9],
-                -(ax[0] * along + ay[0] * left + sv * noise[7]),
+                -(ay * along + by * left + sv * vy),
+                az * along + bz * left + sv * vz,
+                -(ax * along + bx * left + sv * vx),
             ),
             Quaternion(-qy, qz, -qx, qw),
-            Vector(
-                -(az[1] * omega_rad_s + sw * noise[11]),
-                az[2] * omega_rad_s + sw * noise[12],
-                -(az[0] * omega_rad_s + sw * noise[10]),
-            ),
+            Vector(-(cy * omega_rad_s + sw * wy), cz * omega_rad_s + sw * wz, -(cx * omega_rad_s + sw * wx)),
         )
 
     def _rotation(self, theta_rad: float, noise: list[float]) -> tuple[float, float, float, float]:
