@@ -43,7 +43,8 @@ class Bno055Chip(SerialChip, Scheduled):
         acknowledge_reset: whether the reset write is answered before the silence (both occur).
     """
 
-    alone = tells = True
+    alone = True
+    tells = True
     polls_alone = True
 
     def __init__(

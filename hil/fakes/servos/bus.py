@@ -39,7 +39,8 @@ class ServoBus(SerialChip, Scheduled):
         options: how the servos are set up and supplied.
     """
 
-    alone = tells = True
+    alone = True
+    tells = True
     polls_alone = True
 
     def __init__(self, world: World, name: str = "servos", options: ServoBusOptions | None = None) -> None:

@@ -28,7 +28,8 @@ class Cadence(Scheduled):
         renew: takes one measurement.
     """
 
-    alone = tells = True
+    alone = True
+    tells = True
 
     def __init__(self, options: ServoBusOptions, rng: np.random.Generator, renew: Callable[[], None]) -> None:
         self._options, self._rng, self._renew = options, rng, renew

@@ -18,8 +18,6 @@ _GRID_S = GRID_NS * 1e-9
 _OLD, _SPAN = 3, 19
 _ROWS = 128
 _DITHER_COUNTS = 0.25
-_ROUNDER = 1.5 * 2.0**52
-"""Added to a float and taken off again, it leaves the nearest whole number, the even one of two: as `round`."""
 HISTORY_NS = (_ROWS - _OLD - _SPAN - 1) * GRID_NS
 
 
@@ -38,26 +36,24 @@ class Sensing:
 
     def __init__(self, plant: Plant, rng: np.random.Generator, models: tuple[ServoModel, ...]) -> None:
         self._plant, self._rng = plant, rng
-        self._counts_per_rad = [1.0 / m.rad_per_count for m in models]
-        self._velocity_gain = [m.rad_per_count / (_SPAN * _GRID_S * m.rad_s_per_count) for m in models]
-        self._counts_per_a = [1.0 / m.a_per_count for m in models]
+        self._counts_per_rad = np.array([1.0 / m.rad_per_count for m in models])
+        spans = [m.rad_per_count / (_SPAN * _GRID_S * m.rad_s_per_count) for m in models]
+        self._velocity_gain, self._counts_per_a = np.array(spans), np.array([1.0 / m.a_per_count for m in models])
         self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
         self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
         self._dither = self._draw()
-        self._history = [self._encoders([0.0] * 8)] * _ROWS
+        self._history = np.tile(self._encoders(np.zeros(8)), (_ROWS, 1))
         self._row = self.ticks = 0
 
-    def _draw(self) -> list[list[float]]:
+    def _draw(self) -> Array:
         """Dither of the next samples of the grid, counts."""
-        return self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8)).tolist()  # type: ignore[no-any-return]
+        return self._rng.normal(0.0, _DITHER_COUNTS, (_ROWS, 8))
 
-    def _encoders(self, dither: list[float]) -> list[float]:
-        """Encoder counts of the present angles, whole numbers."""
-        angles = self._plant.joints()[0].tolist()
-        return [
-            (a * k + d + _ROUNDER) - _ROUNDER
-            for a, k, d in zip(angles, self._counts_per_rad, dither, strict=True)
-        ]
+    def _encoders(self, dither: Array) -> Array:
+        """Encoder counts of the present angles, (8,) whole numbers."""
+        counts = self._plant.joints()[0] * self._counts_per_rad
+        counts += dither
+        return np.rint(counts, out=counts)
 
     def tick(self) -> None:
         """Take one sample of the grid."""
@@ -70,21 +66,22 @@ class Sensing:
     def counts(self, age_ns: int = 0) -> list[int]:
         """Encoder counts now (live), or as they were on the grid `age_ns` ago."""
         if age_ns:
-            return list(map(int, self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]))
-        return list(map(int, self._encoders(self._dither[self._row])))
+            found = self._history[(self._row - min(age_ns, HISTORY_NS) // GRID_NS) % _ROWS]
+        else:
+            found = self._encoders(self._dither[self._row])
+        return _whole(found)
 
     def velocity(self, age_ns: int = 0) -> list[int]:
         """Present Velocity in its counts, truncated towards zero."""
         row = self._row - _OLD
         if age_ns:
             row -= min(age_ns, HISTORY_NS) // GRID_NS
-        newer, older = self._history[row % _ROWS], self._history[(row - _SPAN) % _ROWS]
-        return [int((b - a) * k) for a, b, k in zip(older, newer, self._velocity_gain, strict=True)]
+        turned = self._history[row % _ROWS] - self._history[(row - _SPAN) % _ROWS]
+        return _whole(turned * self._velocity_gain)
 
     def current(self) -> list[int]:
         """Present Current in its counts."""
-        amps = self._plant.joints()[2].tolist()
-        return [int(a * k) for a, k in zip(amps, self._counts_per_a, strict=True)]
+        return _whole(self._plant.joints()[2] * self._counts_per_a)
 
     def currents_a(self) -> Array:
         """True motor currents (8,), A."""
@@ -96,3 +93,8 @@ class Sensing:
         return np.clip(
             (current * self.resistance_ohm + velocity * self._back_emf_v_s_rad) / voltage_v, -1.0, 1.0
         )
+
+
+def _whole(values: Array) -> list[int]:
+    """(8,) truncated towards zero."""
+    return values.astype(np.int64).tolist()  # type: ignore[no-any-return]

@@ -40,7 +40,8 @@ class T265(Scheduled):
         model: name that the device gives itself.
     """
 
-    alone = tells = True
+    alone = True
+    tells = True
 
     def __init__(
         self,
