@@ -132,7 +132,7 @@ class SerialLine(Scheduled):
         return self._in[0][0] if self._in else NEVER_NS
 
     def next_event_ns(self, wanted: int) -> int:
-        """When `wanted` bytes will have reached the host, or else when something else may happen on this line.
+        """When `wanted` bytes will have reached the host, or else when the chip next hears or speaks.
 
         Bytes come one after the other, so that those in between need not be waited for one by one.
         """

@@ -2,9 +2,11 @@
 
 Devices register as `Scheduled` parts: each says when it next has something to do and does it. In
 virtual time `VirtualClock.sleep_until_ns` moves the world; in real time the emulation server calls
-`advance_to` with the monotonic clock. When each part is due stands in a list; a part of ours says when its
-entry has to change, any other one is asked before every step. World time starts at 0 in both cases, so the order of events
+`advance_to` with the monotonic clock. World time starts at 0 in both cases, so the order of events
 and every random number depend on the seed alone.
+
+When each part is due stands in a list. A part that `tells` says when its entry has to change; any other
+one is asked before every step.
 """
 
 from __future__ import annotations

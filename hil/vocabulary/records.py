@@ -15,7 +15,8 @@ def quickly_made(cls: type[T]) -> type[T]:
     that takes twice as long. Arguments, defaults and everything else stay as they are.
     """
     found = fields(cls)  # type: ignore[arg-type]
-    assert not hasattr(cls, "__post_init__") and all(f.init for f in found)
+    assert not hasattr(cls, "__post_init__")
+    assert all(f.init for f in found)
     made = {f.name: f.default_factory for f in found if f.default_factory is not MISSING}
     known: dict[str, Any] = {"_set": object.__setattr__, "_missing": MISSING}
     arguments, values = [], []
@@ -32,6 +33,7 @@ def quickly_made(cls: type[T]) -> type[T]:
         values.append(f"{f.name!r}: {value}")
     source = f"def __init__(self, {', '.join(arguments)}):\n _set(self, '__dict__', {{{', '.join(values)}}})"
     exec(source, known)  # as `dataclasses` does
-    before, cls.__init__ = cls.__init__, known["__init__"]  # type: ignore[misc]
-    cls.__init__.__qualname__, cls.__init__.__annotations__ = before.__qualname__, before.__annotations__  # type: ignore[misc]
+    before, made_at_once = cls.__init__, known["__init__"]
+    made_at_once.__qualname__, made_at_once.__annotations__ = before.__qualname__, before.__annotations__
+    setattr(cls, "__init__", made_at_once)  # noqa: B010
     return cls

@@ -39,10 +39,9 @@ def decode_words(words: Sequence[int], *, yellow_mode: bool) -> tuple[list[float
     """As `decode_word` for several; a negative word stands for one that has not come."""
     angles, statuses, meaning = [], [], _STATUS[yellow_mode]
     for word in words:
+        status = Status.PARITY if word.bit_count() & 1 else meaning[word & 0x3F]
         if word < 0:
             status = Status.TIMEOUT
-        else:
-            status = Status.PARITY if word.bit_count() & 1 else meaning[word & 0x3F]
         angles.append(angle_rad(word) if status is Status.OK else math.nan)
         statuses.append(status)
     return angles, tuple(statuses)

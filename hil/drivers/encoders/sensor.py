@@ -19,7 +19,7 @@ from hil.drivers.encoders.timeline import NodeTimeline
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.signals import EncoderSample, Stamp, Status
+from hil.vocabulary.signals import EncoderSample, Stamp
 
 _LOG = logging.getLogger(__name__)
 

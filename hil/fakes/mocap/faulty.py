@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Fault, FaultPlan, Supported

@@ -35,7 +35,7 @@ class MotionBlock:
         self._form = struct.Struct("<" + "".join(forms))
         sizes = [struct.calcsize("<" + form) for form in forms]
         ends = [sum(sizes[: k + 1]) for k in range(len(sizes))]
-        self._cuts = tuple(zip([0, *ends], ends))
+        self._cuts = tuple(zip([0, *ends[:-1]], ends, strict=True))
         self._head = protocol.fast_head(1 + sum(length + 4 for _, _, length in wanted))
         self._head_crc = checksum(self._head)
 
@@ -68,9 +68,7 @@ class GoalBlock:
         parts: (address, data, servos that take it), in order.
     """
 
-    def __init__(
-        self, instruction: Instruction, parts: Sequence[tuple[int, bytes, Sequence[Servo]]]
-    ) -> None:
+    def __init__(self, instruction: Instruction, parts: Sequence[tuple[int, bytes, Sequence[Servo]]]) -> None:
         self._code, form = instruction.code, ["<"]
         first, more = (5, 1) if self._code == protocol.SYNC_WRITE else (5, 5)
         for k, (_, data, _) in enumerate(parts):

@@ -36,9 +36,10 @@ class Sensing:
 
     def __init__(self, plant: Plant, rng: np.random.Generator, models: tuple[ServoModel, ...]) -> None:
         self._plant, self._rng = plant, rng
+        span_s = _SPAN * _GRID_S
         self._counts_per_rad = np.array([1.0 / m.rad_per_count for m in models])
-        spans = [m.rad_per_count / (_SPAN * _GRID_S * m.rad_s_per_count) for m in models]
-        self._velocity_gain, self._counts_per_a = np.array(spans), np.array([1.0 / m.a_per_count for m in models])
+        self._velocity_gain = np.array([m.rad_per_count / (span_s * m.rad_s_per_count) for m in models])
+        self._counts_per_a = np.array([1.0 / m.a_per_count for m in models])
         self.resistance_ohm: Array = np.array([m.motor.resistance_ohm for m in models])
         self._back_emf_v_s_rad: Array = np.array([m.motor.back_emf_v_s_rad for m in models])
         self._dither = self._draw()
@@ -51,9 +52,10 @@ class Sensing:
 
     def _encoders(self, dither: Array) -> Array:
         """Encoder counts of the present angles, (8,) whole numbers."""
-        counts = self._plant.joints()[0] * self._counts_per_rad
+        counts: Array = self._plant.joints()[0] * self._counts_per_rad
         counts += dither
-        return np.rint(counts, out=counts)
+        np.rint(counts, out=counts)
+        return counts
 
     def tick(self) -> None:
         """Take one sample of the grid."""

@@ -182,7 +182,7 @@ class Servo:
         return protocol.OK
 
     def has_goal(self, address: int, data: bytes) -> bool:
-        """Whether a write of these bytes would change nothing: they stand there, and the motor follows them."""
+        """Whether a write of these bytes would change nothing: they stand there, and the motor has them."""
         goal = self._goal
         return (
             goal is not None
