@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable
 from typing import NamedTuple, TypeVar
 
@@ -163,8 +162,9 @@ class Bus:
         is then about to be handed over by a computer that had the same to do.
         """
         if self._asked is not None:
-            deadline_ns = max(self._asked.deadline_ns, self._clock.now_ns() + patience_ns)
-            self._asked = self._asked._replace(deadline_ns=deadline_ns)
+            patient_ns = self._clock.now_ns() + patience_ns
+            if patient_ns > self._asked.deadline_ns:
+                self._asked = self._asked._replace(deadline_ns=patient_ns)
         self._settle()
         found, self._ahead = self._ahead, None
         assert found is not None
@@ -179,9 +179,11 @@ class Bus:
     def _ask(self, group: GroupRead, timeout_s: float, after: bytes = b"") -> _Asked:
         sent_ns = self._clock.now_ns() + self.port.backlog_ns() + nanoseconds(self.port.wire_s(len(after)))
         self.traffic_ns = sent_ns
-        with contextlib.suppress(PortLost):
+        try:
             self.port.clearPort()
             self.port.writePort(after + group.request)
+        except PortLost:
+            pass  # who waits for the answer will see
         return _Asked(group, sent_ns, sent_ns + round(timeout_s * NS_PER_S))
 
     def _fetch(self, asked: _Asked) -> Exchange:

@@ -119,7 +119,8 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def backlog_ns(self) -> int:
         """Time until the last byte written has left: what is written now is sent only then."""
-        return max(0, self._sent_ns - self._clock.now_ns())
+        left_ns = self._sent_ns - self._clock.now_ns()
+        return left_ns if left_ns > 0 else 0
 
     def clearPort(self) -> None:
         """Throw away what has arrived; raises `PortLost`."""
@@ -130,7 +131,9 @@ class ServoPort(PortHandler):  # type: ignore[misc]
 
     def writePort(self, packet: bytes | list[int]) -> int:
         """Send; raises `PortLost`."""
-        self._sent_ns = max(self._sent_ns, self._clock.now_ns()) + nanoseconds(self.wire_s(len(packet)))
+        now_ns = self._clock.now_ns()
+        begins_ns = now_ns if now_ns > self._sent_ns else self._sent_ns
+        self._sent_ns = begins_ns + nanoseconds(len(packet) * _BITS / self.baudrate)
         try:
             sent: int = self.ser.write(bytes(packet))
         except PORT_ERRORS as error:
