@@ -137,20 +137,16 @@ class SteppedBody(Plant):
         if t_ns < self._ahead_ns:
             return
         end = t_ns // self._step_ns
-        self._ahead_ns = (end + 1) * self._step_ns
-        if end <= self._steps:
-            return
         if self.by_hand:
-            self._steps = end
+            self._steps = max(end, self._steps)
         while self._steps < end:
-            n, factor = self._stretch(end)
+            n, factor = (end - self._steps, 1.0) if self._faults.empty else self._stretch(end)
             self._integrate(n, factor)
             self._steps += n
+        self._ahead_ns = (end + 1) * self._step_ns
 
     def _stretch(self, end: int) -> tuple[int, float]:
         """Number of coming steps with one and the same adhesion factor, and that factor."""
-        if self._faults.empty:
-            return end - self._steps, 1.0
         factor = self._adhesion_factor(self._steps)
         after = self._steps + 1
         while after < end and self._adhesion_factor(after) == factor:

@@ -1,7 +1,7 @@
 """The group write and the fast read of every cycle: eight servos as one block.
 
 Both are looked at closely once. From then on, until a servo says that something has changed, the write is one
-parse and a look at those goals that differ, and the reply to the read one pack.
+parse and a look at those goals that differ, and the reply to the read one loop without questions.
 """
 
 from __future__ import annotations
@@ -13,8 +13,6 @@ from hil.fakes.servos import protocol
 from hil.fakes.servos.group import Wanted
 from hil.fakes.servos.protocol import Instruction, checksum
 from hil.fakes.servos.servo import Servo
-
-_HEAD_FORM = "2s"
 
 
 class MotionBlock:
@@ -29,15 +27,10 @@ class MotionBlock:
     """
 
     def __init__(self, servos: Sequence[Servo], wanted: Wanted) -> None:
-        self._members = [(s, bytes((s.alert, s.id)), s.joint) for s in servos]
         self.delay_ns = max(s.delay_ns for s in servos)
-        forms = [_HEAD_FORM + s.table.layout.motion.form for s in servos]
-        self._form = struct.Struct("<" + "".join(forms))
-        sizes = [struct.calcsize("<" + form) for form in forms]
-        ends = [sum(sizes[: k + 1]) for k in range(len(sizes))]
-        self._cuts = tuple(zip([0, *ends[:-1]], ends, strict=True))
         self._head = protocol.fast_head(1 + sum(length + 4 for _, _, length in wanted))
         self._head_crc = checksum(self._head)
+        self._members = [(s, bytes((s.alert, s.id)), s.table.layout.motion.pack, s.joint) for s in servos]
 
     def reply(self, counts: list[int], velocities: list[int], currents: list[int]) -> bytes:
         """The whole reply; the servos sense what they show.
@@ -47,13 +40,9 @@ class MotionBlock:
             velocities: (8,) in the servos' counts.
             currents: (8,) in the servos' counts.
         """
-        values: list[bytes | int] = []
-        for servo, head, j in self._members:
-            values.append(head)
-            values += servo.motion(counts[j], velocities[j], currents[j])
-        data, crc, tail, reply = self._form.pack(*values), self._head_crc, b"", self._head
-        for start, end in self._cuts:
-            piece = data[start:end]
+        reply, crc, tail = self._head, self._head_crc, b""
+        for servo, head, pack, j in self._members:
+            piece = head + pack(*servo.motion(counts[j], velocities[j], currents[j]))
             crc = checksum(tail + piece, crc)
             tail = crc.to_bytes(2, "little")
             reply += piece + tail

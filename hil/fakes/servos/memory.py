@@ -40,20 +40,15 @@ class Row:
     Attributes:
         address, end: from the first byte to behind the last.
         size: how many bytes these are.
-        form: of their values, for `struct`.
+        pack: the bytes of one value per register.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
         registers = [model.table[name] for name in names]
         self.address, self.end = registers[0].address, registers[-1].end
-        self.form = "".join(map(_code, registers))
-        self._layout = struct.Struct("<" + self.form)
-        self.size = self._layout.size
+        layout = struct.Struct("<" + "".join(map(_code, registers)))
+        self.size, self.pack = layout.size, layout.pack
         assert self.size == self.end - self.address
-
-    def pack(self, *values: int) -> bytes:
-        """The bytes of one value per register."""
-        return self._layout.pack(*values)
 
 
 def _code(register: Register) -> str:
