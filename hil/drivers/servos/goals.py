@@ -45,8 +45,9 @@ class Goals:
     ) -> None:
         self._config, self._write, self._device = config, write, device
         self._model, read = registers.model, registers.from_block
+        self._rad_s, self._rad = self._model.rad_s_per_count, self._model.rad_per_count
         top = np.array([read(b, "velocity_limit") for b in blocks[:4]], dtype=np.int64)
-        top = np.minimum(top, int(config.velocity_limit_rad_s / self._model.rad_s_per_count))
+        top = np.minimum(top, int(config.velocity_limit_rad_s / self._rad_s))
         self._one_turn = expected_mode(config, 4) == POSITION
         self._low = np.concatenate((-top, np.full(4, -_FARTHEST)))
         self._high = np.concatenate((top, np.full(4, _FARTHEST)))
@@ -72,12 +73,12 @@ class Goals:
         Raises:
             UsageError: a goal is not a number.
         """
-        limit_rad, model = self._config.steer_limit_rad, self._model
-        goals = [v / model.rad_s_per_count for v in setpoint.drive_velocity_rad_s.tolist()]
+        limit_rad, rad, zero_counts = self._config.steer_limit_rad, self._rad, self._model.zero_counts
+        goals = [v / self._rad_s for v in setpoint.drive_velocity_rad_s.tolist()]
         for angle, lost in zip(setpoint.steer_position_rad.tolist(), offset[4:].tolist(), strict=True):
             if not -limit_rad <= angle <= limit_rad:
                 angle = min(max(angle, -limit_rad), limit_rad)
-            goals.append(angle / model.rad_per_count + (model.zero_counts - lost))
+            goals.append(angle / rad + (zero_counts - lost))
         if not all(map(math.isfinite, goals)):
             raise UsageError(f"{self._device}: a goal is not finite: {setpoint}")
         self._raw = [

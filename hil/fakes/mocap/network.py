@@ -9,6 +9,8 @@ import errno
 from collections import deque
 from typing import TYPE_CHECKING, NamedTuple
 
+from hil.fakes.world import World
+
 if TYPE_CHECKING:
     from hil.fakes.mocap.server import NatNetServer
 
@@ -51,10 +53,15 @@ class WorldPort:
 
 
 class WorldNetwork:
-    """Ports of one client host and one server."""
+    """Ports of one client host and one server.
 
-    def __init__(self, server: NatNetServer) -> None:
-        self._server = server
+    Args:
+        server: that is reached.
+        world: its time.
+    """
+
+    def __init__(self, server: NatNetServer, world: World) -> None:
+        self._server, self._world = server, world
         self._ports: list[WorldPort] = []
         self._server_host = _HOST
         self._next = _FIRST_FREE_PORT
@@ -62,7 +69,7 @@ class WorldNetwork:
     @property
     def now_ns(self) -> int:
         """World time."""
-        return self._server.now_ns
+        return self._world.now_ns
 
     def open(self, group: str | None, number: int) -> WorldPort:
         """A port; raises `OSError` when the number is taken (groups can be shared)."""

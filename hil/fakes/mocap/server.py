@@ -110,7 +110,7 @@ class NatNetServer(Scheduled):
         self._faults = MocapFaults(world.faults, name, self._rng)
         self._volume = CaptureVolume(self._options, self._rng, body=body, body_id=body_id, up_axis=up_axis)
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
-        self._network = WorldNetwork(self)
+        self._network = WorldNetwork(self, world)
         self._outlets: list[Outlet] = [self._network]
         self.offered_group: str | None = None
         self._clients: dict[Address, Client] = {}

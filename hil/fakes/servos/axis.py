@@ -50,7 +50,7 @@ class Axis:
 
     def __init__(self, joint: int, plant: Plant, table: ControlTable, zero: int) -> None:
         self._joint, self._plant, self._table = joint, plant, table
-        self._model = table.model
+        self._model, self._rad_s = table.model, table.model.rad_s_per_count
         self.position = PositionRegister(table.model, zero)
         self.trajectory = Trajectory(table.model)
         self.torque = self.tripped = False
@@ -122,13 +122,13 @@ class Axis:
 
     def pursue_again(self, place: GoalPlace, raw: int) -> None:
         """As `pursue`, where a goal has been written before and nothing else has changed since."""
-        trajectory, model = self.trajectory, self._model
+        trajectory = self.trajectory
         if place.motor is None:
             self.pursue(place.register.name, raw)
         elif place.motor == "velocity":
             if trajectory.ongoing or trajectory.velocity != raw:
                 trajectory.turn(raw, place.acceleration, timed=self._timed)
-                goal = self.position.sign * self.share * trajectory.velocity * model.rad_s_per_count
+                goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
                 self._plant.command(self._joint, JointCommand("velocity", goal, pwm_limit=place.duty))
         elif trajectory.ongoing or trajectory.position != raw:
             trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)

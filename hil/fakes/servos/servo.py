@@ -208,7 +208,7 @@ class Servo:
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
             return False
         goal.data = data
-        self.table.data[register.address : register.end] = data
+        self.table.data[register.address : register.address + len(data)] = data
         self.axis.pursue_again(goal, raw)
         return True
 
