@@ -72,7 +72,7 @@ class SerialLine(Scheduled):
         self._out_free_ns = self._in_free_ns = 0
         self._baud = _BAUD_UNSAID
         self.in_use = False
-        self.tells = chip.polls_alone
+        self.tells = getattr(chip, "polls_alone", False)
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
 

@@ -177,7 +177,9 @@ class Bus:
             self._ahead = self._fetch(asked)
 
     def _ask(self, group: GroupRead, timeout_s: float, after: bytes = b"") -> _Asked:
-        sent_ns = self._clock.now_ns() + self.port.backlog_ns() + nanoseconds(self.port.wire_s(len(after)))
+        sent_ns = self._clock.now_ns() + self.port.backlog_ns()
+        if after:
+            sent_ns += nanoseconds(self.port.wire_s(len(after)))
         self.traffic_ns = sent_ns
         try:
             self.port.clearPort()
