@@ -30,7 +30,7 @@ class FilterWatch:
     def reset(self) -> None:
         """Forget what was refused."""
         self._before: dict[str, tuple[float, float]] = {}
-        self._misfit, self._largest_m = False, 0.0
+        self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
         self._off = (0.0, 0.0)
 
     def take_off(self) -> tuple[float, float]:
@@ -44,25 +44,38 @@ class FilterWatch:
         A camera's frame that began anew because a pose has leapt refused nothing, and its driver tells of it.
         """
         figures = state.diagnostics
+        news = {}
         for name, (device, others) in _SENSORS.items():
-            begun, refused = figures.get(f"reanchored_{name}", 0.0), figures.get(f"rejected_{name}", 0.0)
+            counts = figures.get(f"reanchored_{name}", 0.0), figures.get(f"rejected_{name}", 0.0)
             before = self._before.get(name, (0.0, 0.0))
-            self._before[name] = (begun, refused)
-            if begun > before[0] and refused > before[1]:
+            self._before[name] = counts
+            anew, refused = news[name] = counts[0] > before[0], counts[1] > before[1]
+            if anew and refused:
                 sigma_mm = 1e3 * math.sqrt(max(*state.covariance.diagonal()[:2].tolist(), 0.0))
                 said = f"did not fit {others} for long: the estimate is unsure by {sigma_mm:.1f} mm now"
                 events.append(Event(state.t_ns, "warning", device, said))
-        self._judge_fit(state, events)
+        self._judge_fit(state, events, *news["tracker"])
 
-    def _judge_fit(self, state: RobotState, events: list[Event]) -> None:
-        """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not."""
+    def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
+        """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not.
+
+        Poses that are refused one after the other end in a new frame, which forgets them: that is told above.
+
+        Args:
+            state: the estimate.
+            events: what is noticed is added to them.
+            anew: whether the camera's frame began anew in this cycle.
+            refused: whether one of its poses was refused in this cycle.
+        """
         figures = state.diagnostics
-        misfit = figures.get("nis_mean_tracker", 1.0)
-        if misfit < _CALM:
-            self._misfit, self._largest_m = False, 0.0
-            return
+        misfit, before = figures.get("nis_mean_tracker", 1.0), self._mean
+        self._mean = misfit
         self._largest_m = max(self._largest_m, figures.get("innovation_tracker_m", 0.0))
-        if misfit > _MOST and not self._misfit:
+        if anew or misfit < _CALM:
+            self._misfit, self._largest_m = anew, 0.0
+        if misfit == before or refused or self._misfit:  # the same: no pose has come
+            return
+        if misfit > _MOST:
             self._misfit, self._off = True, (self._largest_m, 0.0)
             said = (
                 f"camera and wheels do not fit (mean NIS {misfit:.1f}, expected 1): one of them is late or "

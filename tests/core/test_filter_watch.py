@@ -61,3 +61,12 @@ def test_what_fits_badly_shakes_the_estimate_in_the_next_cycle_only():
     for shaken_m in (pytest.approx(0.0026), 0.0):
         supervisor.check(Inputs(0, 0), Measurements(0, 0))
         assert supervisor.left_out.shaken == (shaken_m, 0.0)
+
+
+def test_poses_that_are_refused_in_a_row_and_the_frame_after_them_are_no_misfit():
+    row = [state(k, nis_mean_tracker=3.0 + k, rejected_tracker=1.0 + k) for k in range(5)]
+    after = [
+        state(10 + k, nis_mean_tracker=8.0 - k, rejected_tracker=6.0, reanchored_tracker=1.0)
+        for k in range(8)
+    ]
+    assert [event.message[:11] for event in told(*row, row[-1], *after)] == ["did not fit"]
