@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 
 from hil.bench.settings import adhesion_limits, force_wanted_n, thrust_wanted_n
 from hil.config.adhesion import AdhesionConfig
@@ -43,6 +44,8 @@ class ForceByNeed(Sink):
             return
         self._next_ns = t_ns + _EVERY_NS
         heading_rad = float(record.state.pose_body_in_wall[2])
+        if not math.isfinite(heading_rad):
+            return
         wanted_n = min(_MARGIN * self._limits.limit_n(self._thrust_n, heading_rad), self._highest_n)
         force_n = max(wanted_n, self._asked_n - _DOWN_N)
         if abs(force_n - self._asked_n) < _CHANGE_N:

@@ -7,6 +7,7 @@ servos go on being looked after.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -147,7 +148,9 @@ class HoldWatch(Sink):
     def write(self, record: CycleRecord) -> None:
         """Remember where the robot was seen last."""
         inputs = record.inputs
-        self._press.heading_rad = float(record.state.pose_body_in_wall[2])
+        heading_rad = float(record.state.pose_body_in_wall[2])
+        if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
+            self._press.heading_rad = heading_rad
         for name, latest in self._latest.items():
             for sample in inputs.of(name):
                 place = self._witnesses[name].value(sample)

@@ -2,7 +2,8 @@
 
 A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
-trusted until the load cells have felt enough force for longer than that.
+trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
+doubted before it is lost.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from hil.config.adhesion import AdhesionConfig
 from hil.config.bench import BenchConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.ring.adhesion import AdhesionLimits
+from hil.ring.force_trend import ForceTrend
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import HilError
@@ -56,12 +58,14 @@ class PressWatch:
         self._outlasts_ns = nanoseconds(RUN_DOWN_S + (0.0 if fan is None else fan.timeout_s))
         self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
         self._forces: dict[str, tuple[int, float]] = {}
+        self._trends: dict[str, ForceTrend] = {}
         self._enough_since_ns: int | None = None
         self.heading_rad = 0.0
 
     def begin(self) -> None:
         """A look begins: what was heard before it is out of date."""
         self._forces.clear()
+        self._trends.clear()
         self._enough_since_ns = None
 
     def doubt(self, now_ns: int) -> str:
@@ -72,13 +76,18 @@ class PressWatch:
             for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
                     self._forces[who] = t_ns, force_n
+                    self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
         fresh = {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
         least_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
         told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
-        if not fresh or min(fresh.values()) < least_n:
+        if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
             self._enough_since_ns = None
             told = told or "nobody measures it"
             return f"what presses the robot on the wall: {told}; {least_n:.1f} N are needed: secure the robot"
+        for name, force_n in fresh.items():
+            falling_n_s = -self._trends[name].slope_n_s()
+            if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
+                return f"the force by {name} falls by {falling_n_s:.0f} N/s; {told} so far: secure the robot"
         if not self._limits.has_fan or _FAN in fresh:
             self._enough_since_ns = None
             return ""

@@ -32,6 +32,19 @@ def test_a_fan_off_its_bus_is_never_held_before_it_has_run_down(start_s):
     assert held.state == "NOT HELD"
 
 
+@pytest.mark.parametrize("reset_s", [1.25, 1.31, 1.37])
+def test_a_fan_that_runs_down_while_somebody_looks_is_not_held(reset_s):
+    """The last estimate before the stop is NaN; what is needed must not become NaN with it."""
+    faults = ["servos:unplug@1+0.2", f"adhesion:reset@{reset_s}"]
+    with hil.open_bench("emulated", seed=1, faults=faults) as bench:
+        with pytest.raises(SafetyStop):
+            bench.drive(CLIMB, feedback="odometry")
+        held = bench.look(0.35)
+        assert bench.truth().adhesion_n < 40.0
+    assert held.state == "NOT HELD"
+    assert "falls by" in held.why or "are needed" in held.why
+
+
 def test_a_fan_that_runs_on_unheard_is_held_by_what_the_cells_feel_for_long_enough():
     held, took_s, went_m = left("adhesion:garbage@1")
     assert went_m < 2e-3

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hil.bench import supported_faults
+from hil.bench import Held, supported_faults
 from hil.cli.faults import command
 from hil.config.loading import load_bench
 from hil.procedure.faults import MOMENTS, Cell, Verdict, cells_of, matrix_page, random_cells
@@ -115,6 +115,15 @@ def test_servos_without_supply_to_the_end_cannot_be_held_but_those_that_come_bac
     (why,) = judge(cell("servos", "off", "second"), seen(**away)).why
     assert why.startswith("not held")
     assert judge(cell("servos", "jump", "motion"), seen(**away)).why != ()
+
+
+def test_what_holds_the_robot_may_go_after_it_was_said_to_be_held_if_that_is_noticed():
+    gone = {"crept_m": 0.01, "adhesion_n": 9.0}
+    noticed, still = Held("NOT HELD", 0.5, "adhesion is lost", True), Held("HELD", 0.0, "torque on", True)
+    assert judge(cell(), seen(**gone, held=noticed)).why == ()
+    (why,) = judge(cell(), seen(**gone, held=still)).why
+    assert why.startswith("said to be held")
+    assert judge(cell(), seen(crept_m=0.01, held=noticed)).why != ()
 
 
 def test_of_several_faults_the_stop_need_not_name_the_one_that_did_nothing():

@@ -112,7 +112,8 @@ def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
     dropped = seen.adhesion_n < LEAST_ADHESION_N or seen.thrust_n < LEAST_THRUST_N
     if seen.fallen and not dropped:
         yield "the robot fell although fan and propellers held it"
-    if seen.said == "HELD" and seen.crept_m > STILL_M:
+    noticed = seen.held is not None and seen.held.state != "HELD"
+    if seen.said == "HELD" and seen.crept_m > STILL_M and not (dropped and noticed):
         yield f"said to be held, and moved by {1e3 * seen.crept_m:.1f} mm"
     if seen.said == "NOT HELD" and not (dropped or seen.fallen or _is_without(cell)):
         yield f"not held: {seen.why}"
