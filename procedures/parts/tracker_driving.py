@@ -6,7 +6,7 @@ bench of its own.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -82,7 +82,7 @@ def drive_trips(
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
         jobs = [(source, trip, p.speed_m_s, number) for number, trip in enumerate(trips)]
-        with closing(_elsewhere(jobs, p.processes)) as found:
+        with closing(at_once(_alone, jobs, p.processes)) as found:
             for legs, took_s in found:
                 ctx.count_bench_time(took_s)
                 shift_s = done[-1][-1].end_s + _BETWEEN_S if done else 0.0
@@ -116,10 +116,6 @@ def _seen(motion: Motion) -> Leg:
 
 
 _Job = tuple[BenchSource, Trip, float, int]
-
-
-def _elsewhere(jobs: Sequence[_Job], processes: int) -> Generator[tuple[list[Leg], float], None, None]:
-    yield from at_once(_alone, jobs, processes)
 
 
 def _alone(job: _Job) -> tuple[list[Leg], float]:

@@ -17,6 +17,7 @@ from typing import Any
 import hil
 from hil.procedure.faults.cells import Cell
 from hil.procedure.faults.judging import Verdict
+from hil.procedure.journal import drop_torn_line
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import refused
 from hil.vocabulary.reading import json_object, read_bytes
@@ -47,12 +48,12 @@ class KeptVerdicts:
         try:
             if resume:
                 self.there = _read(self._path, head)
+                drop_torn_line(self._path)
             else:
                 self.there = ()
                 if self._path.exists():
                     os.replace(self._path, folder / BEFORE)
-            lines = [head, *map(asdict, self.there)]
-            self._path.write_text("".join(json.dumps(line) + "\n" for line in lines), encoding="utf-8")
+                self._path.write_text(json.dumps(head) + "\n", encoding="utf-8")
             self._file = self._path.open("a", encoding="utf-8")
         except OSError as error:
             raise refused(self._path, error) from None
