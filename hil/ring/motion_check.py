@@ -101,6 +101,7 @@ class MotionCheck:
         seen = seen if seen is not None else Seen()
         self._capture = CaptureCheck(self._wheels, seen, creep=h.creep if on_wall else 0.0)
         self._ways = (self._way, self._capture.camera, self._capture.rolled)
+        self._sums = (*self._ways, *self._turns)
         self._leap = Relocalisation()
         self.reset()
 
@@ -198,6 +199,8 @@ class MotionCheck:
         return True
 
     def _doubts(self, t_ns: int) -> tuple[Doubt, ...]:
+        if not any([one.news() for one in self._sums]):
+            return ()
         found = []
         for pairs in (self._ways, self._turns):
             believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]

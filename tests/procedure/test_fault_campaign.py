@@ -117,6 +117,25 @@ def test_servos_without_supply_to_the_end_cannot_be_held_but_those_that_come_bac
     assert judge(cell("servos", "jump", "motion"), seen(**away)).why != ()
 
 
+def pressed_by(cells_at, **given):
+    lying = ("adhesion:garbage@1.0", f"load_cells:garbage@{cells_at}")
+    both = Cell("adhesion+load_cells", "garbage+garbage", "random", 0, "own", lying)
+    told = [("adhesion", "it is mad"), ("load_cells", "they are mad")]
+    return judge(
+        both, seen(said="NOT HELD", why="what presses the robot on the wall", events=told, **given)
+    ).why
+
+
+def test_a_robot_whose_force_nobody_measures_need_not_be_called_held():
+    assert pressed_by("2.0") == ()
+    (why,) = pressed_by("2.0+1.5")  # the load cells tell the truth again
+    assert why.startswith("not held")
+    (why,) = pressed_by("2.0", crept_m=0.0, moved_m=0.006)
+    assert why.startswith("moved by")
+    (why,) = judge(cell("adhesion", "garbage"), seen(said="NOT HELD", why="force")).why
+    assert why.startswith("not held")
+
+
 def test_what_holds_the_robot_may_go_after_it_was_said_to_be_held_if_that_is_noticed():
     gone = {"crept_m": 0.01, "adhesion_n": 9.0}
     noticed, still = Held("NOT HELD", 0.5, "adhesion is lost", True), Held("HELD", 0.0, "torque on", True)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hil.bench import Held
+from hil.bench.pressing import MEASURES
 from hil.procedure.faults.cells import Cell
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind, kinds
@@ -115,7 +116,8 @@ def _wrong(cell: Cell, seen: Seen, named: bool) -> Iterator[str]:
     noticed = seen.held is not None and seen.held.state != "HELD"
     if seen.said == "HELD" and seen.crept_m > STILL_M and not (dropped and noticed):
         yield f"said to be held, and moved by {1e3 * seen.crept_m:.1f} mm"
-    if seen.said == "NOT HELD" and not (dropped or seen.fallen or _is_without(cell)):
+    excused = dropped or seen.fallen or _is_without(cell) or _is_unmeasured(cell)
+    if seen.said == "NOT HELD" and not excused:
         yield f"not held: {seen.why}"
     if seen.moved_m > FARTHEST_M and not (dropped or seen.fallen or _takes_servos(cell)):
         yield f"moved by {1e3 * seen.moved_m:.1f} mm after the stop"
@@ -134,13 +136,28 @@ def _takes_servos(cell: Cell) -> bool:
 
 def _is_without(cell: Cell) -> bool:
     """Whether servos lack supply or bus to the end: then nobody can say that the robot is held."""
-    return any("+" not in spec.split(",", 1)[0] for spec in _that_let_go(cell))
+    return any(map(_lasts, _that_let_go(cell)))
+
+
+def _is_unmeasured(cell: Cell) -> bool:
+    """Whether all that measure the force on the wall are at fault to the end: nobody knows if it holds."""
+    struck = {device for device, _, spec in _parts(cell) if _lasts(spec)}
+    return struck.issuperset(MEASURES)
+
+
+def _lasts(spec: str) -> bool:
+    """Whether a fault lasts to the end."""
+    return "+" not in spec.split(",", 1)[0]
 
 
 def _that_let_go(cell: Cell) -> list[str]:
     """Faults of a cell that take supply or bus from servos, as specs."""
-    parts = zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)
-    return [spec for device, fault, spec in parts if device.startswith("servo") and fault in _LETS_GO]
+    return [s for device, fault, s in _parts(cell) if device.startswith("servo") and fault in _LETS_GO]
+
+
+def _parts(cell: Cell) -> Iterator[tuple[str, str, str]]:
+    """Device, kind and spec of each fault of a cell."""
+    return zip(cell.device.split("+"), cell.fault.split("+"), cell.specs, strict=True)
 
 
 def _is_named(device: str, seen: Seen) -> bool:
