@@ -103,8 +103,9 @@ def understood(packet: bytes, spec: Spec) -> Status:
         code, message, expected, remedy = (
             error[key] for key in ("exit_code", "message", "expected", "remedy")
         )
-        told = message.partition(": ")[2] or message
-    except (ValueError, TypeError, KeyError, AttributeError):
+        if not all(isinstance(text, str) for text in (message, expected, remedy)):
+            raise ValueError("an error is told in texts")
+    except (ValueError, TypeError, KeyError):
         raise DeviceError(
             spec.device, f"{spec.whose} keeper answered what cannot be understood", port=spec.name,
             expected="an answer of the same version of hil",
@@ -112,6 +113,7 @@ def understood(packet: bytes, spec: Spec) -> Status:
         ) from None  # fmt: skip
     if code == EXIT_USAGE:
         raise UsageError(message, expected=expected, remedy=remedy)
+    told = message.partition(": ")[2] or message
     raise DeviceError(spec.device, told, port=spec.name, expected=expected, remedy=remedy)
 
 
@@ -159,7 +161,7 @@ class Starting:
             self._text += piece
             lines = self._text.decode(errors="replace").strip().splitlines() or ["it ended without a word"]
             with contextlib.suppress(ValueError):
-                said = dict(json.loads(lines[-1]))
+                said = json_object(lines[-1].encode())
                 self.leave()
                 return said
             if not piece:
