@@ -7,7 +7,7 @@ line and the procedures have.
 
 from hil.bench.bench import Bench
 from hil.bench.emulation import check_faults, hidden_truth, open_emulation, supported_faults
-from hil.bench.holding import Held
+from hil.bench.held import Held
 from hil.bench.opening import open_bench, plan_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up

@@ -12,7 +12,8 @@ import numpy as np
 from hil.bench.blueprint import Blueprint
 from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
-from hil.bench.holding import Held, HoldWatch
+from hil.bench.held import Held
+from hil.bench.holding import HoldWatch
 from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
 from hil.bench.settings import can_fall
@@ -65,6 +66,7 @@ class HeldRig(Blueprint):
             press_watch(config, rig),
             radius_m=float(np.mean(geometry.radius_m)),
             on_wall=self.on_wall,
+            can_fall=can_fall(config),
             lightest_m_s2=config.safety.adhesion_limit_m_s2,
         )
         self._sinks = list(sinks)

@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from hil.bench.holding import Held, seen_in_words
+from hil.bench.held import Held, seen_in_words
 from hil.config.bench import BenchConfig
 from hil.fakes.plant.body import SteppedBody
 from hil.fakes.plant_api import PlantState

@@ -77,7 +77,7 @@ class PressWatch:
                 if math.isfinite(force_n):
                     self._forces[who] = t_ns, force_n
                     self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
-        fresh = {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
+        fresh = self._fresh(now_ns)
         least_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
         told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
@@ -96,6 +96,26 @@ class PressWatch:
         if now_ns - self._enough_since_ns < self._outlasts_ns:
             return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
         return ""
+
+    def feels(self, now_ns: int) -> bool:
+        """Whether load cells have just felt the force: enough of it, where nothing is doubted."""
+        return _CELLS in self._fresh(now_ns)
+
+    def in_words(self, now_ns: int) -> str:
+        """What presses it, by whom, and who is silent; empty where nobody measures it."""
+        if self._limits is None:
+            return ""
+        fresh = self._fresh(now_ns)
+        measures = {_FAN: self._limits.has_fan, _CELLS: self._limits.zero_n is not None}
+        told = [
+            f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
+            for name, there in measures.items() if there
+        ]  # fmt: skip
+        return f"; pressed on the wall: {', '.join(told)}"
+
+    def _fresh(self, now_ns: int) -> dict[str, float]:
+        """Forces (N) that have just been measured, by who did."""
+        return {name: n for name, (t_ns, n) in self._forces.items() if now_ns - t_ns <= self._stale_ns}
 
     def _samples(self, name: str) -> Sequence[Any]:
         device = self._rig.get(name)

@@ -178,7 +178,7 @@ def _session(
 
 def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
     """The session on the open bench; whatever ends it, also before it begins, the summary is told."""
-    from hil.bench.holding import seen_in_words
+    from hil.bench.held import seen_in_words
 
     bench = session.bench
     try:
@@ -236,7 +236,7 @@ def _report(session: LiveSession, *, as_json: bool) -> None:
 
 
 def _text(summary: dict[str, Any]) -> str:
-    from hil.bench.holding import held_in_words
+    from hil.bench.held import held_in_words
 
     timing = summary["timing"]
     lines = [

@@ -182,7 +182,7 @@ def _plan_text(plan: dict[str, Any]) -> str:
 
 def text_of(result: Result) -> str:
     """What ended it first, then what was measured, and the verdict."""
-    from hil.bench.holding import held_in_words
+    from hil.bench.held import held_in_words
     from hil.procedure.measurements import Verdict
     from hil.report.run_words import sentence
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hil.bench import Bench
-from hil.bench.holding import untouched
+from hil.bench.held import untouched
 from hil.bench.settings import motion_limits
 from hil.live.commands import CommandLines
 from hil.live.lateness import LateWarning, advice

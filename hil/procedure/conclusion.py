@@ -7,7 +7,7 @@ import inspect
 from pathlib import Path
 from typing import Any
 
-from hil.bench.holding import untouched
+from hil.bench.held import untouched
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.journal import PastRun

@@ -23,7 +23,7 @@ from hil.vocabulary.progress import WHOLE, Report
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.bench.holding import Held
+    from hil.bench.held import Held
 
 STEP_LIMIT_S = 1800.0
 _GO_ON = "the steps that follow, and what they measure, are left out; --resume goes on with them"

@@ -96,6 +96,7 @@ class Supervisor:
 
     Attributes:
         left_out: devices that are not believed any more.
+        doubted: those whose word on how the robot moves was in doubt since `reset`.
     """
 
     def __init__(
@@ -110,6 +111,7 @@ class Supervisor:
         self._samples = SampleWatch(stale_s, self.checks.gap_s)
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
+        self.doubted: set[str] = set()
         self._filter = FilterWatch()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
@@ -129,6 +131,7 @@ class Supervisor:
         self._filter.reset()
         self._causes: dict[str, str] = {}
         self.left_out.reset()
+        self.doubted.clear()
 
     def check(self, inputs: Inputs, measurements: Measurements | None = None) -> tuple[Event, ...]:
         """Judge one cycle.
@@ -207,6 +210,7 @@ class Supervisor:
             checks.steering.judge(inputs, measurements, events, stop)
         if checks.motion is not None:
             for doubt in checks.motion.update(measurements):
+                self.doubted.update((doubt.source,) if doubt.confirmed else (doubt.source, doubt.against))
                 if not doubt.grave:
                     told = doubt.message
                     if doubt.unseen and checks.needs_camera:

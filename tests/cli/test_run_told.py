@@ -4,7 +4,7 @@ from hil.cli.run import text_of
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.results import Failure, Result, judge
 
-HELD = {"state": "NOT HELD", "moved_m": None, "why": "the bench did not open"}
+HELD = {"state": "NOT HELD", "moved_m": None, "why": "nobody looked: the bench did not open"}
 
 
 def lines_of(tmp_path, values, error):

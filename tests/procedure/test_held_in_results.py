@@ -6,7 +6,8 @@ import signal
 
 import pytest
 
-from hil.bench.holding import HoldWatch, held_in_words
+from hil.bench.held import held_in_words
+from hil.bench.holding import HoldWatch
 from hil.cli import main
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource

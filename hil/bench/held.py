@@ -1,0 +1,51 @@
+"""How a run left the robot: the bench's last word after a stop, as data and in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+State = Literal["HELD", "NOT HELD", "not needed"]
+
+
+@dataclass(frozen=True)
+class Held:
+    """How a run left the robot.
+
+    Attributes:
+        state: `not needed` where gravity does not pull along the surface.
+        moved_m: farthest that camera, motion capture or wheels say that it went since it was stopped; None
+            where it was not measured: on a wall wheels do not see a slide.
+        why: what confirms it; or what is missing, and what is left to do.
+        wanted: whether the servos were asked to hold it, and not told to let go.
+    """
+
+    state: State
+    moved_m: float | None
+    why: str
+    wanted: bool = True
+
+    def to_json(self) -> dict[str, object]:
+        """As in `result.json` and the summary of the live loop."""
+        return {"state": self.state, "moved_m": self.moved_m, "why": self.why}
+
+    def __str__(self) -> str:
+        return held_in_words(self.to_json())
+
+
+def held_in_words(held: Mapping[str, Any]) -> str:
+    """One line of what `Held.to_json` says."""
+    if held["moved_m"] is None:
+        return f"{held['state']}: {held['why']}"
+    return f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
+
+
+def seen_in_words(held: Held) -> str:
+    """One line of a look at a robot that nobody has set in motion yet."""
+    return f"{held.state}: {held.why}"
+
+
+def untouched(why: str) -> Held:
+    """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
+    return Held("not needed", None, why, wanted=False)
