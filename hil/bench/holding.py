@@ -205,9 +205,10 @@ class HoldWatch(Sink):
         """Wheels and IMU do not see a slide: somebody has to who sees places, or measures the force."""
         if not self._can_fall or self._press.feels(now_ns):
             return ""
-        if any(self._witnesses[name].is_place for name in self._believed(seen)):
+        places = [name for name in seen if self._witnesses[name].is_place]
+        if self._believed(places):
             return ""
-        doubted = [kinds()[name].noun for name in seen if name in self._doubted]
+        doubted = [kinds()[name].noun for name in places]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         return (
             f"torque is on, but nobody can tell whether the robot slides{why}: that takes a camera, motion "

@@ -1,0 +1,164 @@
+"""HELD takes somebody who is believed and sees a slide; its way is told by those who saw where it stopped."""
+
+import math
+
+import numpy as np
+import pytest
+
+import hil
+from hil.bench.sighting import SERVOS, Travel
+from hil.devices.servos import KIND as SERVO_KIND
+from hil.devices.tracker import KIND as CAMERA_KIND
+from hil.robot.trajectories import line
+from hil.vocabulary.errors import SafetyStop
+
+CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)
+FAR_M = 0.005
+
+
+def left(*faults, without=(), seed=5, feedback="ekf", **overrides):
+    """Drive until something ends it; the last word, the stop, the true way since it (m) and speed (m/s)."""
+    bench = hil.open_bench("emulated", seed=seed, faults=faults, overrides=dict.fromkeys(without) | overrides)
+    stop = None
+    with bench:
+        try:
+            bench.drive(CLIMB, start_pose=np.zeros(3), feedback=feedback, hold_s=0.5)
+        except SafetyStop as found:
+            stop = found
+        stopped = bench.truth().pose_body_in_wall.copy()
+    there = bench.truth().pose_body_in_wall.copy()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 300_000_000)
+    later = bench.truth().pose_body_in_wall.copy()
+    return bench.held, stop, math.dist(there[:2], stopped[:2]), math.dist(later[:2], there[:2]) / 0.3
+
+
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+def test_a_camera_that_was_just_in_doubt_does_not_witness_that_the_robot_rests(plant):
+    held, stop, _, speed_m_s = left(
+        "plant:adhesion_loss@2.8,factor=0.4", "tracker:wrong@2.5,scale=0",
+        without=("mocap", "load_cells"), **{"emulation.plant": plant},
+    )  # fmt: skip
+    assert stop.reason == "sensors_disagree"
+    assert speed_m_s > 0.1, "it slides or falls"
+    assert held.state == "NOT HELD"
+    assert held.moved_m is None, "nobody who is believed saw it"
+
+
+def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
+    held, stop, moved_m, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("mocap", "load_cells"))
+    assert stop.reason == "sensors_disagree"
+    assert (held.state, held.moved_m) == ("NOT HELD", None)
+    assert (
+        "nobody can tell whether the robot slides (what the camera said before the stop is in doubt)"
+        in held.why
+    )
+    assert (moved_m < FAR_M, speed_m_s < 1e-4) == (True, True), (
+        "it is right to be careful, and rests all the same"
+    )
+
+
+@pytest.mark.parametrize("without", [("mocap",), ("load_cells",)])
+def test_load_cells_or_motion_capture_do_without_the_camera(without):
+    held, stop, _, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=without)
+    assert stop.reason == "sensors_disagree"
+    assert held.state == "HELD"
+    assert "camera" not in held.why.split(";")[0]
+    assert speed_m_s < 1e-4
+    assert (held.moved_m is None) == ("mocap" in without)
+
+
+def test_wheels_and_imu_alone_do_not_see_a_slide():
+    """A seal that leaks does not show in the fan's speed; the robot slides, servos and gravity rest."""
+    blind = ("mocap", "tracker", "load_cells")
+    held, *_ = left("plant:adhesion_loss@8.3,factor=0.42", without=blind, feedback="odometry")
+    assert held.state == "NOT HELD"
+    held, _, moved_m, _ = left(without=blind, feedback="odometry")
+    assert (held.state, held.moved_m) == ("NOT HELD", None)
+    assert "that takes a camera, motion capture or load cells" in held.why
+    assert moved_m < FAR_M
+    held, *_ = left(without=blind, feedback="odometry", **{"safety.tethered": True})
+    assert held.state == "HELD", "a tether holds it"
+
+
+@pytest.mark.parametrize(
+    ("faults", "without"),
+    [
+        (["servos:brownout@3+1"], ("mocap", "tracker")),
+        (["servos:brownout@3+1", "tracker:off@3+0.8"], ("mocap",)),
+        (["servos:brownout@3+1", "tracker:stuck@3"], ("mocap",)),
+    ],
+)
+def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):
+    held, _, moved_m, _ = left(
+        *faults, without=without, feedback="odometry" if "tracker" in without else "ekf"
+    )
+    assert moved_m > 0.01, "it slid while the servos had no torque"
+    assert (held.state, held.moved_m) == ("HELD", None)
+    assert "how far it has moved since the stop was not measured" in held.why
+
+
+def test_held_names_everybody_and_what_presses():
+    held, *_ = left()
+    for who in (
+        "servo positions",
+        "IMU",
+        "camera",
+        "motion capture",
+        "N by the fan's speed",
+        "N by the load cells",
+    ):
+        assert who in held.why
+    held, *_ = left("load_cells:off@3")
+    assert held.state == "HELD"
+    assert "nothing by the load cells" in held.why
+
+
+def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
+    """What it feels differs from its weight by more than a data sheet allows."""
+    from hil.bench import holding
+
+    held, *_ = left()
+    assert held.state == "HELD"
+    monkeypatch.setattr(holding, "_felt_m_s2", lambda sample: 7.0)
+    held, *_ = left()
+    assert held.state == "NOT HELD"
+    assert "speeding up" in held.why
+
+
+def travel():
+    return Travel({SERVOS: SERVO_KIND.witness, "tracker": CAMERA_KIND.witness}, 0.05)
+
+
+def test_the_way_counts_from_where_it_was_stopped():
+    seen = travel()
+    seen.passed("tracker", 1_000_000_000, np.array([1.0, 0.0, 0.0]))
+    seen.stopped(1_010_000_000)
+    for k in range(5):
+        seen.saw("tracker", 1_020_000_000 + k, np.array([1.0, 0.02, 0.0]))
+    assert seen.moved_m({"tracker"}, slides=True) == pytest.approx(0.02)
+    assert seen.moved_m({SERVOS}, slides=True) is None
+    seen.begins_anew("tracker")
+    seen.saw("tracker", 1_100_000_000, np.array([7.0, 0.0, 0.0]))
+    assert seen.moved_m({"tracker"}, slides=True) is None, "its frame is another"
+
+
+def test_wheels_tell_the_way_where_nothing_slides():
+    seen = travel()
+    seen.passed(SERVOS, 1_000_000_000, np.zeros(8))
+    seen.stopped(1_000_000_000)
+    for k in range(5):
+        seen.saw(SERVOS, 1_020_000_000 + k, np.array([0.1] * 4 + [0.0] * 4))
+    assert seen.moved_m({SERVOS}, slides=False) == pytest.approx(0.005)
+    assert seen.moved_m({SERVOS}, slides=True) is None
+    assert seen.moved_m(set(), slides=False) is None
+
+
+def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
+    seen = travel()
+    seen.passed("tracker", 1_000_000_000, np.zeros(3))
+    seen.stopped(1_200_000_000)
+    seen.saw("tracker", 1_300_000_000, np.array([0.5, 0.0, 0.0]))
+    assert seen.moved_m({"tracker"}, slides=True) is None
+    fresh = travel()
+    fresh.saw("tracker", 1_300_000_000, np.array([0.5, 0.0, 0.0]))
+    assert fresh.moved_m({"tracker"}, slides=True) == 0.0, "nothing was stopped: its way begins here"
