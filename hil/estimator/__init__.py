@@ -30,7 +30,7 @@ def make_estimator(
     if config.kind == "odometry":
         from hil.estimator.wheel_odometry import OdometryEstimator
 
-        return OdometryEstimator(config, geometry)
+        return OdometryEstimator(config, geometry, surface)
     from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
     from hil.estimator.layout import parameters
 

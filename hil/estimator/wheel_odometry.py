@@ -31,10 +31,26 @@ def _windowed(u: Array, window: Array, decay: float, wheels: Records, creeping: 
 
 
 class OdometryEstimator(Estimator):
-    """Dead reckoning from the wheels; the covariance grows with rolled distance."""
+    """Dead reckoning from the wheels.
 
-    def __init__(self, config: EstimatorConfig, geometry: WheelGeometry) -> None:
+    Its covariance is that of random slip and of what the filters take for the surface: creep and turn per
+    rolled metre are the same all the way, so that their share grows with the way and not with its root, and
+    a heading that is off takes the place along.
+
+    Args:
+        config: noise of the wheels, and slip of the surface.
+        geometry: of the wheels.
+        surface: `wall` or `floor`.
+    """
+
+    def __init__(self, config: EstimatorConfig, geometry: WheelGeometry, surface: str = "wall") -> None:
         self._geometry, self._noise = geometry, config.wheels
+        slip = config.wall if surface == "wall" else config.floor
+        self._slips = np.array([slip.creep, slip.creep_across, slip.yaw_rad_m]) ** 2
+        self._slip_s, self._slip_m2_s2 = (
+            slip.slip_time_s,
+            np.array([slip.slip_m_s, slip.slip_across_m_s]) ** 2,
+        )
         self._model = "exact" if config.wheels.model == "equations" else config.wheels.model
         self._projection = projection(geometry.x_m, geometry.y_m)
         self._contacts = contacts(geometry)
@@ -51,6 +67,7 @@ class OdometryEstimator(Estimator):
         self._covariance = np.array(state.covariance, dtype=np.float64)
         self._last: WheelMeasurement | None = None
         self._window = np.zeros(8)
+        self._slopes, self._slipping = np.zeros((3, 3)), np.zeros(2)
         self._rejected = 0
 
     def update(self, measurements: Measurements) -> RobotState:
@@ -59,11 +76,13 @@ class OdometryEstimator(Estimator):
             self._take(sample)
         last_ns = self._last.stamp.t_ns if self._last is not None else measurements.t_ns
         ahead_s = max(0.0, (measurements.t_ns - last_ns) / NS_PER_S)
+        covariance = self._covariance.copy()
+        covariance[:3, :3] += (self._slopes * self._slips) @ self._slopes.T
         return RobotState(
             measurements.t_ns,
             compose(self._pose, se2_exp(self._twist * ahead_s)),
             self._twist.copy(),
-            self._covariance.copy(),
+            covariance,
             {"rejected_wheels": float(self._rejected)},
         )
 
@@ -107,13 +126,34 @@ class OdometryEstimator(Estimator):
         return np.asarray(np.linalg.lstsq(self._projection[rows], u[rows], rcond=None)[0], dtype=np.float64)
 
     def _integrate(self, motion: Array, dt: float) -> None:
-        self._pose = compose(self._pose, se2_exp(motion))
+        before = self._pose
+        self._pose = compose(before, se2_exp(motion))
         self._twist = motion / dt
         noise, covariance = self._noise, self._covariance
-        spread = noise.step_m**2 + noise.per_sqrt_m**2 * float(np.hypot(motion[0], motion[1]))
-        covariance[0, 0] += 0.25 * spread
-        covariance[1, 1] += 0.25 * spread
+        rolled_m = float(np.hypot(motion[0], motion[1]))
+        spread = noise.step_m**2 + noise.per_sqrt_m**2 * rolled_m
+        covariance[0, 0] += 0.25 * spread + 2.0 * dt * self._slipping[0]
+        covariance[1, 1] += 0.25 * spread + 2.0 * dt * self._slipping[1]
         covariance[2, 2] += 0.25 * spread / self._arm_m2
+        share = math.exp(
+            -dt / self._slip_s
+        )  # covariance of place and slip velocity, of an Ornstein-Uhlenbeck
+        self._slipping = share * self._slipping + (1.0 - share) * self._slip_s * self._slip_m2_s2
+        self._lean(self._pose - before, rolled_m)
+
+    def _lean(self, step: Array, rolled_m: float) -> None:
+        """Derivatives of the pose (rows) by creep along wall x and y and by turn per metre, after a step.
+
+        Args:
+            step: (3,) of the pose in the wall frame.
+            rolled_m: its length.
+        """
+        slopes = self._slopes
+        slopes[0, 2] -= step[1] * (slopes[2, 2] + 0.5 * rolled_m)
+        slopes[1, 2] += step[0] * (slopes[2, 2] + 0.5 * rolled_m)
+        slopes[0, 0] += rolled_m
+        slopes[1, 1] += rolled_m
+        slopes[2, 2] += rolled_m
 
 
 def _usable(sample: WheelMeasurement) -> list[bool]:

@@ -36,7 +36,8 @@ def test_the_table_holds_all_four_and_the_filters_beat_odometry(recording, tmp_p
     for name in ("ekf", "ukf", "smoother"):
         assert table[name]["rmse_position_m"] < 0.5 * table["odometry"]["rmse_position_m"]
         assert table[name]["rmse_theta_rad"] < 0.5 * table["odometry"]["rmse_theta_rad"]
-        assert table[name]["nees_pose"] < 6.0 < table["odometry"]["nees_pose"]
+        assert table[name]["nees_pose"] < 6.0
+    assert table["odometry"]["nees_pose"] < 30.0, "what the wheels cannot see is in its covariance"
     assert table["ekf"]["nis_tracker"] > 0.0
     assert abs(table["ekf"]["lag1_gyro"]) < 1.0
     assert table["odometry"]["nis_tracker"] is None

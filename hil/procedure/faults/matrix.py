@@ -27,7 +27,8 @@ named anywhere, the run went on as if nothing had been; the last table says why.
 encoders one of each kind stands for the others.
 
 What the bench does not protect from: a fan whose power ends, a wall that gives way, a computer that dies
-while servos restart. Independent fall protection stays the lab's.
+while servos restart, and errors that look like an honest robot, such as a camera that drifts down the wall by
+3 mm/s ([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
 
 {counts}
 """
