@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from hil.estimator.small_matrices import downdate
-from hil.estimator.state import STATES
+from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 
@@ -40,10 +42,10 @@ def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array)
         nis[i] = nu[i] * nu[i] / size
         total += nis[i]
         for j in range(i + 1, count):
-            gain = s[j, i] / size
+            gain = s[i, j] / size
             nu[j] -= gain * nu[i]
             for k in range(i + 1, count):
-                s[j, k] -= gain * s[i, k]
+                s[k, j] -= gain * s[k, i]
     return total
 
 
@@ -57,7 +59,7 @@ def condition(
         x: (20,) state.
         p: (20, 20) covariance.
         nu: (8,) innovation per row; used up.
-        cross: (20, 8) covariance of the state with the predicted rows; used up.
+        cross: (8, 20) covariance of the predicted rows with the state; used up.
         own: (8, 8) covariance of the predicted rows; used up.
         var: (8,) noise variance per row; a negative one leaves the row out.
         count: number of rows.
@@ -67,25 +69,30 @@ def condition(
     Returns:
         Number of accepted rows.
     """
-    used = 0
+    used, n = 0, p.shape[0]
     for i in range(count):
         nis[i] = -1.0
         size = own[i, i] + var[i]
-        if var[i] < 0.0 or not size > 0.0:
+        if not (var[i] < 0.0 or not size > 0.0):
+            nis[i] = nu[i] * nu[i] / size
+        if not 0.0 <= nis[i] <= gate:
             continue
-        nis[i] = nu[i] * nu[i] / size
-        if nis[i] > gate:
-            continue
+        step, root = nu[i] / size, math.sqrt(size)
+        for j in range(n):
+            x[j] += cross[i, j] * step
+        for j in range(ROWS):
+            own[i, j] = np.divide(own[i, j], size)  # without a look whether size is zero: it is not
+        for k in range(i + 1, count):
+            gain, scale = own[i, k], own[k, i]
+            nu[k] -= gain * nu[i]
+            for j in range(n):
+                cross[k, j] -= gain * cross[i, j]
+            for j in range(ROWS):
+                own[k, j] -= own[i, j] * scale
+        for j in range(n):
+            cross[used, j] = np.divide(cross[i, j], root)
         used += 1
-        column = cross[:, i].copy()
-        x += column * (nu[i] / size)
-        downdate(p, column / math.sqrt(size))
-        for j in range(i + 1, count):
-            gain = own[j, i] / size
-            nu[j] -= gain * nu[i]
-            cross[:, j] -= gain * column
-            for k in range(i + 1, count):
-                own[j, k] -= gain * own[i, k]
+    downdate(p, cross, used)
     return used
 
 

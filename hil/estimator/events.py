@@ -31,7 +31,7 @@ from hil.estimator.sensors import (
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import seen
-from hil.estimator.state import AUX, ROWS, STATES
+from hil.estimator.state import STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -46,7 +46,7 @@ def advance(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) ->
     if dt_s <= 0.0:
         return
     if par.filter.unscented > 0.0:
-        advance_unscented(x, p, dt_s, par.filter, par.process, nominal)
+        advance_unscented(x, p, dt_s, par, nominal)
     else:
         advance_linear(x, p, dt_s, par.process, nominal)
 
@@ -66,14 +66,15 @@ def moments(
         par: of all kernels.
         count: number of rows.
         mean: (8,) filled with the rows that the state predicts.
-        cross: (20, 8) filled with their covariance with the state; zeroed before.
-        own: (8, 8) filled with their covariance; zeroed before.
+        cross: (8, 20) filled with their covariance with the state.
+        own: (8, 8) filled with their covariance.
     """
     if par.filter.unscented > 0.0 and BENT[number]:
         moments_unscented(number, x, p, aux, par, count, mean, cross, own)
         return
     predicted(number, x, aux, par, mean)
-    h = np.zeros((ROWS, STATES))
+    h = par.work.h
+    h[:, :] = 0.0
     jacobian(number, x, aux, par, h)
     seen(p, h, count, cross, own)
 
@@ -91,23 +92,22 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         row: the sample.
         par: of all kernels.
     """
-    z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
+    w = par.work
+    z, var, aux, nu, nis, before, cross, own = w.z, w.var, w.aux, w.nu, w.nis, w.before, w.cross, w.own
+    z[:], var[:], aux[:] = 0.0, 0.0, 0.0
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
         return
-    nu, nis, before = np.zeros(ROWS), np.full(ROWS, -1.0), x.copy()
-    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
+    nis[:], before[:] = -1.0, x
     unsure = is_unsure(number, p, par)
     if unsure:
         spread = np.zeros((STATES, STATES))
-        settle(
-            number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, np.zeros((ROWS, STATES))
-        )
+        settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h)
     else:
-        mean = np.zeros(ROWS)
-        moments(number, x, p, aux, par, count, mean, cross, own)
-        nu[:] = innovation(number, z, mean, var, count)
-    shown = nu.copy()
+        w.mean[:] = 0.0
+        moments(number, x, p, aux, par, count, w.mean, cross, own)
+        innovation(number, z, w.mean, var, count, nu)
+    w.shown[:] = nu
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
@@ -128,7 +128,7 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         if par.filter.unscented <= 0.0:
             follow(before, x)
             carry(before, x, p)
-    m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
+    m.accepted += account(number, m, w.shown, nis, var, count, gate, par.filter.samples)
 
 
 @compiled
@@ -163,7 +163,8 @@ def run(
         p[i] = p[j]
         m[i] = m[j]
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
-        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, nominal(stamp, x[i], m[i].wheels, par.wheels))
+        nominal(stamp, x[i], m[i].wheels, par.wheels, par.work.rolling)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, par.work.rolling)
         if number == MARK:
             continue
         use = admit(number, stamp, m[i], rows[i], par)
@@ -184,5 +185,5 @@ def run(
     now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        now = nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels)
-        advance(now_x, now_p, ahead_ns / 1e9, par, now)
+        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, par.work.rolling)
+        advance(now_x, now_p, ahead_ns / 1e9, par, par.work.rolling)

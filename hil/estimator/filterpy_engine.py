@@ -20,7 +20,8 @@ from hil.estimator.conditioning import guard
 from hil.estimator.events import NONE_ACCEPTED, compare
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
-from hil.estimator.process import add_noise, move, transition
+from hil.estimator.motion import move, transition
+from hil.estimator.process import add_noise
 from hil.estimator.records import Records
 from hil.estimator.retraction import carry, follow, is_unsure
 from hil.estimator.sensors import (
@@ -53,7 +54,9 @@ def _symmetric(p: Array) -> Array:
 
 def upper_root(p: Array) -> Array:
     """U (n, n) with U' U = P (n, n), as filterpy wants it; a singular P is accepted."""
-    return np.ascontiguousarray(square_root(p, len(p)).T)
+    root = np.zeros_like(p)
+    square_root(p, len(p), root)
+    return root
 
 
 def centred_transform(
@@ -148,9 +151,9 @@ def slopes_at(number: int, x: Array, aux: Array, par: Records) -> Array:
 
 
 @compiled
-def rolling(t_ns: float, x: Array, m: Records, par: Records) -> Array:
-    """`sensors.wheels.nominal`: velocity (2,), m/s, body frame, by the state (20,)."""
-    return nominal(t_ns, x, m[0].wheels, par[0].wheels)
+def rolling(t_ns: float, x: Array, m: Records, par: Records, out: Array) -> None:
+    """`sensors.wheels.nominal`: fill `out` (2,) with the velocity, m/s, body frame; state (20,)."""
+    nominal(t_ns, x, m[0].wheels, par[0].wheels, out)
 
 
 @compiled
@@ -165,8 +168,7 @@ class FilterpyEngine(Engine):
     """Runs events through filterpy's EKF or UKF."""
 
     def __init__(self, par: Records) -> None:
-        by, n = par[0].filter, STATES
-        process = par[0].process
+        by, process, n = par[0].filter, par[0].process, STATES
         self._par, self._slip_s, self._scaled = par, float(process.slip_s), float(process.scaled)
         self._scale, self._nominal = 0.0, np.zeros(2)
         self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
@@ -186,13 +188,13 @@ class FilterpyEngine(Engine):
             i, j = (h.first + k) % capacity, (h.first + k - 1) % capacity
             h.x[i], h.p[i], h.m[i] = h.x[j], h.p[j], h.m[j]
             stamp, one = float(h.t_ns[i] - zero_ns), slice(i, i + 1)
-            self._nominal = rolling(stamp, h.x[i], h.m[one], self._par)
+            rolling(stamp, h.x[i], h.m[one], self._par, self._nominal)
             self.advance(h.x[i], h.p[i], (int(h.t_ns[i]) - int(h.t_ns[j])) * 1e-9)
             if h.numbers[i] != MARK:
                 number = int(h.numbers[i])
                 self._take(number, stamp, h.x[i], h.p[i], h.m[one], h.rows[one])
         now.x[:], now.p[:], now.m[0] = h.x[h.newest], h.p[h.newest], h.m[h.newest]
-        self._nominal = rolling(float(now_ns - zero_ns), now.x, now.m, self._par)
+        rolling(float(now_ns - zero_ns), now.x, now.m, self._par, self._nominal)
         self.advance(now.x, now.p, (now_ns - int(h.t_ns[h.newest])) / NS_PER_S)
 
     def advance(self, x: Array, p: Array, dt_s: float) -> None:
@@ -233,8 +235,8 @@ class FilterpyEngine(Engine):
 
     def _compare(self, number: int, x: Array, p: Array, m: Records, r: Rows) -> None:
         """As `events.compare`: gates first, then one stacked update with the rows that passed."""
-        mean, s = self._innovation(number, x, p, r)
-        shown = innovation(number, r.z, mean, r.var, r.count)
+        (mean, s), shown = self._innovation(number, x, p, r), np.zeros(ROWS)
+        innovation(number, r.z, mean, r.var, r.count, shown)
         nu, nis, gate = shown[: r.count], np.full(ROWS, -1.0), self._gate_row
         if GATED_TOGETHER[number]:
             nis[:], gate = 0.0, np.inf

@@ -5,7 +5,7 @@ Each is a numpy record: its own fields, and a part per sensor under the sensor's
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,11 +14,17 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.process import ProcessParameters, process_values
 from hil.estimator.records import FLOAT_BYTES, Record, Records, dtype_of, filled, place
 from hil.estimator.sensors import SENSORS
+from hil.estimator.state import AUX, ROWS, STATES
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
 Ints = npt.NDArray[np.int64]
 _NO_GATE = 1e300
+
+Rows = Annotated[Array, ROWS]
+State = Annotated[Array, STATES]
+RowsByState = Annotated[Array, ROWS, STATES]
+StateByRows = Annotated[Array, STATES, ROWS]
 
 
 class FilterParameters(Record):
@@ -42,11 +48,47 @@ class FilterParameters(Record):
     samples: float
 
 
+class Work(Record):
+    """Room for what a kernel works out on the way to its result: nothing in it outlives one event.
+
+    Attributes:
+        z, var, aux: what `Sensor.observe` says of the sample.
+        mean, cross, own: see `hil.estimator.events.moments`; h: `Sensor.jacobian`.
+        nu, shown, nis: innovations, the same as they were before the update, and normalised.
+        before: state before the update.
+        rolling: velocity by the wheels, m/s.
+        root, up, down, high, low, centre, offset, odd, even: of `hil.estimator.unscented`.
+    """
+
+    z: Rows
+    var: Rows
+    aux: Annotated[Array, AUX]
+    mean: Rows
+    cross: RowsByState
+    own: Annotated[Array, ROWS, ROWS]
+    h: RowsByState
+    nu: Rows
+    shown: Rows
+    nis: Rows
+    before: State
+    rolling: Annotated[Array, 2]
+    root: Annotated[Array, STATES, STATES]
+    up: State
+    down: State
+    high: Rows
+    low: Rows
+    centre: Rows
+    offset: Rows
+    odd: StateByRows
+    even: StateByRows
+
+
 class Parameters(Record):
-    """Parameters of all kernels; a further part per sensor."""
+    """Parameters of all kernels, and room for them to work in; a further part per sensor."""
 
     filter: FilterParameters
     process: ProcessParameters
+    work: Work
 
 
 class Memory(Record):
@@ -89,6 +131,7 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
             "samples": config.time.nis_samples,
         },
         "process": process_values(config, surface),
+        "work": np.zeros(1, dtype_of(Work)),
         **{s.NAME: s.values(config, geometry, surface) for s in SENSORS},
     }  # fmt: skip
     return filled(PARAMETERS, values)

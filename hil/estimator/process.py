@@ -1,20 +1,16 @@
 """Process model: constant body twist on SE(2) with random accelerations, and slowly changing nuisances.
 
-One twist moves two poses: that in the wall frame, and that in the camera's own frame, (1 + scale) as far.
-The derivative by the scale is taken at what the wheels say of the velocity (`nominal`, (2,), m/s, body
-frame), not at the estimate: this carries the noise of the very camera samples that the next one is compared
-with, and with it the scale would drift whatever the truth (docs/decisions/0024). In the mean the estimate
-counts.
+`hil.estimator.motion` has where the twist takes the state; here is what becomes of the covariance.
 """
 
 from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from hil.config.estimator import EstimatorConfig
+from hil.estimator.motion import go, sight_shift, slopes, wall_shift
 from hil.estimator.records import Record
+from hil.estimator.small_matrices import check_size
 from hil.estimator.state import (
     BIAS,
     CREEP_X,
@@ -32,9 +28,14 @@ from hil.estimator.state import (
     V_Y,
     YAW_SLIP,
     X,
+    Y,
 )
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
+
+FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
+MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)
+"""Rows of the covariance that a prediction changes: by what moves linearly, and in all."""
 
 
 class ProcessParameters(Record):
@@ -86,105 +87,6 @@ def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
 
 
 @compiled
-def sinc(h: float) -> float:
-    """sin(h) / h."""
-    if abs(h) < 1e-3:
-        return 1.0 - h * h / 6.0 + h * h * h * h / 120.0
-    return math.sin(h) / h
-
-
-@compiled
-def sinc_slope(h: float) -> float:
-    """Derivative of sin(h) / h; the series is used where the closed form cancels."""
-    if abs(h) < 1e-2:
-        return -h / 3.0 + h * h * h / 30.0 - h * h * h * h * h / 840.0
-    return (math.cos(h) - math.sin(h) / h) / h
-
-
-@compiled
-def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float, out: Array) -> None:
-    """Displacement (2,) at heading `theta` by a body twist (ahead, left, omega) in `dt_s`."""
-    h = 0.5 * omega * dt_s
-    k = sinc(h) * dt_s
-    c, s = math.cos(theta + h), math.sin(theta + h)
-    out[0], out[1] = k * (c * ahead - s * left), k * (s * ahead + c * left)
-
-
-@compiled
-def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: float, out: Array) -> None:
-    """Derivative (2, 4) of `shift` by heading and twist."""
-    h = 0.5 * omega * dt_s
-    k = sinc(h) * dt_s
-    c, s = math.cos(theta + h), math.sin(theta + h)
-    east, north = c * ahead - s * left, s * ahead + c * left
-    slope = 0.5 * dt_s * dt_s * sinc_slope(h)
-    out[0, 0], out[0, 1], out[0, 2] = -k * north, k * c, -k * s
-    out[1, 0], out[1, 1], out[1, 2] = k * east, k * s, k * c
-    out[0, 3] = slope * east - 0.5 * dt_s * k * north
-    out[1, 3] = slope * north + 0.5 * dt_s * k * east
-
-
-@compiled
-def shifts(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array, out: Array) -> None:
-    """Displacements (4,) of a state's two poses; `scale` is that of the mean; points differ."""
-    wall, sight, longer = np.zeros(2), np.zeros(2), np.zeros(2)
-    shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, wall)
-    shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, sight)
-    shift(x[SIGHT_THETA], nominal[0], nominal[1], x[OMEGA], dt_s, longer)
-    size, more = 1.0 + scaled * scale, scaled * (x[SCALE] - scale)
-    for i in range(2):
-        out[i], out[2 + i] = wall[i], size * sight[i] + more * longer[i]
-
-
-@compiled
-def fade(x: Array, dt_s: float, slip_s: float) -> None:
-    """Headings and slip velocity of the state (20,) after `dt_s`: what moves linearly."""
-    x[THETA] += x[OMEGA] * dt_s
-    x[SIGHT_THETA] += x[OMEGA] * dt_s
-    decay = math.exp(-dt_s / slip_s)
-    x[SLIP_X] *= decay
-    x[SLIP_Y] *= decay
-
-
-@compiled
-def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nominal: Array) -> None:
-    """State (20,) after `dt_s`: SE(2) exponential of the body twist, decay of the slip velocity."""
-    moved = np.zeros(4)
-    shifts(x, dt_s, scaled, scale, nominal, moved)
-    for i in range(2):
-        x[X + i] += moved[i]
-        x[SIGHT_X + i] += moved[2 + i]
-    fade(x, dt_s, slip_s)
-
-
-@compiled
-def slopes(
-    x: Array, dt_s: float, scaled: float, nominal: Array, wall: Array, sight: Array, longer: Array
-) -> None:
-    """Derivatives of both displacements by heading and twist (2, 4), and of the second by the scale (2,)."""
-    shift_slopes(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, wall)
-    shift_slopes(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s, sight)
-    sight *= 1.0 + scaled * x[SCALE]
-    shift(x[SIGHT_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s, longer)
-
-
-@compiled
-def transition(x: Array, dt_s: float, slip_s: float, scaled: float, nominal: Array) -> Array:
-    """Derivative (20, 20) of `move` by the state."""
-    f = np.eye(STATES)
-    wall, sight, longer = np.zeros((2, 4)), np.zeros((2, 4)), np.zeros(2)
-    slopes(x, dt_s, scaled, nominal, wall, sight, longer)
-    for i in range(2):
-        f[X + i, THETA], f[SIGHT_X + i, SIGHT_THETA] = wall[i, 0], sight[i, 0]
-        for j in range(3):
-            f[X + i, V_X + j], f[SIGHT_X + i, V_X + j] = wall[i, 1 + j], sight[i, 1 + j]
-        f[SIGHT_X + i, SCALE] = longer[i]
-    f[THETA, OMEGA] = f[SIGHT_THETA, OMEGA] = dt_s
-    f[SLIP_X, SLIP_X] = f[SLIP_Y, SLIP_Y] = math.exp(-dt_s / slip_s)
-    return f
-
-
-@compiled
 def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     """Noise of the twist in both poses: what moves them is one and the same."""
     q, turn = par.acceleration, par.angular_acceleration
@@ -231,30 +133,60 @@ def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
 
 
 @compiled
-def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
-    """Extended Kalman prediction of x (20,), p (20, 20), in place; F P F' only for rows that change."""
-    wall, sight, longer = np.zeros((2, 4)), np.zeros((2, 4)), np.zeros(2)
-    slopes(x, dt_s, par.scaled, nominal, wall, sight, longer)
-    decay = math.exp(-dt_s / par.slip_s)
-    for _ in range(2):
+def mirror(p: Array, rows: tuple[int, ...]) -> None:
+    """Make p (20, 20) symmetric by some of its rows, in rising order; of two the upper one counts."""
+    check_size(p)
+    for i in rows:
+        for j in rows:
+            if j < i:
+                p[i, j] = p[j, i]
+    for i in rows:
         for j in range(STATES):
-            turned, seen, ahead, left = p[THETA, j], p[SIGHT_THETA, j], p[V_X, j], p[V_Y, j]
-            spun, scale = p[OMEGA, j], p[SCALE, j]
-            for i in range(2):
-                a, b = wall[i], sight[i]
-                p[X + i, j] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
-                p[SIGHT_X + i, j] += (
-                    b[0] * seen + b[1] * ahead + b[2] * left + b[3] * spun + longer[i] * scale
-                )
-            p[THETA, j] += dt_s * spun
-            p[SIGHT_THETA, j] += dt_s * spun
-            p[SLIP_X, j] *= decay
-            p[SLIP_Y, j] *= decay
-        for i in range(STATES):
-            for j in range(i):
-                p[i, j], p[j, i] = p[j, i], p[i, j]
-    for i in range(STATES):
-        for j in range(i):
-            p[i, j] = p[j, i]
+            p[j, i] = p[i, j]
+
+
+@compiled
+def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
+    """F P F' of what `fade` does, p (20, 20) in place: rows that change, then columns, of these rows only."""
+    check_size(p)
+    for j in range(STATES):
+        p[THETA, j] += dt_s * p[OMEGA, j]
+        p[SIGHT_THETA, j] += dt_s * p[OMEGA, j]
+        p[SLIP_X, j] *= decay
+        p[SLIP_Y, j] *= decay
+    for i in FADING:
+        p[i, THETA] += dt_s * p[i, OMEGA]
+        p[i, SIGHT_THETA] += dt_s * p[i, OMEGA]
+        p[i, SLIP_X] *= decay
+        p[i, SLIP_Y] *= decay
+    mirror(p, FADING)
+
+
+@compiled
+def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
+    """Extended Kalman prediction of x (20,), p (20, 20), in place: F P F' by rows and columns that change."""
+    check_size(p)
+    a, b, c, d, (e, f) = slopes(x, dt_s, par.scaled, nominal)
+    wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, par.scaled, x[SCALE], nominal)
+    decay = math.exp(-dt_s / par.slip_s)
+    for j in range(STATES):
+        turned, seen, ahead, left = p[THETA, j], p[SIGHT_THETA, j], p[V_X, j], p[V_Y, j]
+        spun, scale = p[OMEGA, j], p[SCALE, j]
+        p[X, j] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
+        p[Y, j] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
+        p[SIGHT_X, j] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[SIGHT_Y, j] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[THETA, j], p[SIGHT_THETA, j] = turned + dt_s * spun, seen + dt_s * spun
+        p[SLIP_X, j], p[SLIP_Y, j] = decay * p[SLIP_X, j], decay * p[SLIP_Y, j]
+    for i in MOVING:
+        turned, seen, ahead, left = p[i, THETA], p[i, SIGHT_THETA], p[i, V_X], p[i, V_Y]
+        spun, scale = p[i, OMEGA], p[i, SCALE]
+        p[i, X] += a[0] * turned + a[1] * ahead + a[2] * left + a[3] * spun
+        p[i, Y] += b[0] * turned + b[1] * ahead + b[2] * left + b[3] * spun
+        p[i, SIGHT_X] += c[0] * seen + c[1] * ahead + c[2] * left + c[3] * spun + e * scale
+        p[i, SIGHT_Y] += d[0] * seen + d[1] * ahead + d[2] * left + d[3] * spun + f * scale
+        p[i, THETA], p[i, SIGHT_THETA] = turned + dt_s * spun, seen + dt_s * spun
+        p[i, SLIP_X], p[i, SLIP_Y] = decay * p[i, SLIP_X], decay * p[i, SLIP_Y]
+    mirror(p, MOVING)
     add_noise(x, p, dt_s, par)
-    move(x, dt_s, par.slip_s, par.scaled, x[SCALE], nominal)
+    go(x, wall, sight, dt_s, decay)

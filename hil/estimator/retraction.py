@@ -16,9 +16,9 @@ import numpy as np
 
 from hil.estimator.conditioning import condition
 from hil.estimator.layout import Parameters
-from hil.estimator.process import sinc
+from hil.estimator.motion import sinc
 from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicted
-from hil.estimator.small_matrices import seen
+from hil.estimator.small_matrices import check_size, seen
 from hil.estimator.state import CLONE_X, ROWS, STATES, THETA, X
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -59,19 +59,20 @@ def follow(before: Array, x: Array) -> None:
 @compiled
 def carry(before: Array, x: Array, p: Array) -> None:
     """Covariance (20, 20) at `before` as one at x: errors of a heading have another lever there; in place."""
+    check_size(p)
     for place in POSES:
         east, north = x[place] - before[place], x[place + 1] - before[place + 1]
         for i in range(STATES):
             turned = p[place + 2, i]
             p[place, i] -= north * turned
             p[place + 1, i] += east * turned
-        for i in range(STATES):
+        for i in (place, place + 1):
             turned = p[i, place + 2]
             p[i, place] -= north * turned
             p[i, place + 1] += east * turned
+        p[place + 1, place] = p[place, place + 1]
         for i in range(STATES):
-            p[place, i] = p[i, place]
-            p[place + 1, i] = p[i, place + 1]
+            p[i, place], p[i, place + 1] = p[place, i], p[place + 1, i]
 
 
 @compiled
@@ -105,7 +106,7 @@ def settle(
         point: (20,) filled, and
         spread: (20, 20) with the covariance `p` at it, and
         nu: (8,) with the innovations less what the way from x to the point explains, and
-        cross: (20, 8) with the covariance of state and rows there, and
+        cross: (8, 20) with the covariance of rows and state there, and
         own: (8, 8) with that of the rows, and
         h: (8, 20) with their derivative.
     """
@@ -115,12 +116,13 @@ def settle(
         follow(x, point)
         spread[:, :] = p
         carry(x, point, spread)
-        cross[:, :], own[:, :], h[:, :] = 0.0, 0.0, 0.0
+        h[:, :] = 0.0
         predicted(number, point, aux, par, mean)
         jacobian(number, point, aux, par, h)
         seen(spread, h, count, cross, own)
         lean(x, point, toward, 1.0)
-        nu[:] = innovation(number, z, mean, var, count) + h @ toward
+        innovation(number, z, mean, var, count, nu)
+        nu += h @ toward
         toward[:] = 0.0
         condition(toward, spread.copy(), nu.copy(), cross.copy(), own.copy(), var, count, math.inf, ignored)
         lean(x, point, toward, -1.0)

@@ -1,10 +1,13 @@
 """The four matrix operations that cost the most, each in two forms of one arithmetic.
 
-`p` (n, n) is a covariance, `root` (n,) or (n, n) what its square root is made of, `h` (8, n) a derivative,
-`odd` (n, 8) odd parts, `cross` (n, 8) and `own` (8, 8) covariances of rows.
+`p` (20, 20) is a covariance, `root` (20, 20) the upper triangular U with U' U = P: row k holds how far the
+state's numbers go along the k-th direction. `h` (8, 20) is a derivative of rows by the state, `odd` (20, 8)
+odd parts, `cross` (8, 20) the covariance of rows with the state and `own` (8, 8) that of the rows.
 
 Loops are quickest when compiled: a library call or a temporary array costs more than the work on a 20x20
-matrix. Array expressions are quickest when interpreted. Tests hold both forms against each other.
+matrix. All inner loops go along a matrix's rows, and `check_size` tells the compiler how long these are: it
+then works on several numbers at once, each in the same order as one by one, so that no bit changes. Array
+expressions are quickest when interpreted. Tests hold both forms against each other.
 """
 
 from __future__ import annotations
@@ -13,101 +16,125 @@ import math
 
 import numpy as np
 
+from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import AVAILABLE, compiled
 
 _ZERO_PIVOT = 1e-14
 
 
-def downdate_loops(p: Array, root: Array) -> None:
-    """Subtract root root' from p (n, n), in place."""
+@compiled
+def check_size(p: Array) -> None:
+    """Refuse what is no (20, 20); behind it the compiler knows the size, which makes loops thrice as quick.
+
+    Raises:
+        ValueError: another size.
+    """
+    if p.shape[0] != STATES or p.shape[1] != STATES:
+        raise ValueError("a covariance of 20 states is needed")
+
+
+def downdate_loops(p: Array, roots: Array, count: int) -> None:
+    """Subtract root root' from p (20, 20), in place, for the first `count` rows of roots (8, 20)."""
     n = p.shape[0]
-    for i in range(n):
-        scale = root[i]
-        for j in range(n):
-            p[i, j] -= scale * root[j]
+    for k in range(count):
+        for i in range(n):
+            scale = roots[k, i]
+            for j in range(n):
+                p[i, j] -= scale * roots[k, j]
 
 
-def downdate_arrays(p: Array, root: Array) -> None:
+def downdate_arrays(p: Array, roots: Array, count: int) -> None:
     """As `downdate_loops`."""
-    p -= np.outer(root, root)
+    for root in roots[:count]:
+        p -= np.outer(root, root)
 
 
-def square_root_loops(p: Array, columns: int) -> Array:
-    """First columns of the lower triangular L with L L' = P, P (n, n) positive semi-definite.
+def square_root_loops(p: Array, rows: int, root: Array) -> None:
+    """Fill the first rows of the upper triangular U with U' U = P, P (20, 20) positive semi-definite.
 
-    A zero pivot leaves a zero column. Column k has no entry above row k.
+    A zero pivot leaves a zero row. Row k has no entry left of column k.
     """
     n = p.shape[0]
-    rest, out, column = p.copy(), np.zeros((n, n)), np.zeros(n)
-    for j in range(columns):
-        pivot = rest[j, j]
-        if pivot <= _ZERO_PIVOT * p[j, j] or pivot <= 0.0:
+    for i in range(rows):
+        for j in range(n):
+            root[i, j] = p[i, j]
+    for k in range(rows):
+        pivot = root[k, k]
+        if pivot <= _ZERO_PIVOT * p[k, k] or pivot <= 0.0:
+            root[k, :] = 0.0
             continue
-        root = math.sqrt(pivot)
-        out[j, j] = root
-        for i in range(j + 1, n):
-            column[i] = rest[i, j] / root
-            out[i, j] = column[i]
-        for i in range(j + 1, n):
-            scale = column[i]
-            for k in range(j + 1, i + 1):
-                rest[i, k] -= scale * column[k]
-    return out
+        size = math.sqrt(pivot)
+        for j in range(k):
+            root[k, j] = 0.0
+        root[k, k] = size
+        for j in range(k + 1, n):
+            root[k, j] = np.divide(root[k, j], size)  # without a look whether size is zero: it is not
+        for i in range(k + 1, rows):
+            scale = root[k, i]
+            for j in range(n):
+                root[i, j] -= scale * root[k, j]
 
 
-def square_root_arrays(p: Array, columns: int) -> Array:
-    """As `square_root_loops`, (n, n) from (n, n)."""
-    n = p.shape[0]
-    rest, out = p.copy(), np.zeros((n, n))
-    for j in range(columns):
-        pivot = rest[j, j]
-        if pivot <= _ZERO_PIVOT * p[j, j] or pivot <= 0.0:
+def square_root_arrays(p: Array, rows: int, root: Array) -> None:
+    """As `square_root_loops`."""
+    root[:rows] = p[:rows]
+    for k in range(rows):
+        pivot = root[k, k]
+        if pivot <= _ZERO_PIVOT * p[k, k] or pivot <= 0.0:
+            root[k] = 0.0
             continue
-        out[j, j] = math.sqrt(pivot)
-        out[j + 1 :, j] = rest[j + 1 :, j] / out[j, j]
-        rest[j + 1 :, j + 1 :] -= np.outer(out[j + 1 :, j], out[j + 1 :, j])
-    return out
+        root[k] /= math.sqrt(pivot)
+        root[k, :k], root[k, k] = 0.0, math.sqrt(pivot)
+        root[k + 1 : rows] -= np.outer(root[k, k + 1 : rows], root[k])
 
 
 def seen_loops(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
-    """Covariance of the state with rows h (8, n): cross (n, 8) = P h', own (8, 8) = h P h'; `count` rows."""
-    n = p.shape[0]
+    """Fill cross (8, 20) = h P and own (8, 8) = h P h' for the first `count` rows of h (8, 20)."""
+    n, column = p.shape[0], np.empty(ROWS)
     for i in range(count):
+        for j in range(n):
+            cross[i, j] = 0.0
+        own[i, :] = 0.0
         for k in range(n):
             slope = h[i, k]
             if slope != 0.0:
                 for j in range(n):
-                    cross[j, i] += slope * p[k, j]
-    for i in range(count):
-        for j in range(count):
-            total = 0.0
-            for k in range(n):
-                if h[j, k] != 0.0:
-                    total += h[j, k] * cross[k, i]
-            own[j, i] = total
+                    cross[i, j] += slope * p[k, j]
+    for k in range(n):
+        used = False
+        for j in range(ROWS):
+            column[j] = h[j, k]
+            used |= column[j] != 0.0
+        if used:
+            for i in range(count):
+                scale = cross[i, k]
+                for j in range(ROWS):
+                    own[i, j] += scale * column[j]
 
 
 def seen_arrays(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
     """As `seen_loops`."""
-    cross[:, :count] = p @ h[:count].T
-    own[:count, :count] = h[:count] @ cross[:, :count]
+    cross[:count] = h[:count] @ p
+    own[:count] = cross[:count] @ h.T
 
 
-def spread_loops(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
-    """Cross (n, 8) = weight L odd for `count` columns: L (n, n) lower triangular, odd (n, 8)."""
+def spread_loops(root: Array, odd: Array, rows: int, count: int, weight: float, cross: Array) -> None:
+    """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8), by the first rows of U."""
     n = root.shape[0]
-    for j in range(n):
-        for k in range(j + 1):
-            scale = weight * root[j, k]
-            if scale != 0.0:
-                for i in range(count):
-                    cross[j, i] += scale * odd[k, i]
+    for i in range(count):
+        for j in range(n):
+            cross[i, j] = 0.0
+    for k in range(rows):
+        for i in range(count):
+            scale = odd[k, i]
+            for j in range(n):
+                cross[i, j] += (weight * root[k, j]) * scale
 
 
-def spread_arrays(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
+def spread_arrays(root: Array, odd: Array, rows: int, count: int, weight: float, cross: Array) -> None:
     """As `spread_loops`."""
-    cross[:, :count] = (weight * root) @ odd[:, :count]
+    cross[:count] = odd[:rows, :count].T @ (weight * root[:rows])
 
 
 downdate = compiled(downdate_loops) if AVAILABLE else downdate_arrays

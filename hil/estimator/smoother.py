@@ -26,7 +26,8 @@ from hil.estimator.layout import (
     first_memory,
     parameters,
 )
-from hil.estimator.process import advance_linear, transition
+from hil.estimator.motion import transition
+from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
 from hil.estimator.retraction import is_unsure, pull_carry, settle
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
@@ -156,7 +157,7 @@ def pull_update(
     z, var, aux = np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX)
     count = observe(number, t_ns, m, row, par, z, var, aux)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
-    cross, own = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS))
+    cross, own = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
     nu, point = np.zeros(ROWS), x.copy()
     if is_unsure(number, p, par):
         settle(number, x, p, z, var, aux, count, par, point, p.copy(), nu, cross, own, h)
@@ -164,7 +165,7 @@ def pull_update(
         predicted(number, x, aux, par, mean)
         jacobian(number, x, aux, par, h)
         seen(p, h, count, cross, own)
-        nu[:] = innovation(number, z, mean, var, count)
+        innovation(number, z, mean, var, count, nu)
     pull_carry(point, after, late, spread)
     size, used = np.zeros(ROWS), np.zeros(ROWS)
     gate = np.inf if GATED_TOGETHER[number] else par.filter.gate_row
@@ -174,16 +175,16 @@ def pull_update(
             continue
         used[i] = 1.0
         for j in range(i + 1, count):
-            gain = own[j, i] / size[i]
+            gain = own[i, j] / size[i]
             nu[j] -= gain * nu[i]
-            cross[:, j] -= gain * cross[:, i]
+            cross[j] -= gain * cross[i]
             for k in range(i + 1, count):
-                own[j, k] -= gain * own[i, k]
+                own[k, j] -= gain * own[k, i]
     back, information = np.zeros((STATES, STATES)), np.zeros((STATES, STATES))
     for i in range(count - 1, -1, -1):
         if used[i] > 0.0:
             for j in range(STATES):
-                back[j] = -(cross[j, i] / size[i]) * h[i]
+                back[j] = -(cross[i, j] / size[i]) * h[i]
                 back[j, j] += 1.0
                 information[j] = h[i, j] * h[i] / size[i]
             late[:] = back.T @ late - h[i] * (nu[i] / size[i])
@@ -212,11 +213,11 @@ def backward(
         xs: (n, 20) and
         ps: (n, 6, 6), filled at the cycles' marks with smoothed states and the covariance of pose and twist.
     """
-    par = pars[0]
+    par, rolling = pars[0], np.zeros(2)
     for k in range(t_ns.shape[0] - 1, 0, -1):
         dt_s = (t_ns[k] - t_ns[k - 1]) * 1e-9
         number, stamp = numbers[k], float(t_ns[k] - zero_ns)
-        rolling = nominal(stamp, x[k - 1], m[k - 1].wheels, par.wheels)
+        nominal(stamp, x[k - 1], m[k - 1].wheels, par.wheels, rolling)
         if number == MARK:
             xs[k] = x[k] - p[k] @ late
             ps[k] = (p[k] - p[k] @ spread @ p[k])[:MOTION, :MOTION]

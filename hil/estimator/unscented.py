@@ -18,10 +18,9 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-
-from hil.estimator.layout import FilterParameters, Parameters
-from hil.estimator.process import ProcessParameters, add_noise, fade, shifts
+from hil.estimator.layout import FilterParameters, Parameters, Work
+from hil.estimator.motion import fade, sight_shift, wall_shift
+from hil.estimator.process import add_noise, fade_covariance, mirror
 from hil.estimator.sensors import predicted
 from hil.estimator.small_matrices import spread, square_root
 from hil.estimator.state import (
@@ -29,16 +28,17 @@ from hil.estimator.state import (
     OMEGA,
     ROWS,
     SCALE,
-    SIGHT_THETA,
     SIGHT_X,
-    SLIP_X,
-    SLIP_Y,
+    SIGHT_Y,
     STATES,
-    THETA,
     X,
+    Y,
 )
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
+
+PLACES = (X, Y, SIGHT_X, SIGHT_Y)
+"""The numbers of the state that do not move linearly."""
 
 
 class Weights(NamedTuple):
@@ -63,83 +63,78 @@ def weights(n: int, points: FilterParameters) -> Weights:
 
 
 @compiled
-def parts(high: Array, low: Array, centre: Array, k: int, count: int, odd: Array, even: Array) -> None:
-    """Row k of the odd and even parts (n, 8) of values (8,) at two opposite points and the centre."""
-    for i in range(count):
-        odd[k, i] = 0.5 * (high[i] - low[i])
-        even[k, i] = 0.5 * ((high[i] - centre[i]) + (low[i] - centre[i]))
+def parts(high: Array, low: Array, centre: Array, odd: Array, even: Array) -> None:
+    """Odd and even parts (8,) of values (8,) at two opposite points and the centre."""
+    for i in range(ROWS):
+        odd[i] = 0.5 * (high[i] - low[i])
+        even[i] = 0.5 * ((high[i] - centre[i]) + (low[i] - centre[i]))
 
 
 @compiled
-def collect(
-    w: Weights, root: Array, odd: Array, even: Array, count: int, offset: Array, cross: Array, own: Array
-) -> None:
-    """Offset of the mean (8,), covariance with the state (20, 8) and of the values (8, 8), zeroed before."""
-    n = root.shape[0]
-    for k in range(n):
+def collect(w: Weights, rows: int, count: int, work: Work, cross: Array, own: Array) -> None:
+    """Sum up the parts of `count` values by the first rows of the root: `work.offset`, cross and own.
+
+    Args:
+        w: weights.
+        rows: of the root and of the parts.
+        count: of the values.
+        work: root and parts; its `offset` (8,) is filled with the mean's distance from the centre.
+        cross: (8, 20) filled with the covariance of values and state.
+        own: (8, 8) filled with that of the values.
+    """
+    offset, odd, even = work.offset, work.odd, work.even
+    offset[:] = 0.0
+    own[:, :] = 0.0
+    for k in range(rows):
         for i in range(count):
-            offset[i] += w.pair * even[k, i]
+            o, e = odd[k, i], even[k, i]
+            offset[i] += w.pair * e
             for j in range(i + 1):
-                own[i, j] += w.pair * (odd[k, i] * odd[k, j] + even[k, i] * even[k, j])
+                own[i, j] += w.pair * (o * odd[k, j] + e * even[k, j])
     for i in range(count):
         for j in range(i + 1):
             own[i, j] += w.centre * offset[i] * offset[j]
             own[j, i] = own[i, j]
-    spread(root, odd, count, w.reach * w.pair, cross)
+    spread(work.root, odd, rows, count, w.reach * w.pair, cross)
 
 
 @compiled
-def transpose(p: Array) -> None:
-    """Transpose (n, n) in place."""
-    n = p.shape[0]
-    for i in range(n):
-        for j in range(i):
-            p[i, j], p[j, i] = p[j, i], p[i, j]
-
-
-@compiled
-def advance_unscented(
-    x: Array, p: Array, dt_s: float, points: FilterParameters, par: ProcessParameters, nominal: Array
-) -> None:
+def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
     """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
-    n = STATES
-    w = weights(n, points)
-    root = square_root(p, CURVED)
-    odd, even = np.zeros((n, ROWS)), np.zeros((n, ROWS))
-    centre, high, low, places = np.zeros(4), np.zeros(4), np.zeros(4), (X, X + 1, SIGHT_X, SIGHT_X + 1)
-    up, down = np.zeros(CURVED), np.zeros(CURVED)
-    shifts(x, dt_s, par.scaled, x[SCALE], nominal, centre)
+    w, work, by = weights(STATES, par.filter), par.work, par.process
+    root, up, down, high, low, centre = work.root, work.up, work.down, work.high, work.low, work.centre
+    scale = x[SCALE]
+    square_root(p, CURVED, root)
+    high[:], low[:], centre[:] = 0.0, 0.0, 0.0
+    centre[0], centre[1] = wall_shift(x, dt_s)
+    centre[2], centre[3] = sight_shift(x, dt_s, by.scaled, scale, nominal)
     for k in range(CURVED):
-        for i in range(CURVED):
-            up[i], down[i] = x[i] + w.reach * root[i, k], x[i] - w.reach * root[i, k]
-        shifts(up, dt_s, par.scaled, x[SCALE], nominal, high)
-        shifts(down, dt_s, par.scaled, x[SCALE], nominal, low)
-        parts(high, low, centre, k, 4, odd, even)
+        for i in range(STATES):
+            up[i], down[i] = x[i] + w.reach * root[k, i], x[i] - w.reach * root[k, i]
+        if k <= OMEGA:  # what stands behind the twist does not move the pose in the wall frame
+            high[0], high[1] = wall_shift(up, dt_s)
+            low[0], low[1] = wall_shift(down, dt_s)
+        else:
+            high[0], high[1] = low[0], low[1] = centre[0], centre[1]
+        high[2], high[3] = sight_shift(up, dt_s, by.scaled, scale, nominal)
+        low[2], low[3] = sight_shift(down, dt_s, by.scaled, scale, nominal)
+        parts(high, low, centre, work.odd[k], work.even[k])
         for i in range(4):
-            odd[k, i] += w.reach * root[places[i], k]
-    offset, cross, own = np.zeros(ROWS), np.zeros((n, ROWS)), np.zeros((ROWS, ROWS))
-    collect(w, root, odd, even, 4, offset, cross, own)
-    start = x.copy()
+            work.odd[k, i] += w.reach * root[k, PLACES[i]]
+    collect(w, CURVED, 4, work, work.cross, work.own)
     for i in range(4):
-        x[places[i]] += centre[i] + offset[i]
-    fade(x, dt_s, par.slip_s)
-    decay = math.exp(-dt_s / par.slip_s)
-    for i in range(4):
-        for j in range(n):
-            p[places[i], j] = p[j, places[i]] = cross[j, i]
+        for j in range(STATES):
+            p[PLACES[i], j] = work.cross[i, j]
     for i in range(4):
         for j in range(4):
-            p[places[i], places[j]] = own[i, j]
-    for _ in range(2):
-        p[THETA] += dt_s * p[OMEGA]
-        p[SIGHT_THETA] += dt_s * p[OMEGA]
-        p[SLIP_X] *= decay
-        p[SLIP_Y] *= decay
-        transpose(p)
-    for i in range(n):
-        for j in range(i):
-            p[i, j] = p[j, i]
-    add_noise(start, p, dt_s, par)
+            p[PLACES[i], PLACES[j]] = work.own[i, j]
+    mirror(p, PLACES)
+    decay = math.exp(-dt_s / by.slip_s)
+    fade_covariance(p, dt_s, decay)
+    add_noise(x, p, dt_s, by)
+    for i in range(4):
+        x[PLACES[i]] += centre[i] + work.offset[i]
+    fade(x, dt_s, decay)
 
 
 @compiled
@@ -147,20 +142,18 @@ def moments_unscented(
     number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
     mean: Array, cross: Array, own: Array,
 ) -> None:  # fmt: skip
-    """Mean (8,), covariance with the state (20, 8) and covariance (8, 8) of rows, as `events.moments`."""
-    n = STATES
-    w = weights(n, par.filter)
-    root = square_root(p, n)
-    odd, even = np.zeros((n, ROWS)), np.zeros((n, ROWS))
-    high, low, offset = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
+    """Mean (8,), covariance with the state (8, 20) and covariance (8, 8) of rows, as `events.moments`."""
+    w, work = weights(STATES, par.filter), par.work
+    root, up, down, high, low = work.root, work.up, work.down, work.high, work.low
+    square_root(p, STATES, root)
+    high[:], low[:] = 0.0, 0.0
     predicted(number, x, aux, par, mean)
-    up, down = x.copy(), x.copy()
-    for k in range(n):
-        for i in range(n):
-            up[i], down[i] = x[i] + w.reach * root[i, k], x[i] - w.reach * root[i, k]
+    for k in range(STATES):
+        for i in range(STATES):
+            up[i], down[i] = x[i] + w.reach * root[k, i], x[i] - w.reach * root[k, i]
         predicted(number, up, aux, par, high)
         predicted(number, down, aux, par, low)
-        parts(high, low, mean, k, count, odd, even)
-    collect(w, root, odd, even, count, offset, cross, own)
+        parts(high, low, mean, work.odd[k], work.even[k])
+    collect(w, STATES, count, work, cross, own)
     for i in range(count):
-        mean[i] += offset[i]
+        mean[i] += work.offset[i]

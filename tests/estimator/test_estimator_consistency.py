@@ -10,7 +10,8 @@ from hil.estimator.conditioning import condition, joint_nis
 from hil.estimator.consistency import autocorrelation, band, nees, whiteness
 from hil.estimator.events import advance, moments
 from hil.estimator.layout import ROW, first_memory, parameters
-from hil.estimator.process import add_noise, move
+from hil.estimator.motion import move
+from hil.estimator.process import add_noise
 from hil.estimator.sensors import NUMBERS, predicted
 from hil.estimator.sensors.tracker import new_frame
 from hil.estimator.sensors.wheels import clone_pose
@@ -44,15 +45,21 @@ class World:
         memory = first_memory()[0].tracker
         new_frame(0.0, self.x, self.p, memory, np.zeros(1, ROW)[0].tracker, close_par)
         clone_pose(self.x, self.p)
-        self.true = self.x + square_root(self.p, STATES) @ self.rng.normal(size=STATES)
+        self.true = self.x + self.drawn(self.p)
         self.nis = {sensor: [] for sensor in VARIANCE}
+
+    def drawn(self, p):
+        """One error (20,) of this covariance."""
+        root = np.zeros((STATES, STATES))
+        square_root(p, STATES, root)
+        return self.rng.normal(size=STATES) @ root
 
     def step(self):
         noise = np.zeros((STATES, STATES))
         add_noise(self.true, noise, DT_S, self.par.process)
         rolling = self.x[V_X : V_Y + 1].copy()
         move(self.true, DT_S, self.par.process.slip_s, 1.0, self.x[SCALE], self.true[V_X : V_Y + 1].copy())
-        self.true += square_root(noise, STATES) @ self.rng.normal(size=STATES)
+        self.true += self.drawn(noise)
         advance(self.x, self.p, DT_S, self.par, rolling)
 
     def sense(self, sensor):
@@ -61,7 +68,7 @@ class World:
         z, mean, nu = np.zeros(ROWS), np.zeros(ROWS), np.zeros(ROWS)
         predicted(number, self.true, aux, self.par, z)
         z[:count] += np.sqrt(VARIANCE[sensor]) * self.rng.normal(size=count)
-        cross, own, var = np.zeros((STATES, ROWS)), np.zeros((ROWS, ROWS)), np.zeros(ROWS)
+        cross, own, var = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS)), np.zeros(ROWS)
         var[:count] = VARIANCE[sensor]
         moments(number, self.x, self.p, aux, self.par, count, mean, cross, own)
         nu[:count] = (z - mean)[:count]

@@ -12,6 +12,7 @@ from typing import Any
 
 from hil.estimator.sensors import gyro, mocap, tracker, wheels
 from hil.estimator.sensors.sensor import Sensor
+from hil.estimator.state import ROWS
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
 
@@ -60,16 +61,16 @@ undo = _by_number("undo", "t_ns, x, m, row, par, late, spread")
 
 
 @compiled
-def innovation(number: int, z: Array, mean: Array, var: Array, count: int) -> Array:
-    """Measured minus predicted rows (8,), angles by the shorter way round.
+def innovation(number: int, z: Array, mean: Array, var: Array, count: int, nu: Array) -> None:
+    """Fill `nu` (8,) with measured minus predicted rows, angles by the shorter way round.
 
     A row that is not finite is marked in `var`.
     """
-    nu = z - mean
+    for i in range(ROWS):
+        nu[i] = z[i] - mean[i]
     for i in range(count):
         if not math.isfinite(nu[i]):
             nu[i], var[i] = 0.0, -1.0
     angle = ANGLE_ROW[number]
     if angle >= 0:
         nu[angle] = math.pi - (math.pi - nu[angle]) % (2.0 * math.pi)
-    return nu

@@ -20,7 +20,7 @@ import numpy as np
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.friction import Contacts, contact_values, weighted_twist, windowed_twist
-from hil.estimator.process import sinc, sinc_slope
+from hil.estimator.motion import sinc, sinc_slope
 from hil.estimator.records import Eight, Four, Record
 from hil.estimator.sensors.sensor import (
     DUPLICATE,
@@ -31,6 +31,7 @@ from hil.estimator.sensors.sensor import (
     no_frame,
     tally,
 )
+from hil.estimator.small_matrices import check_size
 from hil.estimator.state import (
     CLONE_THETA,
     CLONE_X,
@@ -193,11 +194,14 @@ def pack(sample: WheelMeasurement, row: Array) -> str:
 @compiled
 def clone_pose(x: Array, p: Array) -> None:
     """Clone the pose and its correlations."""
+    check_size(p)
     for i in range(3):
         x[CLONE_X + i] = x[X + i]
-        p[CLONE_X + i, :] = p[X + i, :]
-    for i in range(3):
-        p[:, CLONE_X + i] = p[:, X + i]
+        for j in range(STATES):
+            p[CLONE_X + i, j] = p[X + i, j]
+    for j in range(STATES):
+        for i in range(3):
+            p[j, CLONE_X + i] = p[j, X + i]
 
 
 @compiled
@@ -315,11 +319,12 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
 
 
 @compiled
-def nominal(t_ns: float, x: Array, m: Memory, par: Parameters) -> Array:
-    """Velocity (2,) of the body, m/s: what the wheels said last, the state's own where they are silent."""
+def nominal(t_ns: float, x: Array, m: Memory, par: Parameters, out: Array) -> None:
+    """Fill the velocity (2,) of the body, m/s: by the wheels last, the state's own where they are silent."""
     if m.t_ns < 0.0 or (t_ns - m.t_ns) * 1e-9 > par.longest_gap_s:
-        return np.array([x[V_X], x[V_Y]])
-    return np.array([m.ahead_m_s, m.left_m_s])
+        out[0], out[1] = x[V_X], x[V_Y]
+    else:
+        out[0], out[1] = m.ahead_m_s, m.left_m_s
 
 
 @compiled
