@@ -73,9 +73,11 @@ def condition(
     for i in range(count):
         nis[i] = -1.0
         size = own[i, i] + var[i]
-        if not (var[i] < 0.0 or not size > 0.0):
+        if var[i] >= 0.0 and size > 0.0:
             nis[i] = nu[i] * nu[i] / size
         if not 0.0 <= nis[i] <= gate:
+            for j in range(n):
+                cross[i, j] = 0.0
             continue
         step, root = nu[i] / size, math.sqrt(size)
         for j in range(n):
@@ -90,9 +92,9 @@ def condition(
             for j in range(ROWS):
                 own[k, j] -= own[i, j] * scale
         for j in range(n):
-            cross[used, j] = np.divide(cross[i, j], root)
+            cross[i, j] = np.divide(cross[i, j], root)
         used += 1
-    downdate(p, cross, used)
+    downdate(p, cross, count)
     return used
 
 

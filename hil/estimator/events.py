@@ -73,7 +73,7 @@ def moments(
         moments_unscented(number, x, p, aux, par, count, mean, cross, own)
         return
     predicted(number, x, aux, par, mean)
-    h = par.work.h
+    h = par.work.h[:]
     h[:, :] = 0.0
     jacobian(number, x, aux, par, h)
     seen(p, h, count, cross, own)
@@ -93,7 +93,8 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         par: of all kernels.
     """
     w = par.work
-    z, var, aux, nu, nis, before, cross, own = w.z, w.var, w.aux, w.nu, w.nis, w.before, w.cross, w.own
+    z, var, aux, nu, nis, before = w.z[:], w.var[:], w.aux[:], w.nu[:], w.nis[:], w.before[:]
+    cross, own, mean, shown = w.cross[:], w.own[:], w.mean[:], w.shown[:]
     z[:], var[:], aux[:] = 0.0, 0.0, 0.0
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
@@ -102,12 +103,12 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
     unsure = is_unsure(number, p, par)
     if unsure:
         spread = np.zeros((STATES, STATES))
-        settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h)
+        settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h[:])
     else:
-        w.mean[:] = 0.0
-        moments(number, x, p, aux, par, count, w.mean, cross, own)
-        innovation(number, z, w.mean, var, count, nu)
-    w.shown[:] = nu
+        mean[:] = 0.0
+        moments(number, x, p, aux, par, count, mean, cross, own)
+        innovation(number, z, mean, var, count, nu)
+    shown[:] = nu
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
@@ -128,7 +129,7 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         if par.filter.unscented <= 0.0:
             follow(before, x)
             carry(before, x, p)
-    m.accepted += account(number, m, w.shown, nis, var, count, gate, par.filter.samples)
+    m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
 
 
 @compiled
@@ -157,14 +158,15 @@ def run(
         now_m: (1,), filled with the newest state.
     """
     first, count, capacity, par = marks[0], marks[1], t_ns.shape[0], pars[0]
+    rolling = par.work.rolling[:]
     for k in range(start, count):
         i, j = (first + k) % capacity, (first + k - 1) % capacity
         x[i] = x[j]
         p[i] = p[j]
         m[i] = m[j]
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
-        nominal(stamp, x[i], m[i].wheels, par.wheels, par.work.rolling)
-        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, par.work.rolling)
+        nominal(stamp, x[i], m[i].wheels, par.wheels, rolling)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, rolling)
         if number == MARK:
             continue
         use = admit(number, stamp, m[i], rows[i], par)
@@ -185,5 +187,5 @@ def run(
     now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
-        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, par.work.rolling)
-        advance(now_x, now_p, ahead_ns / 1e9, par, par.work.rolling)
+        nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
+        advance(now_x, now_p, ahead_ns / 1e9, par, rolling)

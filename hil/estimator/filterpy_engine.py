@@ -55,7 +55,7 @@ def _symmetric(p: Array) -> Array:
 def upper_root(p: Array) -> Array:
     """U (n, n) with U' U = P (n, n), as filterpy wants it; a singular P is accepted."""
     root = np.zeros_like(p)
-    square_root(p, len(p), root)
+    square_root(p, root)
     return root
 
 

@@ -83,13 +83,13 @@ def times(size: float, a: Slopes) -> Slopes:
 
 @compiled
 def wall_shift(x: Array, dt_s: float) -> tuple[float, float]:
-    """Displacement of a state's pose in the wall frame."""
+    """Displacement of the pose in the wall frame of a state (20,)."""
     return shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
 
 
 @compiled
 def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array) -> tuple[float, float]:
-    """Displacement of its pose in the camera's frame; `scale` is that of the mean; points differ."""
+    """Displacement of the second pose of x (20,); `scale`: of the mean, points differ; nominal (2,)."""
     east, north = shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     far_east, far_north = shift(x[SIGHT_THETA], nominal[0], nominal[1], x[OMEGA], dt_s)
     size, more = 1.0 + scaled * scale, scaled * (x[SCALE] - scale)
@@ -107,7 +107,7 @@ def fade(x: Array, dt_s: float, decay: float) -> None:
 
 @compiled
 def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float) -> None:
-    """Both poses by their displacements, and what moves linearly."""
+    """Move both poses of the state (20,) by their displacements, and what moves linearly."""
     x[X] += wall[0]
     x[Y] += wall[1]
     x[SIGHT_X] += sight[0]
@@ -126,7 +126,7 @@ def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nomi
 def slopes(
     x: Array, dt_s: float, scaled: float, nominal: Array
 ) -> tuple[Slopes, Slopes, Slopes, Slopes, tuple[float, float]]:
-    """Derivatives of the four displacements, wall and sight, and of those of the sight by the scale."""
+    """Derivatives of what moves x (20,): wall x, y, sight x, y, and sight by the scale; nominal (2,)."""
     a, b = shift_slopes(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     c, d = shift_slopes(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
     far = shift(x[SIGHT_THETA], scaled * nominal[0], scaled * nominal[1], x[OMEGA], dt_s)

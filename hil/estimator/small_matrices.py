@@ -1,13 +1,14 @@
 """The four matrix operations that cost the most, each in two forms of one arithmetic.
 
-`p` (20, 20) is a covariance, `root` (20, 20) the upper triangular U with U' U = P: row k holds how far the
-state's numbers go along the k-th direction. `h` (8, 20) is a derivative of rows by the state, `odd` (20, 8)
-odd parts, `cross` (8, 20) the covariance of rows with the state and `own` (8, 8) that of the rows.
+`p` (20, 20) is a covariance, `root` (rows, 20) the first rows of the upper triangular U with U' U = P: row k
+is how far the state's numbers go in the k-th direction. `h` (8, 20) is a derivative of rows by the state,
+`odd` (20, 8) odd parts, `cross` (8, 20) the covariance of rows with the state, `own` (8, 8) that of the rows.
 
 Loops are quickest when compiled: a library call or a temporary array costs more than the work on a 20x20
-matrix. All inner loops go along a matrix's rows, and `check_size` tells the compiler how long these are: it
-then works on several numbers at once, each in the same order as one by one, so that no bit changes. Array
-expressions are quickest when interpreted. Tests hold both forms against each other.
+matrix. All go along rows in memory, so that the compiler takes several numbers at once; each sum is added up
+in the same order as one by one. Where one matrix is read and written (`hil.estimator.process`), `check_size`
+tells the compiler how far its rows lie apart; without that it would not dare. Array expressions are quickest
+when interpreted. Tests hold both forms against each other.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ _ZERO_PIVOT = 1e-14
 
 @compiled
 def check_size(p: Array) -> None:
-    """Refuse what is no (20, 20); behind it the compiler knows the size, which makes loops thrice as quick.
+    """Refuse what is not (20, 20), so that the compiler knows: loops along the rows are thrice as quick.
 
     Raises:
         ValueError: another size.
@@ -45,17 +46,17 @@ def downdate_loops(p: Array, roots: Array, count: int) -> None:
 
 
 def downdate_arrays(p: Array, roots: Array, count: int) -> None:
-    """As `downdate_loops`."""
+    """As `downdate_loops`: p (20, 20), roots (8, 20)."""
     for root in roots[:count]:
         p -= np.outer(root, root)
 
 
-def square_root_loops(p: Array, rows: int, root: Array) -> None:
-    """Fill the first rows of the upper triangular U with U' U = P, P (20, 20) positive semi-definite.
+def square_root_loops(p: Array, root: Array) -> None:
+    """Fill `root` (rows, 20) with the first rows of U, where U' U = P, P (20, 20) positive semi-definite.
 
     A zero pivot leaves a zero row. Row k has no entry left of column k.
     """
-    n = p.shape[0]
+    rows, n = root.shape
     for i in range(rows):
         for j in range(n):
             root[i, j] = p[i, j]
@@ -76,17 +77,17 @@ def square_root_loops(p: Array, rows: int, root: Array) -> None:
                 root[i, j] -= scale * root[k, j]
 
 
-def square_root_arrays(p: Array, rows: int, root: Array) -> None:
-    """As `square_root_loops`."""
-    root[:rows] = p[:rows]
-    for k in range(rows):
+def square_root_arrays(p: Array, root: Array) -> None:
+    """As `square_root_loops`: p (20, 20), root (rows, 20)."""
+    root[:] = p[: len(root)]
+    for k in range(len(root)):
         pivot = root[k, k]
         if pivot <= _ZERO_PIVOT * p[k, k] or pivot <= 0.0:
             root[k] = 0.0
             continue
         root[k] /= math.sqrt(pivot)
         root[k, :k], root[k, k] = 0.0, math.sqrt(pivot)
-        root[k + 1 : rows] -= np.outer(root[k, k + 1 : rows], root[k])
+        root[k + 1 :] -= np.outer(root[k, k + 1 : len(root)], root[k])
 
 
 def seen_loops(p: Array, h: Array, count: int, cross: Array, own: Array) -> None:
@@ -119,9 +120,9 @@ def seen_arrays(p: Array, h: Array, count: int, cross: Array, own: Array) -> Non
     own[:count] = cross[:count] @ h.T
 
 
-def spread_loops(root: Array, odd: Array, rows: int, count: int, weight: float, cross: Array) -> None:
-    """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8), by the first rows of U."""
-    n = root.shape[0]
+def spread_loops(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
+    """Fill cross (8, 20) = weight odd' U for `count` columns of odd (20, 8), by those rows of U in `root`."""
+    rows, n = root.shape
     for i in range(count):
         for j in range(n):
             cross[i, j] = 0.0
@@ -132,9 +133,9 @@ def spread_loops(root: Array, odd: Array, rows: int, count: int, weight: float, 
                 cross[i, j] += (weight * root[k, j]) * scale
 
 
-def spread_arrays(root: Array, odd: Array, rows: int, count: int, weight: float, cross: Array) -> None:
+def spread_arrays(root: Array, odd: Array, count: int, weight: float, cross: Array) -> None:
     """As `spread_loops`."""
-    cross[:count] = odd[:rows, :count].T @ (weight * root[:rows])
+    cross[:count] = odd[: len(root), :count].T @ (weight * root)
 
 
 downdate = compiled(downdate_loops) if AVAILABLE else downdate_arrays

@@ -71,21 +71,21 @@ def parts(high: Array, low: Array, centre: Array, odd: Array, even: Array) -> No
 
 
 @compiled
-def collect(w: Weights, rows: int, count: int, work: Work, cross: Array, own: Array) -> None:
-    """Sum up the parts of `count` values by the first rows of the root: `work.offset`, cross and own.
+def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: Array) -> None:
+    """Sum up the parts of `count` values: offset of the mean, cross and own.
 
     Args:
         w: weights.
-        rows: of the root and of the parts.
+        root: (rows, 20) square root of the covariance, as many rows as there are pairs of points.
         count: of the values.
-        work: root and parts; its `offset` (8,) is filled with the mean's distance from the centre.
+        work: odd and even parts; its `offset` (8,) is filled with the mean's distance from the centre.
         cross: (8, 20) filled with the covariance of values and state.
         own: (8, 8) filled with that of the values.
     """
     offset, odd, even = work.offset, work.odd, work.even
     offset[:] = 0.0
     own[:, :] = 0.0
-    for k in range(rows):
+    for k in range(root.shape[0]):
         for i in range(count):
             o, e = odd[k, i], even[k, i]
             offset[i] += w.pair * e
@@ -95,16 +95,16 @@ def collect(w: Weights, rows: int, count: int, work: Work, cross: Array, own: Ar
         for j in range(i + 1):
             own[i, j] += w.centre * offset[i] * offset[j]
             own[j, i] = own[i, j]
-    spread(work.root, odd, rows, count, w.reach * w.pair, cross)
+    spread(root, odd[:], count, w.reach * w.pair, cross)
 
 
 @compiled
 def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
     """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
     w, work, by = weights(STATES, par.filter), par.work, par.process
-    root, up, down, high, low, centre = work.root, work.up, work.down, work.high, work.low, work.centre
-    scale = x[SCALE]
-    square_root(p, CURVED, root)
+    root, up, down, high, low = work.root[:CURVED], work.up[:], work.down[:], work.high, work.low
+    centre, scale = work.centre, x[SCALE]
+    square_root(p, root)
     high[:], low[:], centre[:] = 0.0, 0.0, 0.0
     centre[0], centre[1] = wall_shift(x, dt_s)
     centre[2], centre[3] = sight_shift(x, dt_s, by.scaled, scale, nominal)
@@ -121,7 +121,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal:
         parts(high, low, centre, work.odd[k], work.even[k])
         for i in range(4):
             work.odd[k, i] += w.reach * root[k, PLACES[i]]
-    collect(w, CURVED, 4, work, work.cross, work.own)
+    collect(w, root, len(PLACES), work, work.cross[:], work.own[:])
     for i in range(4):
         for j in range(STATES):
             p[PLACES[i], j] = work.cross[i, j]
@@ -144,8 +144,8 @@ def moments_unscented(
 ) -> None:  # fmt: skip
     """Mean (8,), covariance with the state (8, 20) and covariance (8, 8) of rows, as `events.moments`."""
     w, work = weights(STATES, par.filter), par.work
-    root, up, down, high, low = work.root, work.up, work.down, work.high, work.low
-    square_root(p, STATES, root)
+    root, up, down, high, low = work.root[:], work.up[:], work.down[:], work.high[:], work.low[:]
+    square_root(p, root)
     high[:], low[:] = 0.0, 0.0
     predicted(number, x, aux, par, mean)
     for k in range(STATES):
@@ -154,6 +154,6 @@ def moments_unscented(
         predicted(number, up, aux, par, high)
         predicted(number, down, aux, par, low)
         parts(high, low, mean, work.odd[k], work.even[k])
-    collect(w, STATES, count, work, cross, own)
+    collect(w, root, count, work, cross, own)
     for i in range(count):
         mean[i] += work.offset[i]

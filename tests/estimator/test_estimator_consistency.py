@@ -51,7 +51,7 @@ class World:
     def drawn(self, p):
         """One error (20,) of this covariance."""
         root = np.zeros((STATES, STATES))
-        square_root(p, STATES, root)
+        square_root(p, root)
         return self.rng.normal(size=STATES) @ root
 
     def step(self):
