@@ -56,6 +56,26 @@ def is_emulated(name: str) -> bool:
     return True
 
 
+class Emulation:
+    """Whether a bus was emulated, and no longer is. Everybody who looks after a device there ends then.
+
+    Args:
+        name: as `bus_name` gives it.
+        known: somebody who has looked before says that it is emulated.
+
+    Attributes:
+        known: whether it was emulated when this was made, or is known to have been.
+    """
+
+    def __init__(self, name: str, *, known: bool = False) -> None:
+        self._name = name
+        self.known = known or is_emulated(name)
+
+    def is_over(self) -> bool:
+        """Whether who emulated it has ended; never for a bus that nobody emulated."""
+        return self.known and not is_emulated(self._name)
+
+
 def bitrate_of(name: str) -> int | None:
     """Bit rate of an emulated bus, bit/s; None where no living process emulates one of this name."""
     for bitrate in abstract_names(f"{_address(name)[1:]}{_AT}"):

@@ -188,7 +188,7 @@ def test_a_fan_has_one_keeper(keeper):
     pid = client.peer(connection)[0]
     with pytest.raises(DeviceError, match="has a keeper already"):
         Door(spec)
-    said = client.Starting(spec).said(15.0)
+    said = client.Starting(spec, emulated=False).said(15.0)
     assert "has a keeper already" in said["error"]
     assert client.peer(connection)[0] == pid
 

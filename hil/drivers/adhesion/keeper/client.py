@@ -18,6 +18,7 @@ from typing import Any
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.door import MOST_BYTES, address, peer, trusted
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import EXIT_USAGE, DeviceError, UsageError
 from hil.vocabulary.reading import json_object
 
@@ -138,11 +139,14 @@ class Starting:
 
     Args:
         spec: the fan.
+        emulated: whether its bus is known to be emulated: the keeper ends when that is over, or does not
+            begin. It would look too late where the emulator ends while it starts.
     """
 
-    def __init__(self, spec: Spec) -> None:
+    def __init__(self, spec: Spec, *, emulated: bool) -> None:
         self._spec = spec
         command = [*KEEPER, spec.to_json()]
+        command += ["--emulated"] if emulated else []
         command += ["--log", str(log_path(spec).absolute())]
         paths = os.pathsep.join(os.path.abspath(p) for p in sys.path if p)
         self._child = subprocess.Popen(
@@ -186,7 +190,7 @@ def find_or_start(spec: Spec) -> socket.socket:
     found = connect(spec)
     if found is not None:
         return found
-    starting = Starting(spec)
+    starting = Starting(spec, emulated=is_emulated(spec.bus))
     said = starting.said(_START_S) or {"error": f"not a word for {_START_S:g} s"}
     starting.leave()
     found = connect(spec)

@@ -2,7 +2,8 @@
 
 The bench's link to the keeper is looked at twenty times a second, beside whatever the bench does. When the
 keeper hangs up, is silent or no longer reaches the bus, the bench sends the same set-point itself, at once;
-it starts a new keeper, and steps back when that one has taken over.
+it starts a new keeper, and steps back when that one has taken over. A fan that was emulated and is gone needs
+neither.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ from hil.drivers.adhesion.keeper.kept import Kept
 from hil.drivers.adhesion.keeper.link import Link, Request
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
+from hil.vocabulary.emulated_bus import Emulation
 from hil.vocabulary.errors import DeviceError, HilError
 
 _LOG = logging.getLogger(__name__)
@@ -68,6 +70,7 @@ class KeptByProcess(Kept):
         self._forget()
 
     def _forget(self) -> None:
+        self._emulation = Emulation(self._spec.bus)
         self._link: Link | None = None
         self._starting: Starting | None = None
         self._status: Status = {}
@@ -156,6 +159,9 @@ class KeptByProcess(Kept):
         """Hear the keeper, stand in for it or step back, ask it again."""
         self._hear(t_ns)
         why = self._amiss(t_ns)
+        if why and self._emulation.is_over():
+            self._let_it_go()
+            return
         if why and not self._in_for:
             self._stand_in(t_ns, why)
         elif not why and self._in_for and self._link is not None:
@@ -240,6 +246,16 @@ class KeptByProcess(Kept):
         if self._wish is not None:
             self._obey(self._wish, t_ns)
 
+    def _let_it_go(self) -> None:
+        """An emulated fan ends with its emulator, and its keeper with it: nothing is left to command."""
+        if self._link is not None:
+            self._link.close()
+        trouble = f"{self._spec.bus} was emulated and is gone: {self._spec.noun} has no keeper"
+        if self._trouble != trouble:
+            self._say(trouble)
+        self._link, self._status, self._in_for, self._trouble = None, {}, "", trouble
+        self._beat.keeper = Keeper(self._spec, adopts=False)
+
     def _obey(self, wish: Request, t_ns: int) -> None:
         """Do oneself what the keeper was to be asked for."""
         if wish["do"] == "off":
@@ -278,7 +294,7 @@ class KeptByProcess(Kept):
                 if "pid" not in said:
                     self._say(f"{self._spec.device}: a new keeper did not start: {said.get('error')}")
         elif t_ns >= self._next_try_ns:
-            self._starting = Starting(self._spec)
+            self._starting = Starting(self._spec, emulated=self._emulation.known)
             self._next_try_ns = t_ns + _AGAIN_NS
 
     def _our_wish(self) -> Request | None:

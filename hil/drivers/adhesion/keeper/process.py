@@ -28,7 +28,7 @@ from hil.drivers.adhesion.keeper.spec import Spec
 from hil.drivers.adhesion.keeper.surviving import be_deaf, detach, harden
 from hil.drivers.adhesion.keeper.understudy import Understudies, stand_beside
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.emulated_bus import is_emulated
+from hil.vocabulary.emulated_bus import Emulation
 from hil.vocabulary.errors import EXIT_DEVICE, HilError, UsageError
 
 _IDLE_NS = nanoseconds(30.0)
@@ -44,15 +44,15 @@ class Process:
         spec: the fan.
         log: told what happens.
         stay: go on waiting while the fan is nobody's or its bus is not there yet, as a service does.
-        emulated: whether another process emulates the bus: the keeper ends with it.
+        emulation: of the bus, by another process: the keeper ends with it.
     """
 
-    def __init__(self, spec: Spec, log: Log, *, stay: bool, emulated: bool) -> None:
+    def __init__(self, spec: Spec, log: Log, *, stay: bool, emulation: Emulation) -> None:
         self._spec, self._log, self._stay = spec, log, stay
         self._keeper = Keeper(spec)
         command = [*KEEPER, spec.to_json(), "--understudy"]
         command += [] if log.path is None else ["--log", str(log.path)]
-        command += ["--emulated"] if emulated else []
+        command += ["--emulated"] if emulation.known else []
         self._understudies = Understudies(spec, command, log.say)
         self._door = Door(spec, self._understudies.left)
         try:
@@ -60,7 +60,7 @@ class Process:
         except (HilError, OSError):
             self._door.close()
             raise
-        self._emulated = emulated
+        self._emulation = emulation
         self._next_look_ns = 0
         self._began = time.time()
         self._used_ns = time.monotonic_ns()
@@ -110,9 +110,9 @@ class Process:
             self._door.serve(left_ns / NS_PER_S, self._answer)
 
     def _unneeded(self, now_ns: int) -> bool:
-        if self._emulated and now_ns >= self._next_look_ns:
+        if now_ns >= self._next_look_ns:
             self._next_look_ns = now_ns + _LOOK_NS
-            if not is_emulated(self._spec.bus):
+            if self._emulation.is_over():
                 self._log.say(f"{self._spec.bus} was emulated and is gone; so is the keeper")
                 return True
         if self._stay or self._keeper.sent is not None or self._door.clients:
@@ -212,13 +212,15 @@ def main(argv: list[str] | None = None) -> int:
 def _opened(spec: Spec, log: Log, given: argparse.Namespace) -> Process | None:
     """A keeper that has its fan, in an understudy once the other is gone; None where nobody needs it."""
     latest: Status = {}
-    emulated = given.emulated or is_emulated(spec.bus)
+    emulation = Emulation(spec.bus, known=given.emulated)
     while True:
-        if emulated and not is_emulated(spec.bus):
-            log.say(f"{spec.bus} was emulated and is gone; so is the understudy, process {os.getpid()}")
+        if emulation.is_over():
+            gone, who = f"{spec.bus} was emulated and is gone", "understudy" if given.understudy else "keeper"
+            log.say(f"{gone}; so is the {who}, process {os.getpid()}")
+            _tell({"error": gone})
             return None
         try:
-            process = Process(spec, log, stay=given.stay, emulated=emulated)
+            process = Process(spec, log, stay=given.stay, emulation=emulation)
         except TakenError:
             if not (given.stay or given.understudy):
                 raise
