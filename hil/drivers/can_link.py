@@ -17,7 +17,7 @@ import can
 
 from hil.drivers.arrivals import ArrivalClock
 from hil.vocabulary.clock import Clock, nanoseconds
-from hil.vocabulary.emulated_bus import bitrate_of, bus_name
+from hil.vocabulary.emulated_bus import bitrate_of, bus_name, stays_on_host
 from hil.vocabulary.errors import DeviceError
 
 _LOG = logging.getLogger(__name__)
@@ -45,6 +45,10 @@ def open_bus(
     _check_bitrate(device, config)
     options: dict[str, Any] = dict(config.options)
     try:
+        if stays_on_host(config.interface, config.channel, options):
+            from hil.vocabulary.host_multicast import HostMulticastBus  # a keeper on SocketCAN needs none
+
+            return HostMulticastBus(config.channel, **options)
         return can.Bus(interface=config.interface, channel=config.channel, bitrate=config.bitrate, **options)
     except (*BUS_ERRORS, ImportError) as error:
         raise DeviceError(

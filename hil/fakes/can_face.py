@@ -1,6 +1,6 @@
 """The emulated CAN bus across processes: a channel's frames in real time on another python-can interface.
 
-By default that is UDP multicast that never leaves the host.
+By default that is UDP multicast among the programs of this host.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from hil.fakes.standard_can import DEFAULT_GROUP
 from hil.fakes.world import NEVER_NS
 from hil.vocabulary.emulated_bus import Mark, bus_name
 from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.host_multicast import HostMulticastBus
 
 _ECHOES = 256
 
@@ -35,7 +36,7 @@ class CanFace(Face):
         listens: whether somebody on the emulated bus hears what clients send.
         told: what clients are told besides.
         options: further keyword arguments of the interface. Multicast without a `port` has a free one,
-            because a host hears every group at the port that it listens to.
+            because python-can's own bus hears every group at the port that it listens to.
         at_close: is called when the face is closed.
 
     Raises:
@@ -60,12 +61,10 @@ class CanFace(Face):
         self._told = dict(told or {})
         self._echoes: deque[tuple[int, bytes]] = deque(maxlen=_ECHOES)
         self._interface, self._address, self._options = interface, address, dict(options or {})
-        if interface == "udp_multicast":
-            if "port" not in self._options:
-                self._options["port"] = free_udp_port()
-            self._options.setdefault("hop_limit", 0)
+        if interface == "udp_multicast" and "port" not in self._options:
+            self._options["port"] = free_udp_port()
         try:
-            self._bus: can.BusABC | None = can.Bus(interface=interface, channel=address, **self._options)
+            self._bus: can.BusABC | None = self._opened()
         except (can.CanError, OSError, ValueError, TypeError) as error:
             at_close()
             raise DeviceError(
@@ -77,6 +76,12 @@ class CanFace(Face):
         self._mark = Mark(bus_name(interface, address, self._options), channel.bitrate)
         self._queue = channel.listen()
         self.sent = self.lost = 0
+
+    def _opened(self) -> can.BusABC:
+        """The bus as the emulated devices have it: multicast is heard from this host only."""
+        if self._interface == "udp_multicast":
+            return HostMulticastBus(self._address, **self._options)
+        return can.Bus(interface=self._interface, channel=self._address, **self._options)
 
     def next_due_ns(self) -> int:
         """When the next frame has crossed the emulated wire."""

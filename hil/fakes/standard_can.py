@@ -1,7 +1,7 @@
 """Where python-can's `udp_multicast` is when nothing else is said, and which emulated bus of a host is there.
 
 At standard ports the devices of one bus share a port, as they share a cable. The first bus of an emulator has
-python-can's own port, each further one the next: a host hears every multicast group at the port that it
+python-can's own port, each further one the next: its own bus hears every multicast group at the port that it
 listens to. Elsewhere each device has a port of its own, and the first one of the host python-can's.
 """
 
@@ -10,11 +10,12 @@ from __future__ import annotations
 import socket
 from dataclasses import dataclass
 
+from hil.vocabulary.emulated_bus import MULTICAST_PORT
 from hil.vocabulary.errors import DeviceError
 from hil.vocabulary.port_users import ending, named, programs_with_name
 
 DEFAULT_GROUP = "239.74.163.2"
-DEFAULT_PORT = 43113
+DEFAULT_PORT = MULTICAST_PORT
 _MOST_BUSES = 16
 _NAME = "hil-can-{}"
 

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-_MULTICAST_PORT = 43113
+MULTICAST_PORT = 43113
 """Where python-can's `udp_multicast` is when no port is named."""
 _AT = ", bit/s: "
 _SOCKETS = Path("/proc/net/unix")
@@ -22,8 +22,15 @@ _SOCKETS = Path("/proc/net/unix")
 
 def bus_name(interface: str, channel: str, options: Mapping[str, Any]) -> str:
     """A bus as messages and sockets call it: `socketcan:can0`."""
-    port = options.get("port", _MULTICAST_PORT if interface == "udp_multicast" else None)
+    port = options.get("port", MULTICAST_PORT if interface == "udp_multicast" else None)
     return f"{interface}:{channel}" + (f":{port}" if port is not None else "")
+
+
+def stays_on_host(interface: str, channel: str, options: Mapping[str, Any]) -> bool:
+    """Whether a multicast bus is of this host only: nothing goes over a hop, or it is emulated here."""
+    if interface != "udp_multicast":
+        return False
+    return options.get("hop_limit") == 0 or is_emulated(bus_name(interface, channel, options))
 
 
 class Mark:

@@ -1,4 +1,4 @@
-"""The keeper of an emulated fan ends with the emulator, and nobody starts another: no bench, no understudy."""
+"""The keeper of an emulated fan ends with the emulator, and neither bench nor understudy starts another."""
 
 import os
 import re
@@ -61,7 +61,7 @@ def test_a_bench_neither_stands_in_for_it_nor_starts_another(kept):
 
 
 def test_a_bench_that_stands_in_stops_when_the_emulator_ends_too(kept):
-    emulator, fan, spec, kept, said = kept
+    emulator, fan, spec, kept, _ = kept
     for pid in wait_until(lambda: both(spec), "an understudy"):
         os.kill(pid, signal.SIGKILL)
     end(emulator)

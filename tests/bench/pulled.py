@@ -9,9 +9,6 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-import can
-from can.interfaces.udp_multicast import UdpMulticastBus
-
 from hil.bench.drivers import model_of
 from hil.bench.emulation import build_world, emulated
 from hil.config.loading import load_bench
@@ -23,7 +20,9 @@ from hil.fakes.serial_line import SerialLine
 from hil.fakes.serial_pty import SerialPty
 from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS
+from hil.vocabulary import host_multicast
 from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.host_multicast import HostMulticastBus
 
 
 @dataclass(frozen=True)
@@ -114,7 +113,7 @@ class PulledPty(Face):
             self.pull()
 
 
-class PulledBus(UdpMulticastBus):
+class PulledBus(HostMulticastBus):
     """A CAN adapter that can be pulled: every call fails as one of a network interface that is gone does."""
 
     out = staticmethod(lambda: False)
@@ -180,8 +179,7 @@ class Served:
         told = json.loads(self.process.stdout.readline())
         self.began_s, self.endpoints = told["began_s"], told["endpoints"]
         PulledBus.out = staticmethod(lambda: pulls.out(self.now_s() * 1e9))
-        where = (PulledBus.__module__, "PulledBus")
-        monkeypatch.setitem(can.interfaces.BACKENDS, "udp_multicast", where)
+        monkeypatch.setattr(host_multicast, "HostMulticastBus", PulledBus)
 
     def now_s(self):
         """World time."""
