@@ -11,6 +11,7 @@ from pathlib import Path
 import hil
 from hil.bench.emulation import supported_faults
 from hil.config.loading import load_bench
+from hil.fakes.fault_options import OPTIONS
 from hil.fakes.faults import MEANINGS, VOCABULARY, Supported
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS as KINDS_HERE
@@ -52,38 +53,6 @@ except of motion capture, act once, at the start.
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.
 """
-OPTIONS = {
-    "angle_rad": "size of the error or step, rad",
-    "announced": "1: the jump is announced by the reset counter; 0: it is not",
-    "answer_s": "extra time before an answer, s",
-    "clock": "1: random time stamps",
-    "code": "error code answered instead of silence; 0: silence",
-    "confidence": "what the camera calls its poses, 0 failed to 3 high; the poses stay true",
-    "delay_s": "by how much, s",
-    "distance_m": "size of the step, m",
-    "duty": "part of every period that is silent, 0 to 1",
-    "drift_x_m_s": "motion along wall x that is seen and is none, m/s",
-    "drift_y_m_s": "the same along wall y",
-    "drift_n_s": "how fast the reported force leaves the true one, N/s; `factor` then does nothing",
-    "factor": "of the output period; of what is sent for `wrong`; of the fan's force for `adhesion_loss`",
-    "flags": "status bits of the encoder chip to set, instead of random words",
-    "force_n": "size of the step, N",
-    "frame": "MAVLink number of the frame that poses claim",
-    "nan": "1: NaN instead of random numbers",
-    "occlude": "1: the body is out of sight; 0: no frame is sent",
-    "offset_m": "along x, m",
-    "offset_rad": "size of the error, rad",
-    "over_s": "time in which the fan's force goes down along a line, s",
-    "packets": "1: random packets",
-    "period_s": "length of a period, s",
-    "probability": "of each message, 0 to 1",
-    "quality": "what the computer calls its poses, -1 to 100; the poses stay true",
-    "rate_rad_s": "added to every axis of the gyroscope, rad/s",
-    "share": "of the motor's turns that reach the wheel: its hub slips; `angle_rad` then does nothing",
-    "speed_rpm": "size of the step of the reported speed, 1/min",
-    "steps": "of the throttle's 180 steps, added once",
-    "scale": "factor on every step seen",
-}
 SHARED = {"period_s": "0.5", "duty": "0.5", "probability": "0.1", "factor": "5", "delay_s": "0.1"}
 _INHERITED = re.compile(r"from (hil[\w.]+\.faulty|hil\.fakes\.adhesion\.(?:vesc|motor)) import")
 _ASKED = re.compile(r'find\(\s*(?:[\w.]+,\s*)*"(\w+)"|\.option\("(\w+)",\s*([\w.]+)\)|delay_ns\((_\w+)\)')
@@ -100,8 +69,11 @@ def _kinds() -> Iterator[str]:
 
 
 def _options() -> Iterator[str]:
-    yield "\n## Options\n\n| option | meaning |\n|---|---|\n"
-    yield from (f"| `{option}` | {meaning} |\n" for option, meaning in OPTIONS.items())
+    yield "\n## Options\n\nOutside its range an option is refused, too.\n"
+    yield "\n| option | range | meaning |\n|---|---|---|\n"
+    for name, option in OPTIONS.items():
+        kind, _, short = name.rpartition(":")
+        yield f"| `{short}`{f' of `{kind}`' if kind else ''} | {option.range} | {option.meaning} |\n"
 
 
 def _devices() -> Iterator[str]:

@@ -4,7 +4,7 @@ One vocabulary for every device. A fault spec is written
 `DEVICE:KIND[@START_S[+DURATION_S]][,key=value...]`, for example `imu:stuck@2+3`,
 `servo.drive_FL:off@5`, `servos:drop@1+10,probability=0.1`. Without `@` it is active from the start,
 without `+` until the end. A device declares what it supports and with which options; anything else is
-refused.
+refused, and so is an option outside the range that `hil.fakes.fault_options` gives it.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hil.fakes.fault_options import option_of
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.errors import FaultNotSupportedError, UsageError, did_you_mean
 
@@ -55,13 +56,26 @@ _SPEC = re.compile(
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault on one device during [start_ns, end_ns) of bench time counted from the world's start."""
+    """One fault on one device during [start_ns, end_ns) of bench time counted from the world's start.
+
+    Raises:
+        UsageError: an option outside its range (`hil.fakes.fault_options`).
+    """
 
     device: str
     kind: str
     start_ns: int = 0
     end_ns: int | None = None
     options: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for key, value in self.options.items():
+            option = option_of(self.kind, key)
+            if not option.takes(value):
+                raise UsageError(
+                    f"fault {describe(self)}: {key} is {value:g}",
+                    expected=f"{option.told} ({option.meaning})",
+                )
 
     def active(self, t_ns: int) -> bool:
         """Whether the fault acts at `t_ns`."""
@@ -82,8 +96,8 @@ class Fault:
 
     @property
     def slowness(self) -> float:
-        """By which `factor` a period is longer, at least 1."""
-        return max(1.0, self.option("factor", _SLOWNESS))
+        """By which `factor` a period is longer."""
+        return self.option("factor", _SLOWNESS)
 
     def faded(self, t_ns: int, left: float, over_s: float) -> float:
         """Share that is left of something that goes down to `left` along a line within `over_s`."""
@@ -108,12 +122,6 @@ def make_fault(
         raise UsageError(
             f"fault {device}:{kind} has start {at:g} s{lasts}",
             expected=f"a start >= 0 and a duration > 0, both at most {_LARGEST:g} s",
-        )
-    wrong = [key for key, value in options.items() if not abs(value) <= _LARGEST]
-    if wrong:
-        raise UsageError(
-            f"fault {device}:{kind}: {wrong[0]} is {options[wrong[0]]:g}",
-            expected=f"a finite number, at most {_LARGEST:g}",
         )
     start = nanoseconds(at)
     return Fault(device, kind, start, None if duration is None else start + nanoseconds(duration), options)

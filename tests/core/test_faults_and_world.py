@@ -5,6 +5,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hil.bench import supported_faults
+from hil.config.loading import load_bench
+from hil.fakes.fault_options import FINITE, OPTIONS, option_of
 from hil.fakes.faults import VOCABULARY, FaultPlan, describe, make_fault, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
 from hil.vocabulary.errors import FaultNotSupportedError, UsageError
@@ -35,7 +38,7 @@ class Ticker(Scheduled):
     st.sampled_from(VOCABULARY),
     st.integers(0, 1000),
     st.none() | st.integers(1, 1000),
-    st.dictionaries(st.sampled_from(["probability", "value"]), st.integers(0, 9)),
+    st.dictionaries(st.sampled_from(["probability", "value"]), st.integers(0, 1)),
 )
 def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options):
     fault = make_fault("servo.drive_FL", kind, at=at, duration=duration, **options)
@@ -46,6 +49,49 @@ def test_a_fault_reads_back_from_its_own_description(kind, at, duration, options
 def test_an_unreadable_fault_is_a_usage_error_that_shows_the_form(spec):
     with pytest.raises(UsageError, match="expected"):
         parse_fault(spec)
+
+
+@pytest.mark.parametrize(
+    ("spec", "told"),
+    [
+        ("servos:intermittent@1,period_s=0", "period_s is 0; expected a number from 0.001 to 3600"),
+        ("imu:intermittent@1,period_s=1e-12", "period_s is 1e-12; expected a number from 0.001 to 3600"),
+        ("imu:intermittent@1,code=99999", "code is 99999; expected a whole number from 0 to 255"),
+        ("imu:intermittent,code=1.5", "code is 1.5; expected a whole number from 0 to 255"),
+        ("servos:drop,probability=7", "probability is 7; expected a number from 0 to 1"),
+        ("servos:intermittent,duty=2", "duty is 2; expected a number from 0 to 1"),
+        ("imu:delayed,delay_s=-1", "delay_s is -1; expected a number from 0 to 60"),
+        ("servos:slow,answer_s=-0.01", "answer_s is -0.01; expected a number from 0 to 60"),
+        ("tracker:slow,factor=0", "factor is 0; expected a number from 1 to 1000"),
+        ("tracker:slow,factor=-1", "factor is -1; expected a number from 1 to 1000"),
+        ("servos:wrong,share=1e9", r"share is 1e\+09; expected a number from 0.05 to 1"),
+        ("plant:adhesion_loss,factor=-5", "factor is -5; expected a number from 0 to 1"),
+        ("tracker:wrong,scale=nan", "scale is nan; expected a number from -10 to 10"),
+        ("lamp:wrong,brightness=inf", r"brightness is inf; expected a number from -1e\+09 to 1e\+09"),
+    ],
+)
+def test_an_option_outside_its_range_is_refused_when_it_is_read(spec, told):
+    with pytest.raises(UsageError, match=told) as refused:
+        parse_fault(spec)
+    device, kind = spec.split("@")[0].split(",")[0].split(":")
+    assert str(refused.value).startswith(f"fault {device}:{kind}@")
+
+
+@pytest.mark.parametrize("name", sorted(OPTIONS))
+def test_both_ends_of_a_range_are_taken(name):
+    kind, _, option = name.rpartition(":")
+    kind = kind or "wrong"
+    for value in (OPTIONS[name].least, OPTIONS[name].most):
+        assert make_fault("imu", kind, **{option: value}).option(option, 5.5) == value
+    with pytest.raises(UsageError, match=option):
+        make_fault("imu", kind, **{option: OPTIONS[name].most * 1.001 + 1e-3})
+
+
+def test_every_option_that_a_shipped_device_declares_has_a_range():
+    for device, kinds in supported_faults(load_bench("emulated")).items():
+        for kind, options in kinds.items():
+            for option in options:
+                assert option_of(kind, option) is not FINITE, (device, kind, option)
 
 
 def test_a_fault_acts_in_its_half_open_interval():

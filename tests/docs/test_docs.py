@@ -46,7 +46,7 @@ def test_the_page_of_faults_is_current_and_every_fault_and_option_on_it_is_expla
         assert f"`{name}`" in now
     explained, _, devices = now.partition("## Options")[2].partition("## Devices")
     taken = {o for group in re.findall(r"\(([^)]*)\)", devices) for o in re.findall(r"`(\w+)", group)}
-    assert taken == set(re.findall(r"^\| `(\w+)` \|", explained, re.MULTILINE))
+    assert taken == set(re.findall(r"^\| `(\w+)`(?: of `\w+`)? \|", explained, re.MULTILINE))
 
 
 def python_block(containing):

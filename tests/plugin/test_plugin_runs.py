@@ -126,6 +126,10 @@ def test_only_on_hardware(bench):
 def test_impossible_fault(bench):
     raise AssertionError
 
+@pytest.mark.fault("servos", "intermittent", at=1.0, period_s=0)
+def test_impossible_option(bench):
+    raise AssertionError
+
 @pytest.mark.needs("radar")
 def test_unknown_device():
     raise AssertionError
@@ -219,6 +223,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
         "test_no_fault_without_a_marker": "passed",
         "test_only_on_hardware": "skipped",
         "test_impossible_fault": "error",
+        "test_impossible_option": "error",
         "test_unknown_device": "error",
         "test_half_a_fault": "error",
         "test_no_time": "error",
@@ -231,6 +236,7 @@ def test_fixtures_and_markers_on_the_emulated_bench(run):
     assert found["test_that_fails"].properties["fault"] == "mocap:off@1.5+0.5"
     assert "real_only: bench emulated emulates servos" in found["test_only_on_hardware"].message
     assert "imu cannot produce the fault 'bus_off'" in found["test_impossible_fault"].message
+    assert "period_s is 0; expected a number from 0.001" in found["test_impossible_option"].message
     assert "needs('radar')" in found["test_unknown_device"].message
     assert "at=seconds" in found["test_half_a_fault"].message
     assert "at=seconds" in found["test_no_time"].message

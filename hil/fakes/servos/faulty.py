@@ -29,7 +29,6 @@ SERVO_FAULTS: Supported = {**BUS_FAULTS, **_LINE_ONLY}
 
 _WRONG_RAD, _JUMP_RAD = 0.1, 0.5
 _SLOW_S = 0.002
-_LEAST_SHARE = 0.05
 
 Measured = tuple[int, int, int]
 
@@ -99,7 +98,7 @@ class ServoFaults:
     def share(self, joint: int, t_ns: int) -> float:
         """How far the joint turns for each radian that its motor does: less than 1 where its hub slips."""
         fault = self.find(joint, "wrong", t_ns)
-        return 1.0 if fault is None else min(max(fault.option("share", 1.0), _LEAST_SHARE), 1.0)
+        return 1.0 if fault is None else fault.option("share", 1.0)
 
     def slid_counts(self, joint: int, share: float, counts: int) -> int:
         """By how much the motor has turned further than its joint since the last call.
