@@ -146,7 +146,9 @@ class SerialLine(Scheduled):
         return self.next_due_ns()
 
     def next_due_ns(self) -> int:
-        """When bytes next reach the chip or the chip next speaks unasked."""
+        """When bytes next reach the chip or the chip next speaks unasked; never once it has failed."""
+        if self.broken:
+            return NEVER_NS
         poll_ns, out = self.chip.next_poll_ns(), self._out
         return out[0][0] if out and out[0][0] < poll_ns else poll_ns
 

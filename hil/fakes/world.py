@@ -7,6 +7,9 @@ and every random number depend on the seed alone.
 
 When each part is due stands in a list. A part that `tells` says when its entry has to change; any other
 one is asked before every step.
+
+What a part raises is a defect of it. It is raised once; from then on the part is silent, as a device is that
+has died, so that whoever closes the bench can still look after the robot with the others.
 """
 
 from __future__ import annotations
@@ -34,10 +37,12 @@ class Scheduled(Protocol):
         alone: what it does in `on_due` never changes when another part is due.
         tells: it calls `World.changed` whenever it will be due at another time than it has said, unless that
             follows from its own `on_due`; so it need not be asked again and again.
+        broken: set by the world once it has raised: it does not act any more.
     """
 
     alone: bool = False
     tells: bool = False
+    broken: bool = False
 
     @abstractmethod
     def next_due_ns(self) -> int:
@@ -89,7 +94,19 @@ class World:
     def _ask(self) -> None:
         """Find out when those are due who do not tell."""
         for place, part in self._asked:
-            self._due_ns[place] = part.next_due_ns()
+            try:
+                self._due_ns[place] = part.next_due_ns()
+            except Exception as error:
+                self._broken(place, error)
+                raise
+
+    def _broken(self, place: int, error: Exception) -> None:
+        """Never ask a part again that has raised; ours are no defects: a stop may be raised anywhere."""
+        if not isinstance(error, HilError):
+            self._parts[place].broken = True
+            self._places.pop(id(self._parts[place]), None)
+            self._asked = [one for one in self._asked if one[0] != place]
+            self._due_ns[place] = NEVER_NS
 
     def rng(self, name: str) -> np.random.Generator:
         """An independent random stream for a named device, fixed by the world's seed."""
@@ -112,8 +129,12 @@ class World:
             now_ns, place = self.now_ns, due_ns.index(first_ns)
             part = parts[place]
             plant.advance(now_ns)
-            part.on_due(now_ns)
-            due_ns[place] = part.next_due_ns()
+            try:
+                part.on_due(now_ns)
+                due_ns[place] = part.next_due_ns()
+            except Exception as error:
+                self._broken(place, error)
+                raise
             if asked and not getattr(part, "alone", False):
                 self._ask()
         self.now_ns = t_ns
