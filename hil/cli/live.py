@@ -109,13 +109,17 @@ def command(
 
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
-    from hil.bench import open_bench
+    from hil.bench import open_bench, plan_bench
+    from hil.config.loading import load_bench
     from hil.live import LivePlan, load_trajectory, open_commands
     from hil.vocabulary.stop_signals import StopRequest
 
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
     overrides = _start_and_replay(bench, emulate, start_pose, repeated)
-    reference = None if source is None else load_trajectory(source)
+    reference = None
+    if source is not None:
+        planned = load_bench(bench, emulate=emulate, overrides=overrides)
+        reference = load_trajectory(source, plan_bench(planned, calibration=calibration).check)
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from hil.robot.trajectories import Trajectory, read_waypoints, through
+from hil.robot.trajectories import Trajectory, through
+from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array
 
@@ -18,19 +19,24 @@ MakeTrajectory = Callable[[Array], Trajectory]
 _THERE_M, _THERE_RAD = 0.005, 0.01
 
 
-def load_trajectory(path: Path) -> MakeTrajectory:
+def load_trajectory(path: Path, check: Callable[[Trajectory], None]) -> MakeTrajectory:
     """How to make the reference, given the pose (3,) at which the robot stands.
+
+    What can be checked before that is known is checked here: the way from the first waypoint on.
 
     Args:
         path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
             first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
+        check: refuses what the robot cannot follow, as `hil.bench.Blueprint.check` does.
 
     Raises:
         DataError: no such waypoints.
+        TrajectoryError: the robot cannot drive through them.
         UsageError: another kind of file, or a script that cannot be used.
     """
     if path.suffix == ".csv":
         waypoints = read_waypoints(path)
+        check(through(waypoints, name=str(path)))
         return lambda pose: _from_here(pose, waypoints, path.stem)
     if path.suffix == ".py" and path.is_file():
         return _script(path)

@@ -8,25 +8,22 @@ SI units.
 
 from __future__ import annotations
 
-import csv
-import io
 import math
+from bisect import bisect_right
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
-from itertools import pairwise
-from pathlib import Path
+from itertools import accumulate, pairwise
 from typing import Any, Literal
 
 import numpy as np
 
-from hil.vocabulary.errors import DataError, UsageError
-from hil.vocabulary.files import reason
+from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
-from hil.vocabulary.reading import read_text
 from hil.vocabulary.signals import Reference
 
-_MOST_WAYPOINT_BYTES = 16 << 20
+_STRIDE = 64
+"""Segments that are walked through one by one to find one; sets of these are found by bisection."""
 
 TimeLaw = Literal["quintic", "constant"]
 Pose = tuple[float, float, float]
@@ -110,10 +107,16 @@ class Trajectory:
     name: str
     segments: tuple[Segment, ...]
 
-    @property
+    @cached_property
     def duration_s(self) -> float:
         """Time from start to the last pose."""
         return sum(s.duration_s for s in self.segments)
+
+    @cached_property
+    def _strides(self) -> list[float]:
+        """When every 64th segment begins, s. So a long chain costs no more at its end than at its start."""
+        begins_s = [0.0, *accumulate(segment.duration_s for segment in self.segments)]
+        return begins_s[: len(self.segments) : _STRIDE]
 
     def to_mapping(self) -> dict[str, Any]:
         """Plain data from which `from_mapping` builds the same trajectory, bit for bit."""
@@ -136,8 +139,10 @@ class Trajectory:
 
     def sample(self, t_s: float) -> Reference:
         """Reference at a time; the twist is in the reference's body frame."""
-        left = t_s
-        for segment in self.segments:
+        stride = max(bisect_right(self._strides, t_s) - 1, 0)
+        left = t_s - self._strides[stride]
+        for k in range(stride * _STRIDE, len(self.segments)):
+            segment = self.segments[k]
             if left < segment.duration_s:
                 pose, velocity, acceleration = segment.at(max(left, 0.0))
                 if t_s < 0.0:
@@ -290,26 +295,6 @@ def through(
         for a, b in pairwise(poses)
     ]
     return Trajectory(name, tuple(parts))
-
-
-def read_waypoints(path: Path) -> list[Array]:
-    """Poses, (3,) each, of a CSV file with the header `x,y,theta` (m, m, rad).
-
-    Raises:
-        DataError: it cannot be read, is no such list, or holds fewer than two poses.
-    """
-    try:
-        text = read_text(path, _MOST_WAYPOINT_BYTES)
-    except (OSError, ValueError) as error:
-        raise DataError(str(path), f"cannot be read ({reason(error)})") from None
-    try:
-        rows = csv.DictReader(io.StringIO(text, newline=""))
-        poses = [np.array([float(row[k]) for k in ("x", "y", "theta")]) for row in rows]
-    except (KeyError, TypeError, ValueError, csv.Error):
-        raise DataError(str(path), "is no waypoint list", expected="header x,y,theta and numbers") from None
-    if len(poses) < 2 or not np.all(np.isfinite(poses)):
-        raise DataError(str(path), f"holds {len(poses)} waypoint(s)", expected="at least 2, all finite")
-    return poses
 
 
 def recorded_motion(name: str) -> Trajectory:

@@ -69,6 +69,26 @@ def test_a_mistyped_fault_is_refused_before_anything_is_opened(refused, unopened
     assert meant in refused(*command.split(), "--fault", spec)
 
 
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        ("0,0,0\n0,0,0\n", "line 3 repeats the waypoint before it"),
+        ("0,0,0\n1e9,0,0\n", "line 3 holds 1e+09, 0, 0"),
+        ("0,0,0\n90,0,0\n", "x on the wall (m) is 5 at"),
+        ("0,0,0\n0,0,1\n", "heading on the wall (rad)"),
+        ("\n".join(f"{k % 2},0,0" for k in range(200_000)), "holds more than 10000 waypoints"),
+    ],
+)
+def test_waypoints_that_cannot_be_driven_are_refused_before_the_bench_opens(
+    refused, unopened, tmp_path_factory, rows, told
+):
+    path = tmp_path_factory.mktemp("given") / "way.csv"
+    path.write_text("x,y,theta\n" + rows)
+    said = refused("live", "--trajectory", path)
+    assert told in said
+    assert str(path) in said
+
+
 def test_a_dry_run_refuses_a_mistyped_fault(refused):
     assert "did you mean imu?" in refused("run", "bring_up", "--dry-run", "--fault", "imo:stuck")
 

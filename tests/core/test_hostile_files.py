@@ -25,7 +25,7 @@ from hil.recording.public_csv import read_pair
 from hil.recording.rosbag import read_topic_map
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.robot.trajectories import read_waypoints
+from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.errors import DataError, HilError
 from hil.vocabulary.reading import json_value, read_json, toml_tables
 

@@ -35,7 +35,7 @@ from hil.recording.public_csv import partner, read_pair
 from hil.recording.rosbag import read_topic_map
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
-from hil.robot.trajectories import read_waypoints
+from hil.robot.waypoints import read_waypoints
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import HilError
 

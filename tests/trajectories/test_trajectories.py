@@ -9,6 +9,7 @@ import pytest
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits, check
+from hil.robot.waypoints import MOST_WAYPOINTS, read_waypoints
 from hil.vocabulary.errors import DataError, TrajectoryError, UsageError
 from hil.vocabulary.geometry import rotation2
 from hil.vocabulary.signals import Reference
@@ -118,14 +119,81 @@ def test_a_limit_that_is_no_number_limits_and_a_motion_without_end_is_none():
 def test_waypoints_from_csv(tmp_path):
     path = tmp_path / "way.csv"
     path.write_text("x,y,theta\n0,0,0\n0.5,0,0\n0.5,0.2,0.1\n")
-    trajectory = tr.through(tr.read_waypoints(path))
+    trajectory = tr.through(read_waypoints(path))
     np.testing.assert_allclose(trajectory.sample(1e9).pose_in_wall, [0.5, 0.2, 0.1])
     for text, message in (("x,y\n0,0\n", "no waypoint list"), ("x,y,theta\n0,0,0\n", "1 waypoint")):
         path.write_text(text)
         with pytest.raises(DataError, match=message):
-            tr.read_waypoints(path)
+            read_waypoints(path)
     with pytest.raises(DataError, match="cannot be read"):
-        tr.read_waypoints(tmp_path / "none.csv")
+        read_waypoints(tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("rows", "told"),
+    [
+        (
+            "0,0,0\n0.1,0,0\n0.1,0,0\n",
+            "line 4 repeats the waypoint before it; expected",
+        ),
+        ("0,0,0\n1e-9,0,0\n", "line 3 repeats"),
+        ("0,0,0\n1e300,0,0\n", r"line 3 holds 1e\+300, 0, 0; expected finite numbers from -1000 to 1000"),
+        ("0,0,nan\n1,0,0\n", "line 2 holds 0, 0, nan"),
+        ("".join(f"{1e-3 * k},0,0\n" for k in range(MOST_WAYPOINTS + 1)), "holds more than 10000 waypoints"),
+    ],
+)
+def test_waypoints_that_nobody_can_drive_through_name_file_and_line(tmp_path, rows, told):
+    path = tmp_path / "way.csv"
+    path.write_text("x,y,theta\n" + rows)
+    with pytest.raises(DataError, match=rf"way\.csv: {told}"):
+        read_waypoints(path)
+
+
+def test_as_many_waypoints_as_are_allowed_are_read(tmp_path):
+    path = tmp_path / "way.csv"
+    path.write_text("x,y,theta\n" + "".join(f"{1e-3 * k},0,0\n" for k in range(MOST_WAYPOINTS)))
+    assert len(read_waypoints(path)) == MOST_WAYPOINTS
+
+
+class Asked(tuple):
+    """Segments that count how many of them are looked at."""
+
+    looked = 0
+
+    def __getitem__(self, k):
+        self.looked += 1
+        return tuple.__getitem__(self, k)
+
+    def __iter__(self):
+        for k in range(len(self)):
+            yield self[k]
+
+
+def walked(segments, t_s):
+    """Pose at a time, by walking from the first segment on."""
+    left = t_s
+    for segment in segments:
+        if left < segment.duration_s:
+            return segment.at(left)[0]
+        left -= segment.duration_s
+    return segments[-1].path(1.0)[0]
+
+
+@pytest.mark.parametrize("count", [2, 63, 64, 65, 500, 4000])
+def test_a_sample_late_in_a_long_chain_looks_at_few_segments(count):
+    poses = [(0.01 * (k % 7), 1e-4 * k, 0.0) for k in range(count + 1)]
+    segments = Asked(tr.through(poses).segments)
+    trajectory = tr.Trajectory("long", segments)
+    trajectory.sample(0.0)
+    for t_s in np.linspace(-0.1, trajectory.duration_s + 0.1, 97):
+        segments.looked = 0
+        pose = trajectory.sample(t_s).pose_in_wall
+        assert segments.looked <= 66
+        expected = walked(tuple(tuple.__iter__(segments)), t_s)
+        if count <= 64 and t_s >= 0.0:
+            assert pose.tolist() == expected.tolist()
+        elif t_s >= 0.0:
+            np.testing.assert_allclose(pose, expected, atol=1e-9)
 
 
 def test_impossible_requests_are_refused():
