@@ -57,7 +57,8 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
     """
     path = Path(source)
     if path.suffix == ".toml" or path.exists():
-        near = did_you_mean(str(source), _bench_files(path.parent))
+        there = () if path.exists() else _bench_files(path.parent)
+        near = did_you_mean(str(source), there)
         return read_toml(path, remedy=near or "give a bench.toml or a profile name"), str(path)
     if str(source) in profile_names():
         origin = f"profile {source}"

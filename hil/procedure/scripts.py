@@ -68,7 +68,7 @@ def _near(target: str) -> str:
     """What was probably meant: a shipped procedure, or a script where one was looked for."""
     folder = Path(target).parent
     with suppress(OSError):
-        scripts = [str(folder / found.name) for found in folder.glob("*.py")]
+        scripts = [str(folder / found.name) for found in folder.glob("*.py") if found.is_file()]
         return did_you_mean(target, [*shipped_names(), *scripts])
     return did_you_mean(target, shipped_names())
 

@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 from hil.recording.mcap_reader import top_level
 from hil.recording.unpacking import Allowance, chunk_data, unpack_stream
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.reading import must_be_file
 
 _MCAP, _SQLITE = b"\x89MCAP0\r\n", b"SQLite format 3\0"
 _METADATA = "metadata.yaml"
@@ -29,6 +30,7 @@ def check_bag(path: Path) -> None:
     """
     try:
         for file in _files(path):
+            must_be_file(file)
             with file.open("rb") as stream:
                 _check(file, stream)
     except OSError as error:

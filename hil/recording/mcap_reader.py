@@ -20,7 +20,7 @@ from hil.recording.unpacking import Allowance, chunk_data
 from hil.vocabulary.clock import WallOffset
 from hil.vocabulary.errors import ConfigError, DataError
 from hil.vocabulary.mistaken import meant
-from hil.vocabulary.reading import json_object
+from hil.vocabulary.reading import json_object, must_be_file
 from hil.vocabulary.signals import CycleRecord
 
 NEEDS_TOPICS = "recordings of other robots need a topic mapping (--topics FILE)"
@@ -236,6 +236,7 @@ def _records(path: Path, problems: list[str]) -> Iterator[tuple[int, Any]]:
     from mcap.exceptions import McapError
 
     try:
+        must_be_file(path)
         with path.open("rb") as stream:
             records, at = top_level(stream, max(1, path.stat().st_size)), 0
             while True:

@@ -6,8 +6,10 @@ depth of nesting and length of keys are limited, and a parser's own failures bec
 
 from __future__ import annotations
 
+import errno
 import json
 import re
+import stat
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -37,7 +39,7 @@ def read_text(path: Path, most_bytes: int) -> str:
     """Content of a UTF-8 file.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: it cannot be read, or is no file.
         ValueError: it is larger than `most_bytes`, or not UTF-8.
     """
     return read_bytes(path, most_bytes).decode("utf-8")
@@ -47,9 +49,10 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
     """Content of a file.
 
     Raises:
-        OSError: it cannot be read.
+        OSError: it cannot be read, or is no file.
         ValueError: it is larger than `most_bytes`.
     """
+    must_be_file(path)
     found = bytearray()
     with path.open("rb") as file:
         while piece := file.read(_PIECE):
@@ -57,6 +60,16 @@ def read_bytes(path: Path, most_bytes: int) -> bytes:
             if len(found) > most_bytes:
                 raise ValueError(f"larger than {most_bytes / (1 << 20):g} MiB")
     return bytes(found)
+
+
+def must_be_file(path: Path) -> None:
+    """Refuse a pipe, a socket or a device before it is opened: it may let a reader wait for ever.
+
+    Raises:
+        OSError: it is none, or is not there; a folder is left to whoever opens it.
+    """
+    if not path.is_dir() and not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "a pipe, socket or device, not a file")
 
 
 def read_toml(path: Path, *, remedy: str = "") -> dict[str, Any]:

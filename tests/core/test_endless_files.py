@@ -1,5 +1,6 @@
-"""Every file that a configuration or an option names is read to a limit: one without an end is refused."""
+"""Every file that an option or a configuration names is read to a limit; a pipe or a device is not read."""
 
+import os
 import resource
 from contextlib import contextmanager
 from pathlib import Path
@@ -9,6 +10,20 @@ import pytest
 from hil.cli import main
 
 ROOM_BYTES = 2 << 30
+NAMED = [
+    ("as5045.dbc", ["run", "latency", "--set", "bench.encoders.dbc={}"]),
+    ("offsets.txt", ["run", "latency", "--set", "bench.imu.calibration_file={}"]),
+    ("calibration.toml", ["run", "latency", "--set", "bench.calibration={}"]),
+    ("calibration.toml", ["run", "latency", "--calibration", "{}"]),
+    ("calibration.toml", ["calibration", "list", "{}"]),
+    ("replayed.mcap", ["run", "latency", "--set", "bench.emulation.replay={}"]),
+    ("faults.toml", ["run", "latency", "--fault", "{}"]),
+    ("answers.txt", ["run", "steering_zero", "--answers", "{}"]),
+    ("bench.toml", ["run", "latency", "--bench", "{}"]),
+    ("way.csv", ["live", "--bench", "emulated_floor", "--duration", "1", "--trajectory", "{}"]),
+    ("topics.toml", ["evaluate", "run.mcap", "--topics", "{}"]),
+]
+"""A file's name, and a command that reads it."""
 
 
 @contextmanager
@@ -23,27 +38,46 @@ def little_memory():
         resource.setrlimit(resource.RLIMIT_AS, before)
 
 
-@pytest.mark.parametrize(
-    ("name", "arguments"),
-    [
-        ("as5045.dbc", ["run", "latency", "--set", "bench.encoders.dbc={}"]),
-        ("offsets.txt", ["run", "latency", "--set", "bench.imu.calibration_file={}"]),
-        ("calibration.toml", ["run", "latency", "--set", "bench.calibration={}"]),
-        ("calibration.toml", ["run", "latency", "--calibration", "{}"]),
-        ("calibration.toml", ["calibration", "list", "{}"]),
-        ("replayed.mcap", ["run", "latency", "--set", "bench.emulation.replay={}"]),
-        ("faults.toml", ["run", "latency", "--fault", "{}"]),
-        ("answers.txt", ["run", "steering_zero", "--answers", "{}"]),
-        ("bench.toml", ["run", "latency", "--bench", "{}"]),
-        ("way.csv", ["live", "--bench", "emulated_floor", "--duration", "1", "--trajectory", "{}"]),
-        ("topics.toml", ["evaluate", "run.mcap", "--topics", "{}"]),
-    ],
-)
-def test_a_file_without_an_end_is_refused_by_name(tmp_path, monkeypatch, capsys, name, arguments):
+@pytest.mark.parametrize(("name", "arguments"), NAMED)
+def test_a_file_far_too_large_is_refused_by_name(tmp_path, monkeypatch, capsys, name, arguments):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / name).symlink_to("/dev/zero")
+    with (tmp_path / name).open("wb") as file:
+        file.truncate(1 << 40)
     with little_memory():
         code = main([argument.format(tmp_path / name) for argument in arguments])
     told = capsys.readouterr()
     assert (code, "Traceback" in told.err) == (2, False), told.err
     assert name in told.err + told.out
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize("device", [False, True])
+@pytest.mark.parametrize(
+    ("name", "arguments"),
+    [*NAMED, ("way.py", ["run", "{}"]), ("way.mcap", ["replay", "{}"]), ("way.mcap", ["evaluate", "{}"])],
+)
+def test_a_pipe_or_a_device_is_refused_by_name(tmp_path, monkeypatch, capsys, name, arguments, device):
+    monkeypatch.chdir(tmp_path)
+    if device:
+        (tmp_path / name).symlink_to("/dev/zero")
+    else:
+        os.mkfifo(tmp_path / name)
+    code = main([argument.format(tmp_path / name) for argument in arguments])
+    told = capsys.readouterr()
+    assert (code, "Traceback" in told.err) == (2, False), told.err
+    assert name in told.err + told.out
+
+
+@pytest.mark.timeout(60)
+def test_a_bench_that_cannot_be_read_is_not_suggested_for_itself(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "huge.toml").write_bytes(b"#" * (5 << 20))
+    os.mkfifo(tmp_path / "pipe.toml")
+    for name, why in (("huge.toml", "larger than 4 MiB"), ("pipe.toml", "not a file")):
+        assert main(["run", "bring_up", "--dry-run", "--bench", name]) == 2
+        told = capsys.readouterr().err
+        assert why in told
+        assert "did you mean" not in told
+        assert "give a bench.toml or a profile name" in told
+    assert main(["run", "bring_up", "--dry-run", "--bench", "hugo.toml"]) == 2
+    assert "did you mean huge.toml?" in capsys.readouterr().err
