@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from hil.config.bench import BenchConfig
 from hil.procedure.measurements import Measurement, check_unique
+from hil.procedure.parameters import check_model
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
 from hil.vocabulary.kinds import kinds
@@ -158,7 +159,8 @@ def procedure(
         headline: what a run showed, as a sentence, from its measured values by name.
 
     Raises:
-        UsageError: a name or device that does not exist, or measurements that contradict themselves.
+        UsageError: a name or device that does not exist, parameters that are no class of them, or
+            measurements that contradict themselves or are none.
     """
     if not _NAME.fullmatch(name):
         raise UsageError(f"procedure name {name!r}", expected="lower case letters, digits and _")
@@ -169,6 +171,7 @@ def procedure(
                 expected="some of " + ", ".join(kinds()),
                 remedy=did_you_mean(device, kinds()) or "install the package that adds this kind of device",
             )
+    check_model(parameters, name)
     if not callable(measurements):
         check_unique(measurements)
 

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import enum
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from hil.vocabulary.errors import UsageError
 
@@ -95,9 +96,18 @@ def worst(verdicts: Iterable[Verdict]) -> Verdict:
     return max(verdicts, key=order.index, default=Verdict.PASS)
 
 
+_SEVERAL = "a list of Measurement(NAME, UNIT, ...)"
+
+
 def check_unique(measurements: Iterable[Measurement]) -> tuple[Measurement, ...]:
-    """The measurements as a tuple; `UsageError` for a name declared twice."""
-    found = tuple(measurements)
+    """The measurements as a tuple; `UsageError` for a name declared twice, or what is no measurement."""
+    given: object = measurements
+    if not isinstance(given, Iterable) or isinstance(given, (str, Mapping)):
+        raise UsageError(f"measurements is a {type(given).__name__}", expected=_SEVERAL)
+    found: tuple[Any, ...] = tuple(given)
+    for one in found:
+        if not isinstance(one, Measurement):
+            raise UsageError(f"among the measurements is a {type(one).__name__}", expected=_SEVERAL)
     names = [m.name for m in found]
     for name in names:
         if names.count(name) > 1:

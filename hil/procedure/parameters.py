@@ -71,17 +71,26 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
 
 
 def field_types(model: type[Any]) -> dict[str, Any]:
-    """Names and types of a parameter model's fields.
-
-    Raises:
-        UsageError: the model is neither a dataclass nor a pydantic model.
-    """
+    """Names and types of a parameter model's fields."""
     if issubclass(model, BaseModel):
         return {name: field.annotation for name, field in model.model_fields.items()}
-    if dataclasses.is_dataclass(model):
-        hints = get_type_hints(model)
-        return {f.name: hints[f.name] for f in dataclasses.fields(model)}
-    raise UsageError(f"parameters {model!r}", expected="a dataclass or a pydantic model")
+    hints = get_type_hints(model)
+    return {f.name: hints[f.name] for f in dataclasses.fields(model)}
+
+
+def check_model(model: object, owner: str) -> None:
+    """Refuse what is declared as parameters and is no class of them.
+
+    Raises:
+        UsageError: it is neither a dataclass nor a pydantic model.
+    """
+    if not isinstance(model, type) or not (issubclass(model, BaseModel) or dataclasses.is_dataclass(model)):
+        shown = model.__name__ if isinstance(model, type) else f"a {type(model).__name__}"
+        raise UsageError(
+            f"procedure {owner}: parameters is {shown}",
+            expected="a class: a dataclass, or a pydantic model, whose fields have defaults",
+            remedy="write `class Parameters(BaseModel): length_m: float = 0.2` and parameters=Parameters",
+        )
 
 
 def as_dict(parameters: Any) -> dict[str, Any]:

@@ -89,6 +89,32 @@ def test_waypoints_that_cannot_be_driven_are_refused_before_the_bench_opens(
     assert str(path) in said
 
 
+@pytest.mark.parametrize("way", [[], ["--dry-run"]])
+@pytest.mark.parametrize(
+    ("declared", "told"),
+    [
+        (
+            'parameters={"y": 0.0, "x": 0.2}',
+            "parameters is a dict; expected a class: a dataclass, or a pydantic",
+        ),
+        ("parameters=int", "parameters is int; expected a class"),
+        ('measurements={"end": "mm"}', "measurements is a dict; expected a list of Measurement(NAME, UNIT"),
+        ('measurements=["end"]', "among the measurements is a str"),
+    ],
+)
+def test_a_declaration_that_means_nothing_is_refused_by_its_file(
+    refused, unopened, tmp_path_factory, way, declared, told
+):
+    path = tmp_path_factory.mktemp("given") / "mine.py"
+    path.write_text(
+        "from hil.procedure import procedure\n\n"
+        f'@procedure(name="mine", {declared})\ndef run(ctx):\n    pass\n'
+    )
+    said = refused("run", path, *way)
+    assert told in said
+    assert str(path) in said
+
+
 def test_a_dry_run_refuses_a_mistyped_fault(refused):
     assert "did you mean imu?" in refused("run", "bring_up", "--dry-run", "--fault", "imo:stuck")
 

@@ -64,6 +64,13 @@ def test_a_run_is_worth_its_worst_measurement():
         ({"name": "Bad name"}, "lower case"),
         ({"name": "x", "needs": ("lidar",)}, "lidar"),
         ({"name": "x", "measurements": (Measurement("a", "s"), Measurement("a", "m"))}, "declared twice"),
+        ({"name": "x", "measurements": {"a": "s"}}, "measurements is a dict; expected a list of Measurement"),
+        ({"name": "x", "measurements": ["a"]}, "among the measurements is a str; expected a list of Measur"),
+        (
+            {"name": "x", "parameters": {"y": 0.0}},
+            "procedure x: parameters is a dict; expected a class: a data",
+        ),
+        ({"name": "x", "parameters": int}, "procedure x: parameters is int; expected a class: a dataclass"),
     ],
 )
 def test_a_declaration_that_cannot_be_meant_is_refused(wrong, words):
