@@ -11,7 +11,7 @@ from pydantic import Field
 from hil.config.can_bus import Claim
 from hil.config.device import DeviceConfig
 from hil.config.kept_motor import HIGHEST_DUTY, KeptMotorConfig
-from hil.config.values import Within
+from hil.config.values import Switch, Within
 
 VESC_ID = "VESC id"
 Force = Annotated[float, Within(1.0, 500.0, "N: more than a fan of this size gives, or less than any need")]
@@ -35,7 +35,7 @@ class AdhesionConfig(DeviceConfig):
 
     force_n: Force | None = None
     highest_force_n: Force = 60.0
-    by_need: bool = False
+    by_need: Switch = False
     rated_force_n: Force = 45.0
     rated_rpm: Annotated[float, Within(1000.0, 200_000.0, "1/min of the fan, not electrical")] = 30_000.0
     rated_input_a: Annotated[float, Within(0.5, 300.0, "A from the battery")] = 30.0

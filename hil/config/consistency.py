@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from hil.config.adhesion import AdhesionConfig
 from hil.config.can_bus import quarrels
 from hil.config.environment import SURFACES
+from hil.config.load_cells import LoadCellsConfig
 from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
@@ -30,6 +31,7 @@ def contradictions(config: BenchConfig) -> Iterator[Problem]:
     yield from _of_motion(config)
     yield from _of_servos(config)
     yield from _of_the_camera(config)
+    yield from _of_the_load_cells(config)
     yield from _of_the_environment(config)
     yield from _of_the_emulation(config)
     yield from _of_imperfections(config)
@@ -104,6 +106,16 @@ def _of_the_camera(config: BenchConfig) -> Iterator[Problem]:
         yield (
             "tracker.wheel_odometry",
             "the bench has no [servos] whose wheels could be told to the camera; add them, or leave it out",
+        )
+
+
+def _of_the_load_cells(config: BenchConfig) -> Iterator[Problem]:
+    cells = config.of(LoadCellsConfig)
+    if cells is not None and max(map(abs, cells.zero_n)) > (most_n := 0.5 * cells.largest_n):
+        yield (
+            "load_cells.zero_n",
+            f"[{cells.zero_n[0]:g}, {cells.zero_n[1]:g}] N while nothing presses: at most half of the range "
+            f"(largest_n = {cells.largest_n:g}), {most_n:g} N, or nothing is left to measure with",
         )
 
 

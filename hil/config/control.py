@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from hil.config.values import HeadingLimit, WheelRate, Within
+from hil.config.values import HeadingLimit, Switch, WheelRate, Within
 
 Gain = Annotated[float, Within(0.0, 100.0, "1/s; beyond it a loop of 100 Hz overshoots in every cycle")]
 DeadZone = Annotated[float, Within(0.0, 0.05, "a robot that far off (m, rad) has to be corrected")]
@@ -41,7 +41,7 @@ class ControlConfig(BaseModel):
     law: Literal["nonlinear", "optimal"] = "optimal"
     gains: tuple[Gain, Gain, Gain] = (4.0, 4.0, 3.0)
     dead_zone: tuple[DeadZone, DeadZone, DeadZone] = (1e-4, 1e-4, 5e-4)
-    integral: bool = True
+    integral: Switch = True
     state_weight: Weight = 25.0
     integral_weight: Annotated[float, Within(0.0, 1e6, "only the ratios of the weights count")] = 20.0
     input_weight: Weight = 1.0

@@ -9,7 +9,8 @@ from pydantic import Field
 from hil.config.sections import Strict
 from hil.config.values import UnitQuaternion, Within
 
-Position = tuple[float, float, float]
+Metres = Annotated[float, Within(-5.0, 5.0, "m in the body")]
+Position = tuple[Metres, Metres, Metres]
 
 
 class DeviceConfig(Strict):

@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, model_validator
 
 from hil.config.can_bus import CanConfig, Claim
-from hil.config.values import Patience, Within
+from hil.config.values import Angle, Patience, Switch, Within
 
 SHIPPED_DBC = Path(__file__).with_name("as5045.dbc")
 _SHIPPED_FRAMES = (0x1A0, 0x1A1, 0x1A2)
@@ -43,8 +43,8 @@ class EncodersConfig(CanConfig):
     node_id: int = Field(0, ge=0, le=0x3F)
     rate_hz: float = Field(200.0, gt=0, le=1000)
     sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    zero_rad: tuple[float, float, float, float] | None = None
-    yellow_mode: bool = False
+    zero_rad: tuple[Angle, Angle, Angle, Angle] | None = None
+    yellow_mode: Switch = False
     horn_slip_threshold_rad: Annotated[float, Within(0.001, 0.5, "a horn that slips further is off")] = 0.03
     backlash_limit_rad: Annotated[float, Within(0.001, 0.2, "a gear with more backlash is broken")] = 0.01
     startup_discard: int = Field(1, ge=0, le=1000)

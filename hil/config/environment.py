@@ -19,8 +19,8 @@ LEAST_FRICTION = 0.45
 SURFACES = tuple(FRICTION)
 """Surfaces that can be emulated; a real robot may stand on anything."""
 
-Range = tuple[float, float]
 Metres = Annotated[float, Within(-1000.0, 1000.0, "m in the wall frame")]
+Range = tuple[Metres, Metres]
 Heading = Annotated[float, Within(-1000.0, 1000.0, "rad in the wall frame")]
 
 

@@ -8,13 +8,21 @@ recordings (`docs/estimation.md` says how).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.config.values import Switch, Within
 from hil.vocabulary.errors import ConfigError
 
-PerMetre = tuple[float, float, float]
+Share = Annotated[float, Within(-1.0, 1.0, "m or rad per rolled m")]
+PerMetre = tuple[Share, Share, Share]
+Sigma = Annotated[float, Within(1e-12, 100.0, "beyond it nothing is believed, or all")]
+"""A standard deviation that may not vanish."""
+Spread = Annotated[float, Within(0.0, 100.0, "beyond it nothing is believed")]
+"""A standard deviation that may be 0: there is none of it."""
+Step = Annotated[float, Within(1e-6, 100.0, "m, rad, m/s or rad/s of a jump")]
+Threshold = Annotated[float, Within(0.1, 1000.0, "chi-squared; nothing is an outlier beyond 31 sigma")]
 
 
 class _Strict(BaseModel):
@@ -28,8 +36,8 @@ class ProcessNoise(_Strict):
         acceleration_m_s2_sqrt_hz, angular_acceleration_rad_s2_sqrt_hz: random walk of the body twist.
     """
 
-    acceleration_m_s2_sqrt_hz: float = Field(0.15, gt=0)
-    angular_acceleration_rad_s2_sqrt_hz: float = Field(0.2, gt=0)
+    acceleration_m_s2_sqrt_hz: Sigma = 0.15
+    angular_acceleration_rad_s2_sqrt_hz: Sigma = 0.2
 
 
 class WheelNoise(_Strict):
@@ -50,11 +58,11 @@ class WheelNoise(_Strict):
 
     model: Literal["equations", "paper", "dry-friction", "creep"] = "equations"
     source: Literal["position", "velocity"] = "position"
-    step_m: float = Field(3.0e-5, gt=0)
-    per_sqrt_m: float = Field(2.0e-3, ge=0)
-    per_sqrt_s: float = Field(2.0e-5, ge=0)
-    steering_m_rad: float = Field(5e-3, ge=0)
-    longest_gap_s: float = Field(0.5, gt=0)
+    step_m: Sigma = 3.0e-5
+    per_sqrt_m: Spread = 2.0e-3
+    per_sqrt_s: Spread = 2.0e-5
+    steering_m_rad: Spread = 5e-3
+    longest_gap_s: Annotated[float, Within(0.001, 10.0, "s; the robot drives 1.2 m in 10 s")] = 0.5
     friction_window_s: float = Field(0.3, gt=0, le=1.0)
 
 
@@ -76,14 +84,14 @@ class SlipModel(_Strict):
             `creep_across` and `yaw_rad_m` are then priors of what is left.
     """
 
-    slip_m_s: float = Field(ge=0)
-    slip_across_m_s: float = Field(1e-4, ge=0)
+    slip_m_s: Spread
+    slip_across_m_s: Spread = 1e-4
     slip_time_s: float = Field(5.0, ge=0.5, le=60.0)
-    creep: float = Field(ge=0)
-    creep_across: float = Field(0.002, ge=0)
-    creep_per_sqrt_m: float = Field(0.01, ge=0)
-    yaw_rad_m: float = Field(0.01, ge=0)
-    yaw_per_sqrt_m: float = Field(0.002, ge=0)
+    creep: Spread
+    creep_across: Spread = 0.002
+    creep_per_sqrt_m: Spread = 0.01
+    yaw_rad_m: Spread = 0.01
+    yaw_per_sqrt_m: Spread = 0.002
     known_up: PerMetre = (0.0, 0.0, 0.0)
     known_down: PerMetre = (0.0, 0.0, 0.0)
     known_left: PerMetre = (0.0, 0.0, 0.0)
@@ -101,13 +109,13 @@ class GyroNoise(_Strict):
         use_gravity: take the gravity heading on the wall.
     """
 
-    rate_rad_s: float = Field(0.003, gt=0)
-    bias_rad_s: float = Field(0.01, ge=0)
-    bias_rad_s_sqrt_s: float = Field(1e-5, ge=0)
-    gravity_rad: float = Field(0.02, gt=0)
-    gravity_per_m_s2: float = Field(0.1, ge=0)
-    gravity_offset_rad: float = Field(0.005, ge=0)
-    use_gravity: bool = True
+    rate_rad_s: Sigma = 0.003
+    bias_rad_s: Spread = 0.01
+    bias_rad_s_sqrt_s: Spread = 1e-5
+    gravity_rad: Sigma = 0.02
+    gravity_per_m_s2: Spread = 0.1
+    gravity_offset_rad: Spread = 0.005
+    use_gravity: Switch = True
 
 
 class TrackerNoise(_Strict):
@@ -126,18 +134,18 @@ class TrackerNoise(_Strict):
     """
 
     use: Literal["relative", "absolute", "off"] = "relative"
-    position_m: float = Field(1.5e-3, gt=0)
-    heading_rad: float = Field(3e-3, gt=0)
-    drift_per_sqrt_m: float = Field(3e-3, ge=0)
-    drift_per_sqrt_s: float = Field(1e-4, ge=0)
-    yaw_drift_per_sqrt_s: float = Field(7e-4, ge=0)
+    position_m: Sigma = 1.5e-3
+    heading_rad: Sigma = 3e-3
+    drift_per_sqrt_m: Spread = 3e-3
+    drift_per_sqrt_s: Spread = 1e-4
+    yaw_drift_per_sqrt_s: Spread = 7e-4
     scale_sigma: float = Field(0.005, ge=0, lt=0.2)
-    baseline_s: float = Field(0.0, ge=0)
+    baseline_s: Annotated[float, Within(0.0, 86400.0, "s; 0 for no end")] = 0.0
     least_quality: int = Field(2, ge=0, le=3)
-    jump_m: float = Field(0.02, gt=0)
-    jump_rad: float = Field(0.05, gt=0)
-    fastest_m_s: float = Field(0.5, gt=0)
-    fastest_rad_s: float = Field(3.0, gt=0)
+    jump_m: Step = 0.02
+    jump_rad: Step = 0.05
+    fastest_m_s: Step = 0.5
+    fastest_rad_s: Step = 3.0
 
 
 class MocapNoise(_Strict):
@@ -148,9 +156,9 @@ class MocapNoise(_Strict):
         position_m, heading_rad: white noise of one pose.
     """
 
-    use: bool = False
-    position_m: float = Field(1e-3, gt=0)
-    heading_rad: float = Field(2e-3, gt=0)
+    use: Switch = False
+    position_m: Sigma = 1e-3
+    heading_rad: Sigma = 2e-3
 
 
 class GateConfig(_Strict):
@@ -162,10 +170,10 @@ class GateConfig(_Strict):
         reanchor_after: consecutive rejections before a sensor is re-anchored.
     """
 
-    on: bool = True
-    one_dof: float = Field(10.83, gt=0)
-    two_dof: float = Field(13.82, gt=0)
-    three_dof: float = Field(16.27, gt=0)
+    on: Switch = True
+    one_dof: Threshold = 10.83
+    two_dof: Threshold = 13.82
+    three_dof: Threshold = 16.27
     reanchor_after: int = Field(40, ge=2)
 
 
@@ -181,7 +189,7 @@ class TimeConfig(_Strict):
     """
 
     history_s: float = Field(2.0, ge=1.5, le=10.0)
-    future_s: float = Field(0.02, ge=0)
+    future_s: Annotated[float, Within(0.0, 1.0, "s; a stamp so far ahead is wrong")] = 0.02
     clock: Literal["stamp", "estimated"] = "stamp"
     nis_samples: int = Field(200, ge=10)
 
@@ -224,8 +232,8 @@ class EstimatorConfig(_Strict):
     engine: Literal["compiled", "filterpy"] = "compiled"
     preset: Literal["recommended", "paper"] = "recommended"
     alpha: float = Field(1e-3, gt=0, le=1)
-    beta: float = 2.0
-    kappa: float = 0.0
+    beta: Annotated[float, Within(-100.0, 100.0, "2 for a normal distribution")] = 2.0
+    kappa: Annotated[float, Within(-100.0, 100.0, "0, or 3 less the number of states")] = 0.0
     wheel_scale_sigma: float = Field(0.0, ge=0, lt=0.2)
     process: ProcessNoise = ProcessNoise()
     wheels: WheelNoise = WheelNoise()

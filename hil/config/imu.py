@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 from pydantic import Field, field_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Freshness, Patience, Within
+from hil.config.values import Freshness, Patience, Switch, Within
 
 Byte = Annotated[int, Field(ge=0, le=255)]
 
@@ -45,10 +45,10 @@ class Bno055Config(ImuConfig):
     fusion_mode: Literal["imu", "ndof", "ndof_fmc_off", "compass", "m4g"] = "imu"
     axis_map: Byte = 0x24
     axis_sign: Annotated[int, Field(ge=0, le=7)] = 0x00
-    external_crystal: bool = False
+    external_crystal: Switch = False
     mount_position_m: Position = (0.0655, 0.0, 0.098)
     calibration_file: str | None = None
-    prefetch: bool = False
+    prefetch: Switch = False
     reply_timeout_s: float = Field(0.010, gt=0, le=1)
     retry_budget_s: float = Field(0.02, ge=0, le=1)
     retry_gap_s: float = Field(0.002, ge=0, le=0.1)

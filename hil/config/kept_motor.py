@@ -20,7 +20,9 @@ class KeptMotorConfig(CanConfig):
         fail_after_s: uninterrupted silence that raises.
     """
 
-    timeout_s: Annotated[float, Within(0.0, 60.0, "after a minute nobody waits for a command")] = 1.0
+    timeout_s: Annotated[
+        float, Within(0.5, 60.0, "ten commands may be late; at 0 the motor would run for ever; 1 is usual")
+    ] = 1.0
     ramp_up_s: Annotated[float, Within(0.2, 60.0, "s from rest to full duty")] = 2.0
     ramp_down_s: Annotated[float, Within(1.0, 60.0, "s; a fan that stops at once drops the robot")] = 4.0
     fail_after_s: Patience = 1.0

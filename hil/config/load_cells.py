@@ -15,7 +15,8 @@ from hil.config.values import Patience, Within
 SHIPPED_DBC = Path(__file__).with_name("load_cells.dbc")
 _SHIPPED_FRAME = 0x1B0
 
-Pair = tuple[float, float]
+Newtons = Annotated[float, Within(-5000.0, 5000.0, "N of one cell")]
+Pair = tuple[Newtons, Newtons]
 
 
 class LoadCellsConfig(DeviceConfig):
@@ -31,8 +32,8 @@ class LoadCellsConfig(DeviceConfig):
     """
 
     n_per_count: tuple[
-        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits")],
-        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits")],
+        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits", smallest=1e-7)],
+        Annotated[float, Within(-0.01, 0.01, "N per count of 24 bits", smallest=1e-7)],
     ] = (5e-5, 5e-5)
     zero_n: Pair = (0.0, 0.0)
     rate_hz: float = Field(80.0, gt=0, le=320)

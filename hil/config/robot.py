@@ -11,17 +11,19 @@ from collections.abc import Iterator
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.config.values import Within
 from hil.robot.holding import Statics
 from hil.vocabulary.geometry import Array
 
 GRAVITY_M_S2 = 9.81
 _LEAST_FRICTION = 0.45
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Wheels = tuple[Finite, Finite, Finite, Finite]
+Place = Annotated[float, Within(-5.0, 5.0, "m from the body's origin")]
+Radius = Annotated[float, Within(0.001, 0.5, "m, for example 0.0254")]
+Length = Annotated[float, Within(0.001, 10.0, "m")]
+Wheels = tuple[Place, Place, Place, Place]
 
 
 class RobotConfig(BaseModel):
@@ -48,15 +50,15 @@ class RobotConfig(BaseModel):
     name: str = ""
     wheel_x_m: Wheels = (0.1125, -0.1125, -0.1125, 0.1125)
     wheel_y_m: Wheels = (0.1125, 0.1125, -0.1125, -0.1125)
-    wheel_radius_m: tuple[Positive, Positive, Positive, Positive] = (0.0254, 0.0254, 0.0254, 0.0254)
-    mass_kg: Positive = 3.25
-    centre_of_mass_m: tuple[Finite, Finite, Annotated[float, Field(ge=0, le=1)]] = (-0.049, -0.0065, 0.079)
-    yaw_inertia_kg_m2: Positive = 0.045
-    outline_m: tuple[Positive, Positive] = (0.38, 0.30)
+    wheel_radius_m: tuple[Radius, Radius, Radius, Radius] = (0.0254, 0.0254, 0.0254, 0.0254)
+    mass_kg: Annotated[float, Within(0.1, 100.0, "kg; eight small servos move it")] = 3.25
+    centre_of_mass_m: tuple[Place, Place, Annotated[float, Field(ge=0, le=1)]] = (-0.049, -0.0065, 0.079)
+    yaw_inertia_kg_m2: Annotated[float, Within(1e-5, 100.0, "kg m^2 about its normal")] = 0.045
+    outline_m: tuple[Length, Length] = (0.38, 0.30)
     edf_force_n: Annotated[float, Field(ge=0, le=1000)] = 45.0
     thrust_compensation: Annotated[float, Field(ge=0, le=1.5)] = 0.7
     thrust_imbalance: Annotated[float, Field(ge=-1, le=1)] = 0.0
-    propeller_y_m: Positive = 0.19
+    propeller_y_m: Length = 0.19
     propeller_height_m: Annotated[float, Field(ge=0, le=1)] = 0.111
     creep_ratio: Annotated[float, Field(gt=0, le=10)] = 0.7
     supply_v: Annotated[float, Field(ge=9.5, le=30)] = 11.1
@@ -112,13 +114,6 @@ class RobotConfig(BaseModel):
         loads = np.array(self.statics(tilt_rad).loads_n(force_n, thrust_n, heading_rad))
         press = force_n + self.weight_n * math.cos(tilt_rad)
         return np.asarray(loads * press / loads.sum() if loads.any() else loads, dtype=np.float64)
-
-    @field_validator("wheel_radius_m")
-    @classmethod
-    def _plausible_radius(cls, value: tuple[float, ...]) -> tuple[float, ...]:
-        if max(value) > 0.5:
-            raise ValueError(f"wheel_radius_m {value} is in m, for example 0.0254")
-        return value
 
     @model_validator(mode="after")
     def _wheels_span_an_area(self) -> RobotConfig:

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
-from hil.config.values import HeadingLimit, WheelRate, Within
+from hil.config.values import Angle, HeadingLimit, Switch, WheelRate, Within
 
 Silence = Annotated[float, Within(0.01, 10.0, "after a longer silence it is too late to stop the robot")]
 
@@ -58,7 +58,7 @@ class SafetyConfig(Strict):
     wheel_rate_limit_rad_s: WheelRate = 4.9
     steering_limit_rad: Annotated[float, Within(0.01, 3.1416, "setpoints lie within half a turn")] = 2.0944
     heading_limit_rad: HeadingLimit = 0.2618
-    tethered: bool = False
+    tethered: Switch = False
     tracking_error_limit_m: Annotated[float, Within(0.001, 1.0, "a robot 1 m off is lost")] = 0.5
     body_speed_limit_m_s: Annotated[
         float, Within(0.05, 1.0, "the robot drives 0.13 m/s; 1 m/s is a fall of 5 cm")
@@ -83,7 +83,7 @@ class AlignmentConfig(Strict):
 
     drive_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
     steer_sign: tuple[int, int, int, int] = (1, 1, 1, 1)
-    steer_zero_rad: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    steer_zero_rad: tuple[Angle, Angle, Angle, Angle] = (0.0, 0.0, 0.0, 0.0)
 
     @model_validator(mode="after")
     def _signs(self) -> AlignmentConfig:
@@ -117,11 +117,11 @@ class EmulationConfig(Strict):
     plant: Literal["own", "mujoco"] = "own"
     contact: Literal["creep", "holding"] | None = None
     mjcf: str | None = None
-    randomise_truth: bool = True
+    randomise_truth: Switch = True
     geometry_share: float = Field(1.0, ge=0.0, le=1.0)
     faults: tuple[str, ...] = ()
     replay: str | None = None
-    replay_after_s: float = Field(4.0, ge=0.0)
+    replay_after_s: Annotated[float, Within(0.0, 3600.0, "s of the world")] = 4.0
 
 
 class RecordConfig(Strict):

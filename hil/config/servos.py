@@ -15,7 +15,7 @@ from hil.config.servo_models.codes import (
     POSITION,
     WATCHDOG_STEP_S,
 )
-from hil.config.values import Patience, WheelRate, Within
+from hil.config.values import Patience, Switch, WheelRate, Within
 
 Ids = tuple[int, int, int, int]
 
@@ -65,7 +65,7 @@ class ServosConfig(DeviceConfig):
     steer_ids: Ids = (5, 6, 7, 8)
     steer_mode: Literal["position", "extended", "current_position"] = "position"
     fast_sync_read: Literal["auto"] | bool = "auto"
-    prefetch: bool | None = None
+    prefetch: Switch | None = None
     usb_latency_s: float = Field(0.001, ge=0, le=0.1)
     return_delay_s: float = Field(0.0, ge=0, le=508e-6)
     reply_slack_s: float = Field(0.0015, gt=0, le=0.1)

@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.device import Position, TrackerConfig
-from hil.config.values import Freshness, Patience, Within
+from hil.config.values import Freshness, Patience, Switch, Within
 
 FEED_MAGIC = b"HP1"
 FEED_SUBSCRIBE, FEED_LEAVE, FEED_INFO, FEED_POSE, FEED_SETTINGS, FEED_WHEELS = 1, 2, 3, 4, 5, 6
@@ -90,11 +90,11 @@ class T265Config(TrackerConfig):
     max_speed_m_s: Annotated[float, Within(0.01, 5.0, "the robot drives 0.13 m/s")] = 0.5
     max_rate_rad_s: Annotated[float, Within(0.01, 20.0, "the robot turns at 0.8 rad/s")] = 2.0
     reaccept_after: int = Field(20, ge=1, le=10_000)
-    mapping: bool = False
-    relocalisation: bool = False
-    pose_jumping: bool = False
-    map_preservation: bool = False
-    wheel_odometry: bool = False
+    mapping: Switch = False
+    relocalisation: Switch = False
+    pose_jumping: Switch = False
+    map_preservation: Switch = False
+    wheel_odometry: Switch = False
     wheel_sigma_m_s: (
         Annotated[float, Within(1e-4, 0.1, "the robot drives 0.13 m/s, a servo reads 0.003 m/s")] | None
     ) = None

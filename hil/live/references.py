@@ -27,7 +27,7 @@ def load_trajectory(path: Path, check: Callable[[Trajectory], None]) -> MakeTraj
     Args:
         path: `.csv` with the header `x,y,theta` (wall frame; the robot first drives straight to the
             first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
-        check: refuses what the robot cannot follow, as `hil.bench.Blueprint.check` does.
+        check: refuses what the robot cannot follow, as `Blueprint.check` does.
 
     Raises:
         DataError: no such waypoints.

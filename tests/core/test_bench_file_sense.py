@@ -1,6 +1,7 @@
 """Limits that make no sense are refused: on the command line, in a file and in Python, all at once."""
 
 import math
+import re
 
 import pytest
 
@@ -19,7 +20,10 @@ NUMBERS = (
     "servos.watchdog_s", "servos.velocity_limit_rad_s", "servos.steer_limit_rad", "servos.fail_after_s",
     "servos.dead_poll_s", "servos.health_period_s", "imu.fail_after_s", "imu.stuck_after_s",
     "encoders.fail_after_s", "tracker.stale_after_s", "tracker.max_speed_m_s", "mocap.stale_after_s",
-    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.three_dof",
+    "estimator.process.acceleration_m_s2_sqrt_hz", "estimator.gates.one_dof", "estimator.gates.two_dof",
+    "estimator.gates.three_dof", "estimator.tracker.position_m", "estimator.tracker.jump_m",
+    "estimator.wheels.longest_gap_s", "estimator.time.future_s", "estimator.wall.slip_m_s",
+    "robot.mass_kg", "robot.yaw_inertia_kg_m2", "robot.propeller_y_m", "adhesion.timeout_s",
 )  # fmt: skip
 
 
@@ -37,7 +41,7 @@ def test_what_is_no_finite_positive_number_is_refused_with_its_path(path, value)
     assert f"found {value!r}" in problem
 
 
-@pytest.mark.parametrize("path", [p for p in NUMBERS if not p.startswith("estimator.")])
+@pytest.mark.parametrize("path", NUMBERS)
 def test_what_no_robot_can_do_is_refused(path):
     assert refused(**{path: 1e9})[0].startswith(f"{path}: ")
 
@@ -55,12 +59,38 @@ def test_what_no_robot_can_do_is_refused(path):
         ("safety.tracker_stale_s", 3600.0, "within"),
         ("loop.rate_hz", 10.0, "trip between cycles"),
         ("environment.x_range_m", [1.0, -1.0], "before it begins"),
+        ("environment.x_range_m.1", [-1.0, 1e300], "within -1000 .. 1000"),
+        ("robot.mass_kg", 0.001, "within 0.1 .. 100: kg"),
+        ("robot.mass_kg", 1e30, "within 0.1 .. 100: kg"),
+        ("robot.wheel_radius_m.0", [25.4, 0.0254, 0.0254, 0.0254], "m, for example 0.0254"),
+        ("robot.wheel_x_m.0", [1e300, -0.1, -0.1, 0.1], "within -5 .. 5"),
+        ("load_cells.n_per_count.0", [0.0, 5e-5], "in size at least 1e-07: N per count"),
+        ("load_cells.zero_n", [1000.0, 1000.0], "at most half of the range (largest_n = 392), 196 N"),
+        ("adhesion.timeout_s", 0.0, "at 0 the motor would run for ever"),
+        ("adhesion.timeout_s", 0.3, "within 0.5 .. 60: ten commands may be late"),
+        ("estimator.gates.one_dof", 1e300, "chi-squared"),
+        ("alignment.steer_zero_rad.0", [100.0, 0.0, 0.0, 0.0], "a turn is 6.28"),
+        ("imu.mount_position_m.2", [0.0, 0.0, 80.0], "m in the body"),
     ],
 )
 def test_a_limit_says_what_it_would_take(path, value, told):
-    (problem,) = refused(**{path: value})
+    (problem,) = refused(**{re.sub(r"\.\d+$", "", path): value})
     assert problem.startswith(f"{path}: ")
     assert told in problem
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "safety.tethered", "control.integral", "adhesion.by_need", "estimator.gates.on", "tracker.mapping",
+        "estimator.mocap.use", "imu.prefetch", "servos.prefetch", "emulation.randomise_truth",
+    ],
+)  # fmt: skip
+@pytest.mark.parametrize("value", ["yes", "true", 1, 0, 1.0])
+def test_a_switch_is_true_or_false(path, value):
+    (problem,) = refused(**{path: value})
+    assert problem == f"{path}: must be true or false, without quotes (found {value!r})"
+    assert load_bench("emulated", overrides={path: False})
 
 
 @pytest.mark.parametrize(

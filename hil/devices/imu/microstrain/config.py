@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from pydantic import Field, ValidationInfo, field_validator
 
 from hil.config.device import ImuConfig, Position
-from hil.config.values import Freshness, Patience, UnitQuaternion, Within
+from hil.config.values import Freshness, Patience, Switch, UnitQuaternion, Within
 from hil.devices.imu.microstrain.fields import PACKET_BYTES
 from hil.devices.imu.microstrain.packets import BITS_PER_BYTE
 
@@ -43,7 +43,7 @@ class MicrostrainConfig(ImuConfig):
     rate_hz: Annotated[float, Within(10.0, 1000.0, "the sensor has 1000 Hz")] = Field(
         110.0, validate_default=True
     )
-    magnetometer: bool = False
+    magnetometer: Switch = False
     mount_position_m: Position = (0.0655, 0.0, 0.098)
     mount_rotation_wxyz: UnitQuaternion = (0.0, 1.0, 0.0, 0.0)
     latency_s: Annotated[float, Within(0.0, 0.1, "a sensor that is later is of no use")] | None = None
