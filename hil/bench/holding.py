@@ -7,6 +7,7 @@ servos go on being looked after.
 
 from __future__ import annotations
 
+import logging
 import math
 from collections import deque
 from collections.abc import Collection
@@ -26,6 +27,7 @@ from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import SERVOS as EACH
 from hil.vocabulary.signals import CycleRecord, ImuSample, ServoHold, Status, worst
 
+LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
 _GRAVITY_M_S2, _CALM_M_S2 = 9.81, 2.0
 """What an accelerometer feels at rest, and by how much its mean may differ: data sheets allow 0.8."""
@@ -160,10 +162,13 @@ class HoldWatch(Sink):
             trail.forget(now_ns - WINDOW_NS)
 
     def _testified(self, name: str) -> list[Array]:
-        """What a sensor has seen since it was last asked; nothing where it fails."""
+        """What a sensor has seen since it was last asked; nothing where it fails, whatever it raises."""
         try:
             samples = self._rig.get(name).read()
         except HilError:
+            return []
+        except Exception:  # of a driver of another package: the others go on looking
+            LOG.warning("%s: its driver failed while somebody looked", name, exc_info=True)
             return []
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:

@@ -125,6 +125,16 @@ def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     assert "speeding up" in held.why
 
 
+def test_a_driver_that_raises_what_it_may_not_leaves_the_looking_to_the_others(monkeypatch, caplog):
+    bench = hil.open_bench("emulated", seed=5)
+    with bench:
+        bench.drive(line((0, 0, 0), (0.02, 0, 0), duration_s=1.0), start_pose=np.zeros(3), hold_s=0.1)
+        monkeypatch.setattr(bench.rig.get("tracker"), "read", lambda: 1 / 0)
+    assert bench.held.state == "HELD"
+    assert "camera" not in bench.held.why
+    assert "tracker: its driver failed" in caplog.text
+
+
 def travel():
     return Travel({SERVOS: SERVO_KIND.witness, "tracker": CAMERA_KIND.witness}, 0.05)
 
