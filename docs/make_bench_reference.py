@@ -108,7 +108,8 @@ def _table(model: type[BaseModel], path: str, of: str = "") -> Iterator[str]:
 
 def _model_of(annotation: Any) -> type[BaseModel] | None:
     for candidate in (annotation, *typing.get_args(annotation)):
-        if inspect.isclass(candidate) and issubclass(candidate, BaseModel):
+        plain = typing.get_origin(candidate) is None  # list[int] is a class, too, in Python 3.10
+        if plain and inspect.isclass(candidate) and issubclass(candidate, BaseModel):
             return candidate
     return None
 
