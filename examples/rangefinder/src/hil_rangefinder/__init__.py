@@ -8,8 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic
-from hil.vocabulary.signals import Inputs
+import numpy as np
+
+from hil.vocabulary.geometry import Array
+from hil.vocabulary.kinds import DeviceKind, Figures, Plot, Topic, Witness
+from hil.vocabulary.signals import Inputs, Status
 from hil_rangefinder.look import look
 from hil_rangefinder.sample import RangeSample, range_message
 from hil_rangefinder.tf_luna import TF_LUNA
@@ -24,6 +27,11 @@ def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
         yield "rangefinder/distance_m", {"distance": newest.distance_m}
         if not math.isnan(newest.temperature_c):
             yield "rangefinder/strength", {"strength": float(newest.strength)}
+
+
+def _distance(sample: RangeSample) -> Array | None:
+    """The plate is above the robot, so that its distance shows a slide."""
+    return np.array([sample.distance_m]) if sample.status is Status.OK else None
 
 
 KIND = DeviceKind(
@@ -43,5 +51,6 @@ KIND = DeviceKind(
         Plot("Range", "Distance to the plate (m)", "rangefinder/distance_m"),
         Plot("Range", "Signal strength", "rangefinder/strength"),
     ),
+    witness=Witness(still=0.008, value=_distance, is_place=True),  # m: four times what noise of 3 mm leaves
     look=look,
 )
