@@ -26,7 +26,7 @@ class Trail:
         self._seen: deque[tuple[int, Array]] = deque()
 
     def add(self, t_ns: int, place: Array) -> None:
-        """Take a sighting."""
+        """Take a sighting: (k,), of a place in m or of angles in rad."""
         self._seen.append((t_ns, place))
 
     def forget(self, before_ns: int) -> None:
@@ -47,7 +47,7 @@ class Trail:
         return bool(self._seen) and self._seen[-1][0] >= now_ns - WINDOW_NS // 2
 
     def change(self) -> Array:
-        """How the place has changed, from the mean of the first quarter to that of the last."""
+        """How the place (k,) has changed, from the mean of the first quarter to that of the last."""
         places = np.array([place for _, place in self._seen])
         quarter = max(1, len(places) // 4)
         change: Array = places[-quarter:].mean(axis=0) - places[:quarter].mean(axis=0)
@@ -79,7 +79,7 @@ class Travel:
         return self._latest.keys()
 
     def passed(self, name: str, t_ns: int, place: Array) -> None:
-        """The robot was seen there while it was driven."""
+        """The robot was seen there, (k,) in m, or its joints so, (8,) in rad, while it was driven."""
         self._latest[name].append((t_ns, place))
 
     def stopped(self, now_ns: int) -> None:
@@ -99,8 +99,9 @@ class Travel:
         self._farthest_m.pop(name, None)
 
     def saw(self, name: str, t_ns: int, place: Array) -> None:
-        """The robot is seen there after its stop; if nothing has stopped it, its way counts from there on.
+        """The robot is seen there, (k,) in m or its joints (8,) in rad, after its stop.
 
+        If nothing has stopped it, its way counts from there on.
         Who did not see where it was stopped cannot say how far it has gone.
         """
         self._latest[name].append((t_ns, place))

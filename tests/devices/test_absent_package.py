@@ -28,6 +28,10 @@ TABLES = """
 schema = 1
 name = "lab"
 
+[environment]
+surface = "floor"
+tilt_rad = 0.0
+
 [servos]
 backend = "emulated"
 
@@ -134,9 +138,10 @@ def test_a_recording_of_a_model_that_is_absent_names_its_package(package, stand,
 
 
 @pytest.mark.parametrize("installed", [True, False])
-def test_a_recording_from_before_packages_repeats(installed, rangefinder, hil):
-    done = hil("replay", OLD, "--verify", "--run", 0, packages=[rangefinder] if installed else [])
+def test_a_recording_from_before_packages_is_read(installed, rangefinder, hil):
+    done = hil("replay", OLD, "--run", 0, packages=[rangefinder] if installed else [])
     assert done.code == 0, done.out + done.said
+    assert "odometry" in done.out
 
 
 def test_a_package_that_renamed_a_key_is_named_with_both_versions(package, stand, hil, tmp_path):

@@ -33,6 +33,9 @@ tilt_rad = 1.5707963
 
 [servos]
 backend = "emulated"
+
+[tracker]
+backend = "emulated"
 """
 )
 

@@ -17,7 +17,7 @@ from hil.vocabulary.geometry import compose
 from hil.vocabulary.signals import PoseMeasurement, RobotState, Stamp
 
 FIX_M = 5e-3
-CONFIG = EstimatorConfig(mocap={"use": True, "position_m": FIX_M, "heading_rad": 1e3})
+CONFIG = EstimatorConfig(mocap={"use": True, "position_m": FIX_M, "heading_rad": 1e2})
 
 
 def motion(t_s):
