@@ -1,7 +1,9 @@
 """A CAN bus that a process emulates is marked so, for as long as that process lives: by a name in the kernel.
 
 Who keeps a fan running must outlive everything but the fan itself. A real fan outlives every program, an
-emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked.
+emulated one ends with its emulator. The name is in Linux' abstract space; elsewhere no bus is marked. Any
+user of the machine can take a name there, so a mark counts for the buses that are emulated, multicast groups,
+and never for an adapter: nobody ends the keeper of a real fan by it.
 
 Where the emulated bus has no bit rate on its way, as multicast has none, a second name says which it has.
 """
@@ -16,19 +18,20 @@ from typing import Any
 
 MULTICAST_PORT = 43113
 """Where python-can's `udp_multicast` is when no port is named."""
+_EMULATED = "udp_multicast"
 _AT = ", bit/s: "
 _SOCKETS = Path("/proc/net/unix")
 
 
 def bus_name(interface: str, channel: str, options: Mapping[str, Any]) -> str:
     """A bus as messages and sockets call it: `socketcan:can0`."""
-    port = options.get("port", MULTICAST_PORT if interface == "udp_multicast" else None)
+    port = options.get("port", MULTICAST_PORT if interface == _EMULATED else None)
     return f"{interface}:{channel}" + (f":{port}" if port is not None else "")
 
 
 def stays_on_host(interface: str, channel: str, options: Mapping[str, Any]) -> bool:
     """Whether a multicast bus is of this host only: nothing goes over a hop, or it is emulated here."""
-    if interface != "udp_multicast":
+    if interface != _EMULATED:
         return False
     return options.get("hop_limit") == 0 or is_emulated(bus_name(interface, channel, options))
 
@@ -54,7 +57,9 @@ class Mark:
 
 
 def is_emulated(name: str) -> bool:
-    """Whether a living process emulates the bus of this name."""
+    """Whether a living process emulates the bus of this name; never one of an adapter."""
+    if not name.startswith(f"{_EMULATED}:"):
+        return False
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(_address(name))

@@ -16,7 +16,7 @@ from hil.drivers.adhesion.keeper import client
 from hil.drivers.adhesion.keeper.core import SetPoint
 from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.emulated_bus import Emulation, Mark
+from hil.vocabulary.emulated_bus import Emulation, Mark, is_emulated
 
 STARTS_WITHIN_S = 90.0
 ANOTHER_COMES_WITHIN_S = 3.0
@@ -93,6 +93,14 @@ def test_only_what_was_emulated_can_be_over():
     assert during.is_over()
     assert not never.is_over()
     assert Emulation(name, known=True).is_over()
+
+
+def test_a_name_that_anybody_takes_ends_no_keeper_of_a_real_fan():
+    name = "socketcan:can0"
+    mark = Mark(name, 500_000)
+    said = Emulation(name)
+    mark.close()
+    assert (said.known, said.is_over(), is_emulated(name)) == (False, False, False)
 
 
 def keepers_of(state):
