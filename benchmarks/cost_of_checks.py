@@ -33,42 +33,37 @@ from hil.ring.motion_check import MotionCheck
 from hil.robot.trajectories import line
 
 MOST = 1.05
-
-
 CHECKS = ((MotionCheck, "update"), (SteeringWatch, "judge"), (FilterWatch, "judge"))
-
-
-def _nothing(*_: Any) -> tuple[()]:
-    return ()
+Check = Callable[..., Any]
 
 
 @contextmanager
-def without_checks() -> Iterator[None]:
-    """Nobody compares."""
+def replaced(by: Callable[[Check], Check]) -> Iterator[None]:
+    """Every comparison is what `by` makes of it."""
     with ExitStack() as stack:
         for kind, name in CHECKS:
-            stack.enter_context(patch.object(kind, name, _nothing))
+            stack.enter_context(patch.object(kind, name, by(getattr(kind, name))))
         yield
 
 
-@contextmanager
-def with_stopwatch() -> Iterator[list[float]]:
-    """A list that receives the processor time of every comparison, s."""
-    spent: list[float] = []
+def left_out(check: Check) -> Check:
+    """Nobody compares."""
+    return lambda *given: ()
 
-    def timed(check: Callable[..., Any]) -> Callable[..., Any]:
+
+def timed(spent_s: list[float]) -> Callable[[Check], Check]:
+    """Every comparison adds its processor time, s, to a list."""
+
+    def by(check: Check) -> Check:
         def run(*given: Any) -> Any:
             began_s = time.thread_time()
             found = check(*given)
-            spent.append(time.thread_time() - began_s)
+            spent_s.append(time.thread_time() - began_s)
             return found
 
         return run
 
-    with ExitStack() as stack:
-        for kind, name in CHECKS:
-            stack.enter_context(patch.object(kind, name, timed(getattr(kind, name))))
-        yield spent
+    return by
 
 
 def cpu_s(seconds: float) -> float:
@@ -94,23 +89,23 @@ def main() -> None:
     found: dict[str, list[float]] = {"with": [], "without": []}
     forms: list[tuple[str, Callable[[], AbstractContextManager[None]]]] = [
         ("with", nullcontext),
-        ("without", without_checks),
+        ("without", lambda: replaced(left_out)),
     ]
     for _ in range(options.pairs):
         for name, checks in forms:
             with checks():
                 found[name].append(cpu_s(options.seconds))
         forms.reverse()
-    with with_stopwatch() as spent:
+    spent_s: list[float] = []
+    with replaced(timed(spent_s)):
         whole_s = cpu_s(options.seconds) * options.seconds
-    low, ratio, high = (
-        np.percentile(np.divide(found["with"], found["without"]), (25, 50, 75)).round(3).tolist()
-    )
+    ratios = np.divide(found["with"], found["without"])
+    low, ratio, high = np.percentile(ratios, (25, 50, 75)).round(3).tolist()
     told = {
         "cpu_s_per_s": {name: round(statistics.median(times), 4) for name, times in found.items()},
         "ratio": ratio,
         "quartiles": [low, high],
-        "share_by_stopwatch": round(sum(spent) / whole_s, 3),
+        "share_by_stopwatch": round(sum(spent_s) / whole_s, 3),
         "most": MOST,
     }
     print(json.dumps(told, indent=1))

@@ -17,20 +17,20 @@ import numpy as np
 
 from hil.bench.held import Held, State
 from hil.bench.pressing import PressWatch
-from hil.bench.sighting import SERVOS, WINDOW_NS, Trail, Travel
+from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
 from hil.ring.rig import Rig
+from hil.robot.holding import GRAVITY_M_S2
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import SERVOS as EACH
-from hil.vocabulary.signals import CycleRecord, ImuSample, ServoHold, Status, worst
+from hil.vocabulary.signals import SERVOS, CycleRecord, ImuSample, ServoHold, Status, worst
 
 LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
-_GRAVITY_M_S2, _CALM_M_S2 = 9.81, 2.0
-"""What an accelerometer feels at rest, and by how much its mean may differ: data sheets allow 0.8."""
+_CALM_M_S2 = 2.0
+"""By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
 _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _FELT = 10
@@ -111,11 +111,11 @@ class HoldWatch(Sink):
         while True:
             hold = servos.look_after()
             self._see(hold, trails)
-            pressed = self._press.doubt(self._clock.now_ns())
-            doubt = self._doubt(hold, trails) or pressed
+            seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
+            unpressed = self._press.doubt(self._clock.now_ns())
+            doubt = self._doubt(hold, trails, seen) or unpressed
             if hold.t_ns - began_ns < _ALL_NS and any(trail.fills(hold.t_ns) for trail in trails.values()):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
-            seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
             if not hold.wanted:
                 return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
             if not doubt:
@@ -128,7 +128,7 @@ class HoldWatch(Sink):
 
     def _believed(self, seen: Collection[str]) -> list[str]:
         """Those who have seen the robot and whose word was not in doubt."""
-        return [name for name in seen if name == SERVOS or name not in self._doubted]
+        return [name for name in seen if name == JOINTS or name not in self._doubted]
 
     def _verdict(self, state: State, why: str, seen: Collection[str] = (), *, wanted: bool = True) -> Held:
         told_by = seen if state == "HELD" else self._travel.names  # of one that is lost, who saw it last
@@ -150,9 +150,9 @@ class HoldWatch(Sink):
     def _see(self, hold: ServoHold, trails: dict[str, Trail]) -> None:
         """Take what servos and sensors say now."""
         now_ns = hold.t_ns
-        seen = [(SERVOS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
+        seen = [(JOINTS, hold.position_rad)] if np.isfinite(hold.position_rad).all() else []
         for name in self._witnesses:
-            if name != SERVOS:
+            if name != JOINTS:
                 seen += [(name, value) for value in self._testified(name)]
         for name, value in seen:
             trails[name].add(now_ns, value)
@@ -173,19 +173,18 @@ class HoldWatch(Sink):
         for sample in samples:
             if isinstance(sample, ImuSample) and sample.status is Status.OK:
                 self._felt_m_s2.append(_felt_m_s2(sample))
-            if worst(sample) is Status.RESET and name in self._travel.names:
+            if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
         values = (self._witnesses[name].value(sample) for sample in samples)
         return [value for value in values if value is not None]
 
-    def _doubt(self, hold: ServoHold, trails: dict[str, Trail]) -> str:
+    def _doubt(self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str]) -> str:
         """What speaks against calling the robot held; empty when nothing does."""
         felt = self._doubt_of_weight()
         if hold.trouble or felt:
             servos = _in_words(hold) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
-        seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
-        if SERVOS not in seen:
+        if JOINTS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"
         for name in seen:
             change = float(np.abs(trails[name].change()).max())
@@ -200,7 +199,7 @@ class HoldWatch(Sink):
         felt = self._felt_m_s2
         if felt and felt[-1] < self._lightest_m_s2:
             return "the accelerometer feels less than the weight: adhesion is lost"
-        if len(felt) == _FELT and abs(float(np.mean(felt)) - _GRAVITY_M_S2) > _CALM_M_S2:
+        if len(felt) == _FELT and abs(float(np.mean(felt)) - GRAVITY_M_S2) > _CALM_M_S2:
             return (
                 f"the accelerometer feels {np.mean(felt):.1f} m/s^2 in place of 9.8: the robot is speeding up"
             )
@@ -222,14 +221,14 @@ class HoldWatch(Sink):
 
 
 def _felt_m_s2(sample: ImuSample) -> float:
-    """Specific force."""
-    return float(np.linalg.norm(sample.gravity_m_s2 + sample.linear_acceleration_m_s2))
+    """Size of the specific force."""
+    return float(np.linalg.norm(sample.specific_force_m_s2))
 
 
 def _in_words(hold: ServoHold) -> str:
     """What the servos lack, and what is left to do about it."""
     silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
-    if len(silent) == len(EACH):
+    if len(silent) == len(SERVOS):
         found = "no servo answers: check the servos' supply, the bus and its adapter"
     else:
         found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())

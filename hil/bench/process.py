@@ -50,14 +50,9 @@ class EmulatorProcess:
         for spec in faults:
             command += ["--fault", spec]
         self._said = tempfile.TemporaryFile()  # noqa: SIM115 - closed with this object
-        self._child = (
-            subprocess.Popen(  # a signal to the bench's group is the bench's: it still needs its devices
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                stderr=self._said,
-                start_new_session=True,
-            )
+        # A signal to the bench's process group is the bench's: it still needs its devices to hold the robot.
+        self._child = subprocess.Popen(
+            command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._said, start_new_session=True
         )
         try:
             self.endpoints: dict[str, Mapping[str, Any]] = json.loads(self._first_line())

@@ -12,7 +12,8 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import Witness
 
 WINDOW_NS = nanoseconds(0.2)
-SERVOS = "servos"
+JOINTS = "servos"
+"""The kind that tells angles of joints, and no place."""
 _LEAST = 4
 _FRESH_NS = nanoseconds(0.05)
 _MEAN_OF = 5
@@ -67,7 +68,7 @@ class Travel:
         self._latest: dict[str, deque[tuple[int, Array]]] = {
             name: deque(maxlen=_MEAN_OF)
             for name, witness in witnesses.items()
-            if witness.is_place or name == SERVOS
+            if witness.is_place or name == JOINTS
         }
         self._was_stopped = False
         self._from: dict[str, Array] = {}
@@ -111,7 +112,7 @@ class Travel:
         if name not in self._from:
             return
         moved = here - self._from[name]
-        if name == SERVOS:
+        if name == JOINTS:
             moved_m = self._radius_m * float(np.median(np.abs(moved[:4])))
         else:
             moved_m = float(np.linalg.norm(moved))
@@ -125,7 +126,7 @@ class Travel:
             slides: whether it may move without its wheels, so that they alone tell nothing.
         """
         told = {name: moved_m for name, moved_m in self._farthest_m.items() if name in believed}
-        if slides and not told.keys() - {SERVOS}:
+        if slides and not told.keys() - {JOINTS}:
             return None
         return max(told.values(), default=None)
 

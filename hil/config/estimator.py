@@ -245,6 +245,10 @@ class EstimatorConfig(_Strict):
     gates: GateConfig = GateConfig()
     time: TimeConfig = TimeConfig()
 
+    def slip(self, surface: str) -> SlipModel:
+        """What the wheels cannot see on a surface: `wall` or `floor`."""
+        return self.wall if surface == "wall" else self.floor
+
     @model_validator(mode="before")
     @classmethod
     def _complete(cls, given: Any) -> Any:

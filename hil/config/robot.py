@@ -14,10 +14,9 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.config.values import Within
-from hil.robot.holding import Statics
+from hil.robot.holding import GRAVITY_M_S2, Statics
 from hil.vocabulary.geometry import Array
 
-GRAVITY_M_S2 = 9.81
 _LEAST_FRICTION = 0.45
 
 Place = Annotated[float, Within(-5.0, 5.0, "m from the body's origin")]

@@ -68,7 +68,7 @@ class ProcessParameters(Record):
 
 def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
     """Values of `ProcessParameters`."""
-    slip, camera, noise = config.wall if surface == "wall" else config.floor, config.tracker, config.process
+    slip, camera, noise = config.slip(surface), config.tracker, config.process
     drifts = camera.use == "relative"
     walk_x, walk_y = (
         slip.creep_per_sqrt_m * (part / slip.creep if slip.creep > 0 else 0.0)

@@ -36,7 +36,7 @@ AUX = 5
 
 def prior_variances(config: EstimatorConfig, surface: str) -> Array:
     """Initial variances (20,) of what a start state does not bring; pose and twist are left at zero."""
-    slip = config.wall if surface == "wall" else config.floor
+    slip = config.slip(surface)
     sigma = np.zeros(STATES)
     sigma[BIAS] = config.gyro.bias_rad_s
     sigma[YAW_SLIP] = slip.yaw_rad_m

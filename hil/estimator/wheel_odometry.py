@@ -43,14 +43,12 @@ class OdometryEstimator(Estimator):
         surface: `wall` or `floor`.
     """
 
-    def __init__(self, config: EstimatorConfig, geometry: WheelGeometry, surface: str = "wall") -> None:
+    def __init__(self, config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> None:
         self._geometry, self._noise = geometry, config.wheels
-        slip = config.wall if surface == "wall" else config.floor
+        slip = config.slip(surface)
         self._slips = np.array([slip.creep, slip.creep_across, slip.yaw_rad_m]) ** 2
-        self._slip_s, self._slip_m2_s2 = (
-            slip.slip_time_s,
-            np.array([slip.slip_m_s, slip.slip_across_m_s]) ** 2,
-        )
+        self._slip_s = slip.slip_time_s
+        self._slip_m2_s2 = np.array([slip.slip_m_s, slip.slip_across_m_s]) ** 2
         self._model = "exact" if config.wheels.model == "equations" else config.wheels.model
         self._projection = projection(geometry.x_m, geometry.y_m)
         self._contacts = contacts(geometry)
@@ -135,9 +133,8 @@ class OdometryEstimator(Estimator):
         covariance[0, 0] += 0.25 * spread + 2.0 * dt * self._slipping[0]
         covariance[1, 1] += 0.25 * spread + 2.0 * dt * self._slipping[1]
         covariance[2, 2] += 0.25 * spread / self._arm_m2
-        share = math.exp(
-            -dt / self._slip_s
-        )  # covariance of place and slip velocity, of an Ornstein-Uhlenbeck
+        share = math.exp(-dt / self._slip_s)
+        # Covariance of place and slip velocity, which is an Ornstein-Uhlenbeck process.
         self._slipping = share * self._slipping + (1.0 - share) * self._slip_s * self._slip_m2_s2
         self._lean(self._pose - before, rolled_m)
 

@@ -30,8 +30,7 @@ class FallWatch:
         """Look at one cycle's samples; `stop` is called with the reason to stop."""
         for imu in inputs.imu:
             if imu.status is Status.OK:
-                force = imu.gravity_m_s2 + imu.linear_acceleration_m_s2
-                light = math.hypot(*force.tolist()) < self._lightest_m_s2
+                light = math.hypot(*imu.specific_force_m_s2.tolist()) < self._lightest_m_s2
                 self._weightless = self._weightless + 1 if light else 0
         for tracker in inputs.tracker:
             if tracker.status is Status.OK:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-_GRAVITY_M_S2 = 9.81
+GRAVITY_M_S2 = 9.81
 _ROUNDS = 8
 Four = tuple[float, float, float, float]
 
@@ -44,7 +44,7 @@ class Statics:
 
     def _tangential_n(self, thrust_n: float, heading_rad: float) -> tuple[float, float, float, float]:
         """Weight along the surface, body x and y, and the same with the propellers' push."""
-        along_n = self.mass_kg * _GRAVITY_M_S2 * math.sin(self.tilt_rad)
+        along_n = self.mass_kg * GRAVITY_M_S2 * math.sin(self.tilt_rad)
         weight_x, weight_y = -along_n * math.cos(heading_rad), along_n * math.sin(heading_rad)
         return weight_x, weight_y, weight_x + thrust_n, weight_y
 
@@ -58,7 +58,7 @@ class Statics:
     @property
     def _press_n(self) -> float:
         """What presses beside the fan: the weight's part towards the surface."""
-        return self.mass_kg * _GRAVITY_M_S2 * math.cos(self.tilt_rad)
+        return self.mass_kg * GRAVITY_M_S2 * math.cos(self.tilt_rad)
 
     def loads_n(self, force_n: float, thrust_n: float, heading_rad: float) -> list[float]:
         """Normal load of each wheel, (4,); a wheel does not pull, and the others carry what it would have."""

@@ -146,6 +146,11 @@ class ImuSample:
     calibration: tuple[int, ...]
     status: Status = Status.OK
 
+    @property
+    def specific_force_m_s2(self) -> Array:
+        """What an accelerometer feels, shape (3,): gravity, up, and acceleration."""
+        return self.gravity_m_s2 + self.linear_acceleration_m_s2
+
 
 @quickly_made
 @dataclass(frozen=True)

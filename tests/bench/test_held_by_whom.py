@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import hil
-from hil.bench.sighting import SERVOS, Travel
+from hil.bench.sighting import JOINTS, Travel
 from hil.devices.servos import KIND as SERVO_KIND
 from hil.devices.tracker import KIND as CAMERA_KIND
 from hil.robot.trajectories import line
@@ -136,7 +136,7 @@ def test_a_driver_that_raises_what_it_may_not_leaves_the_looking_to_the_others(m
 
 
 def travel():
-    return Travel({SERVOS: SERVO_KIND.witness, "tracker": CAMERA_KIND.witness}, 0.05)
+    return Travel({JOINTS: SERVO_KIND.witness, "tracker": CAMERA_KIND.witness}, 0.05)
 
 
 def test_the_way_counts_from_where_it_was_stopped():
@@ -146,7 +146,7 @@ def test_the_way_counts_from_where_it_was_stopped():
     for k in range(5):
         seen.saw("tracker", 1_020_000_000 + k, np.array([1.0, 0.02, 0.0]))
     assert seen.moved_m({"tracker"}, slides=True) == pytest.approx(0.02)
-    assert seen.moved_m({SERVOS}, slides=True) is None
+    assert seen.moved_m({JOINTS}, slides=True) is None
     seen.begins_anew("tracker")
     seen.saw("tracker", 1_100_000_000, np.array([7.0, 0.0, 0.0]))
     assert seen.moved_m({"tracker"}, slides=True) is None, "its frame is another"
@@ -154,12 +154,12 @@ def test_the_way_counts_from_where_it_was_stopped():
 
 def test_wheels_tell_the_way_where_nothing_slides():
     seen = travel()
-    seen.passed(SERVOS, 1_000_000_000, np.zeros(8))
+    seen.passed(JOINTS, 1_000_000_000, np.zeros(8))
     seen.stopped(1_000_000_000)
     for k in range(5):
-        seen.saw(SERVOS, 1_020_000_000 + k, np.array([0.1] * 4 + [0.0] * 4))
-    assert seen.moved_m({SERVOS}, slides=False) == pytest.approx(0.005)
-    assert seen.moved_m({SERVOS}, slides=True) is None
+        seen.saw(JOINTS, 1_020_000_000 + k, np.array([0.1] * 4 + [0.0] * 4))
+    assert seen.moved_m({JOINTS}, slides=False) == pytest.approx(0.005)
+    assert seen.moved_m({JOINTS}, slides=True) is None
     assert seen.moved_m(set(), slides=False) is None
 
 

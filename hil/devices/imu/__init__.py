@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hil.devices.imu.bno055 import BNO055
 from hil.devices.imu.look import look
 from hil.devices.imu.microstrain import MICROSTRAIN
@@ -19,11 +17,10 @@ _MESSAGE = CdrForm(TIME, "imu", Doubles(37))
 
 def imu_message(sample: ImuSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/Imu`; acceleration with gravity (specific force), as REP 145 asks."""
-    force = np.asarray(sample.linear_acceleration_m_s2) + np.asarray(sample.gravity_m_s2)
     numbers = (
         *xyzw(sample.quaternion_wxyz), *NO_COVARIANCE,
         *sample.gyro_rad_s.tolist(), *NO_COVARIANCE,
-        *force.tolist(), *NO_COVARIANCE,
+        *sample.specific_force_m_s2.tolist(), *NO_COVARIANCE,
     )  # fmt: skip
     return _MESSAGE.pack(sample.stamp.t_ns, wall_ns, numbers)
 

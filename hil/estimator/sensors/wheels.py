@@ -151,7 +151,7 @@ class Row(Record):
 
 def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> dict[str, Any]:
     """Values of `Parameters`."""
-    w, slip = config.wheels, config.wall if surface == "wall" else config.floor
+    w, slip = config.wheels, config.slip(surface)
     of_body, of_wheels = np.zeros((ROWS, BODY_ROWS)), np.zeros((ROWS, ROWS))
     if w.model == "equations":
         of_body[:], of_wheels[:] = projection(geometry.x_m, geometry.y_m), np.eye(ROWS)
