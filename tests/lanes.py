@@ -27,7 +27,7 @@ ALONE = (
     "bench/test_replug_drivers.py",
     "core/test_loop_and_server.py::test_the_server_answers_and_ticks_on_world_time",
     "docs/test_hardware_page.py::test_the_page_can_be_walked",
-    "emulate/test_emulate_command.py",
+    "emulate/test_emulate_clients.py::test_a_robot_in_another_physics", "emulate/test_emulate_command.py",
     "emulate/test_emulate_ports.py::test_a_client_that_knows_only_the_standard_connects",
     "encoders/test_can_face.py", "imu/test_imu_on_a_pty.py", "imu_microstrain/test_microstrain_on_a_pty.py",
     "imu_microstrain/test_microstrain_on_a_bench.py::test_up_a_wall_with_it_at_the_wire_in_real_time",
