@@ -5,8 +5,9 @@
 Both trees run the same things in a process each, 40 control cycles in turn, so that whatever else the
 machine does meets both: `rig` reads and commands all devices of the shipped bench; `five` those of them that
 version 0.1 had: servos, encoders, IMU, camera, motion capture; `wall` drives a line up the wall with EKF,
-supervisor and recording, by all devices of each tree. Compared is the 10th percentile of the turns' processor
-time. Without `--against` only this tree is measured.
+supervisor and recording, by all devices of each tree. A cycle's processor time is the 10th percentile of the
+turns; how much faster is the median over the turns, each against the other tree's turn of the same cycles.
+Without `--against` only this tree is measured.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -31,10 +33,15 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 class Turns:
-    """Ends each turn by telling its processor time, and waits to be called for the next."""
+    """Waits to be called, and ends each turn by telling its processor time."""
 
     def __init__(self) -> None:
-        self._cycles, self._began_s = 0, 0.0
+        self._cycles = 0
+        self._wait()
+
+    def _wait(self) -> None:
+        sys.stdin.readline()
+        self._began_s = time.process_time()
 
     def cycle(self) -> None:
         """One control cycle is over."""
@@ -42,8 +49,7 @@ class Turns:
         if self._cycles % TURN_CYCLES:
             return
         print(time.process_time() - self._began_s, flush=True)
-        sys.stdin.readline()
-        self._began_s = time.process_time()
+        self._wait()
 
 
 def five(seconds: float, cycle: Callable[[], None]) -> None:
@@ -88,45 +94,50 @@ def wall(seconds: float, cycle: Callable[[], None]) -> None:
 WORKS = {"rig": rig, "five": five, "wall": wall}
 
 
-def start(tree: Path, work: str, seconds: float) -> subprocess.Popen[str]:
-    """A tree's process, before its first turn."""
-    command = [sys.executable, __file__, "--turns-of", work, "--seconds", str(seconds)]
+def started(command: list[str], tree: Path) -> subprocess.Popen[str]:
+    """A process of a tree, waiting for its first turn."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     return subprocess.Popen(
         command, cwd=tree, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
 
 
-def turns(process: subprocess.Popen[str]) -> list[float]:
-    """Processor time of the turn that is under way, s; empty when all is over. Calls for the next."""
+def turn(process: subprocess.Popen[str]) -> list[float]:
+    """Call for the next turn: its processor time, s; empty when all is over."""
     assert process.stdout is not None
     assert process.stdin is not None
+    with suppress(BrokenPipeError):
+        process.stdin.write("\n")
+        process.stdin.flush()
     told = process.stdout.readline()
-    if not told:
-        return []
-    process.stdin.write("\n")
-    process.stdin.flush()
-    return [float(told)]
+    return [float(told)] if told else []
+
+
+def in_turns(processes: dict[str, subprocess.Popen[str]]) -> dict[str, list[float]]:
+    """Processor time of each process's turns, s, until all are over."""
+    taken: dict[str, list[float]] = {name: [] for name in processes}
+    going = set(processes)
+    while going:
+        for name in sorted(going):
+            found = turn(processes[name])
+            taken[name] += found
+            going -= set() if found else {name}
+    for name, process in processes.items():
+        if process.wait():
+            raise SystemExit(f"{name}: {' '.join(map(str, process.args))} failed")
+    return taken
 
 
 def compare(trees: dict[str, Path], work: str, seconds: float) -> dict[str, float]:
     """Processor time of a cycle by tree, us, and times real time."""
-    processes = {name: start(tree, work, seconds) for name, tree in trees.items()}
-    taken: dict[str, list[float]] = {name: [] for name in trees}
-    going = set(trees)
-    while going:
-        for name in sorted(going):
-            found = turns(processes[name])
-            taken[name] += found
-            going -= set() if found else {name}
+    command = [sys.executable, __file__, "--turns-of", work, "--seconds", str(seconds)]
+    taken = in_turns({name: started(command, tree) for name, tree in trees.items()})
     result: dict[str, float] = {}
     for name, values in taken.items():
-        if processes[name].wait():
-            raise SystemExit(f"{work} in {trees[name]} failed")
         us = 1e6 * float(np.percentile(values[2:], 10)) / TURN_CYCLES
         result[f"{name}_us"], result[f"{name}_times_real"] = round(us, 1), round(1e6 / RATE_HZ / us, 2)
     if len(trees) > 1:
-        result["faster"] = round(result["before_us"] / result["now_us"], 3)
+        result["faster"] = round(float(np.median(np.divide(taken["before"], taken["now"])[2:])), 3)
     return result
 
 
