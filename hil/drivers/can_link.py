@@ -23,7 +23,7 @@ from hil.vocabulary.errors import DeviceError
 _LOG = logging.getLogger(__name__)
 _MOST_FRAMES = 512
 _WAIT_S, _JOIN_S = 0.05, 0.5
-_LOOK_NS = 2_000_000
+_LOOK_NS, _CATCH_UP_NS, _HELD_UP_NS = 2_000_000, 100_000_000, 300_000_000
 _ERROR_COUNTS = 16
 BUS_ERRORS = (can.CanError, OSError, ValueError, TypeError, AttributeError)
 
@@ -124,6 +124,7 @@ class CanLink:
         self._meaning: Meaning | None = None
         self._said: deque[Any] = deque(maxlen=_MOST_FRAMES)
         self._arrivals = ArrivalClock()
+        self._asked_ns = clock.now_ns()
         self.error, self.error_frames = "", 0
 
     @property
@@ -192,10 +193,18 @@ class CanLink:
         self._meaning = meaning
 
     def heard(self) -> list[Any]:
-        """What frames have said since the last call, oldest first, once somebody listens for it."""
+        """What frames have said since the last call, oldest first, once somebody listens for it.
+
+        A program that stood still hears at first what had come before; its thread gets time to catch up.
+        """
         said = self._said
         if self._reader is None and self._bus is not None and self._meaning is not None:
             return self._meant(self._drain(self._bus, 0.0), self._meaning)
+        asked_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
+        if self._asked_ns - asked_ns > _HELD_UP_NS:
+            end_ns = self._asked_ns + _CATCH_UP_NS
+            while not said and self._clock.now_ns() < end_ns:
+                self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         return [said.popleft() for _ in range(len(said))] if said else []
 
     def _meant(self, arrived: list[Arrived], meaning: Meaning) -> list[Any]:

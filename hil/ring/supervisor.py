@@ -23,9 +23,12 @@ from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
 from hil.ring.stream_watch import Healthy, StreamWatch
+from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
+
+_HELD_UP_NS = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -130,6 +133,7 @@ class Supervisor:
         self._fall.reset()
         self._filter.reset()
         self._causes: dict[str, str] = {}
+        self._last_ns: int | None = None
         self.left_out.reset()
         self.doubted.clear()
 
@@ -142,10 +146,10 @@ class Supervisor:
 
         Raises:
             SafetyStop: `adhesion`, those of `hil.ring.adhesion`, `sliding`, `hardware_error`, `stale_servos`,
-                `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`, `stale_tracker` or `lost_*`; the
-                message names everything that came together. A silent IMU is an event, and so is a silent
-                camera where nothing that is followed needs it; a silence that lasts is their driver's
-                `DeviceTimeoutError`, which stops as well.
+                `held_up`, `blocked`, `servo_jump`, `horn_slip`, `sensors_disagree`, `stale_tracker` or
+                `lost_*`; the message names everything that came together. A silent IMU is an event, and so is
+                a silent camera where nothing that is followed needs it; a silence that lasts is their
+                driver's `DeviceTimeoutError`, which stops as well.
         """
         events = self._judge(inputs, measurements)
         if self._causes:
@@ -160,6 +164,7 @@ class Supervisor:
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
+        self._check_pace(inputs.t_ns)
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
@@ -169,6 +174,17 @@ class Supervisor:
         if measurements is not None:
             self._compare(inputs, measurements, events)
         return tuple(events)
+
+    def _check_pace(self, t_ns: int) -> None:
+        """Behind a pause the reference is far ahead of a robot that its servos' watchdogs have stopped."""
+        before_ns, self._last_ns = self._last_ns, t_ns
+        if before_ns is not None and t_ns - before_ns > _HELD_UP_NS:
+            self._blame(
+                "held_up",
+                f"the control loop stood still for {(t_ns - before_ns) / NS_PER_S:.1f} s: this program was "
+                "stopped, or the computer had no time for it. Look for what else ran, then start the motion "
+                "again",
+            )
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""

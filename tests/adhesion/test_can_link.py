@@ -81,3 +81,38 @@ def test_in_virtual_time_whoever_asks_makes_them_and_nothing_old_is_among_them()
         link.close()
         channel.close()
     assert made_by == {threading.get_ident()}
+
+
+class Jumping(MonotonicClock):
+    """A clock that can be put forward, as for a program that was stopped for a while."""
+
+    ahead_ns = 0
+
+    def now_ns(self):
+        return super().now_ns() + self.ahead_ns
+
+    def sleep_until_ns(self, t_ns):
+        super().sleep_until_ns(t_ns - self.ahead_ns)
+
+
+def test_a_program_that_stood_still_waits_for_what_had_come_meanwhile():
+    options, clock = {"port": free_udp_port(), "hop_limit": 0}, Jumping()
+    config = CanConfig(interface="udp_multicast", channel=GROUP, options=options)
+    link = CanLink("adhesion", config, clock)
+    link.open()
+    try:
+        with can.Bus(interface="udp_multicast", channel=GROUP, **options) as bus:
+            send(bus, (7, b"before"))
+            assert link.take(10.0)
+
+            def slow(t_ns, message, now_ns):
+                time.sleep(0.02)
+                return bytes(message.data)
+
+            link.listen_for(slow)
+            assert link.heard() == []
+            send(bus, (7, b"later"))
+            clock.ahead_ns = 3_000_000_000
+            assert link.heard() == [b"later"]
+    finally:
+        link.close()

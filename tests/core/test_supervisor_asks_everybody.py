@@ -181,6 +181,18 @@ def test_servos_that_stand_are_named_where_sensors_disagree():
     assert "also sensors_disagree: it differs" in str(stop.value)
 
 
+def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():
+    watching = supervisor()
+    cycle(watching, 0)
+    cycle(watching, 50)
+    with pytest.raises(SafetyStop, match=r"stood still for 0\.5 s") as stopped:
+        cycle(watching, 101)
+    assert stopped.value.reason == "held_up"
+    cycle(watching, 102)
+    watching.reset()
+    cycle(watching, 400)
+
+
 def test_what_presses_the_robot_on_is_told_its_heading_and_shows_its_figures():
     hold = Asked()
     watched = supervisor(hold=hold)
