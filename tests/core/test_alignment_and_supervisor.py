@@ -177,11 +177,11 @@ def test_who_is_driven_does_not_wait_for_a_sensor_that_is_to_come_back():
     watching = Supervisor(SafetyLimits(stale_s=IMU))
     for supervisor in (driven, watching):
         supervisor.check(Inputs(0, 0, imu=(good,)))
-        supervisor.check(Inputs(1, 4_000_000_000, imu=(bad,)))
-        supervisor.check(Inputs(2, 7_000_000_000))
-    watching.check(Inputs(3, 7_200_000_000))
+        for k in range(1, 18):
+            supervisor.check(Inputs(k, k * 400_000_000, imu=(bad,) if k == 10 else ()))
+    watching.check(Inputs(18, 7_200_000_000))
     with pytest.raises(SafetyStop, match=r"nothing from imu for 3\.2 s") as stopped:
-        driven.check(Inputs(3, 7_200_000_000))
+        driven.check(Inputs(18, 7_200_000_000))
     assert stopped.value.reason == "lost_imu"
 
 
