@@ -129,7 +129,7 @@ class RecordingReader:
                 why = error.message.removeprefix(f"{self.path}: ")
                 self.problems.append(f"{why}: what follows cycle {cycles} was not read")
                 return
-            except (McapError, ValueError, EOFError, MemoryError, struct.error) as error:
+            except (McapError, ValueError, EOFError, MemoryError, OverflowError, struct.error) as error:
                 self.problems.append(f"a chunk after cycle {cycles}, at byte {at}, is damaged ({error})")
                 continue
             for topic, data in parts:
@@ -222,7 +222,7 @@ def top_level(stream: BinaryIO, limit: int) -> Iterator[tuple[int, Any]]:
             raise EndOfFile
         try:
             yield at, None if kind is None else kind.read(ReadDataStream(io.BytesIO(data)))
-        except (EndOfFile, UnicodeDecodeError, struct.error):
+        except (EndOfFile, UnicodeDecodeError, OverflowError, struct.error):
             raise ValueError(f"the record at byte {at} does not hold what it says") from None
     read_magic(source)
 

@@ -178,7 +178,7 @@ def test_who_is_driven_does_not_wait_for_a_sensor_that_is_to_come_back():
     for supervisor in (driven, watching):
         supervisor.check(Inputs(0, 0, imu=(good,)))
         for k in range(1, 18):
-            supervisor.check(Inputs(k, k * 400_000_000, imu=(bad,) if k == 10 else ()))
+            supervisor.check(Inputs(k, k * 400_000_000, imu=(bad,) if k <= 10 else ()))
     watching.check(Inputs(18, 7_200_000_000))
     with pytest.raises(SafetyStop, match=r"nothing from imu for 3\.2 s") as stopped:
         driven.check(Inputs(18, 7_200_000_000))
