@@ -207,7 +207,7 @@ class Bench(HeldRig):
             try:
                 loop.run(until)
             finally:
-                self._hold.stopped(brain.supervisor.doubted)
+                self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
 
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.

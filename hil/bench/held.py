@@ -38,7 +38,8 @@ def held_in_words(held: Mapping[str, Any]) -> str:
     """One line of what `Held.to_json` says."""
     if held["moved_m"] is None:
         return f"{held['state']}: {held['why']}"
-    return f"{held['state']}: moved {1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
+    least = "at least " if held["state"] == "NOT HELD" else ""
+    return f"{held['state']}: moved {least}{1e3 * held['moved_m']:.1f} mm since the stop; {held['why']}"
 
 
 def seen_in_words(held: Held) -> str:

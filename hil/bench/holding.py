@@ -33,6 +33,7 @@ _CALM_M_S2 = 2.0
 """By how much the mean of what an accelerometer feels may differ from gravity: data sheets allow 0.8."""
 _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
+_MOVED_M = 0.001
 _FELT = 10
 """Samples of it that are averaged."""
 
@@ -86,13 +87,14 @@ class HoldWatch(Sink):
     def close(self) -> None:
         """Nothing to let go of."""
 
-    def stopped(self, doubted: Collection[str] = ()) -> None:
+    def stopped(self, doubted: Collection[str] = (), agreed: Collection[str] = ()) -> None:
         """The robot has been stopped: what it moves from here on counts.
 
         Args:
             doubted: devices whose word on how it moved was in doubt; that it rests is not believed of them.
+            agreed: those that told of a way as others did; they are believed again.
         """
-        self._doubted = frozenset(doubted)
+        self._doubted = self._doubted.difference(agreed).union(doubted)
         self._travel.stopped(self._clock.now_ns())
 
     def look(self, limit_s: float) -> Held:
@@ -112,7 +114,7 @@ class HoldWatch(Sink):
             hold = servos.look_after()
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
-            unpressed = self._press.doubt(self._clock.now_ns())
+            unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(self._places(seen)))
             doubt = self._doubt(hold, trails, seen) or unpressed
             if hold.t_ns - began_ns < _ALL_NS and any(trail.fills(hold.t_ns) for trail in trails.values()):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
@@ -130,9 +132,15 @@ class HoldWatch(Sink):
         """Those who have seen the robot and whose word was not in doubt."""
         return [name for name in seen if name == JOINTS or name not in self._doubted]
 
+    def _places(self, seen: Collection[str]) -> list[str]:
+        """Those of them who would see a slide."""
+        return self._believed([name for name in seen if self._witnesses[name].is_place])
+
     def _verdict(self, state: State, why: str, seen: Collection[str] = (), *, wanted: bool = True) -> Held:
-        told_by = seen if state == "HELD" else self._travel.names  # of one that is lost, who saw it last
-        moved_m = self._travel.moved_m(self._believed(told_by), slides=self._on_wall)
+        moved_m = self._travel.moved_m(self._believed(seen), slides=self._on_wall)
+        if moved_m is None and state == "NOT HELD":  # of one that is lost: how far it was seen to go
+            last_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
+            moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
         if state == "HELD" and moved_m is None:
             why += "; how far it has moved since the stop was not measured"
         if not self._on_wall:
@@ -207,12 +215,9 @@ class HoldWatch(Sink):
 
     def _doubt_of_sliding(self, seen: Collection[str], now_ns: int) -> str:
         """Wheels and IMU do not see a slide: somebody has to who sees places, or measures the force."""
-        if not self._can_fall or self._press.feels(now_ns):
+        if not self._can_fall or self._press.feels(now_ns) or self._places(seen):
             return ""
-        places = [name for name in seen if self._witnesses[name].is_place]
-        if self._believed(places):
-            return ""
-        doubted = [kinds()[name].noun for name in places]
+        doubted = [kinds()[name].noun for name in seen if self._witnesses[name].is_place]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         return (
             f"torque is on, but nobody can tell whether the robot slides{why}: that takes a camera, motion "

@@ -3,7 +3,8 @@
 A robot whose fan has just died still stands still. A controller that nobody hears may have let go of its
 motor, or will when its time-out ends, and the fan takes a second to run down. So a silent fan is no longer
 trusted until the load cells have felt enough force for longer than that, and a force that falls quickly is
-doubted before it is lost.
+doubted before it is lost. Propellers carry a part of the weight: they count by what they report, those that
+report nothing only while somebody sees that the robot does not slide. Load cells do not feel their push.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class PressWatch:
         self._stale_ns = 0 if limits is None else nanoseconds(limits.stale_s)
         self._forces: dict[str, tuple[int, float]] = {}
         self._trends: dict[str, ForceTrend] = {}
+        self._push: tuple[int, float] | None = None
         self._enough_since_ns: int | None = None
         self.heading_rad = 0.0
 
@@ -66,10 +68,16 @@ class PressWatch:
         """A look begins: what was heard before it is out of date."""
         self._forces.clear()
         self._trends.clear()
+        self._push = None
         self._enough_since_ns = None
 
-    def doubt(self, now_ns: int) -> str:
-        """What speaks against a robot that is pressed on its wall for good; empty when nothing does."""
+    def doubt(self, now_ns: int, *, sees_slide: bool) -> str:
+        """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
+
+        Args:
+            now_ns: time.
+            sees_slide: whether somebody who is believed sees places, and the robot at rest.
+        """
         if self._limits is None:
             return ""
         for name in MEASURES:
@@ -78,12 +86,14 @@ class PressWatch:
                     self._forces[who] = t_ns, force_n
                     self._trends.setdefault(who, ForceTrend()).follow(t_ns, force_n)
         fresh = self._fresh(now_ns)
-        least_n = self._limits.statics.needed_n(self._limits.nominal_thrust_n, self.heading_rad)
+        push_n, without = self._counted_push(now_ns, sees_slide)
+        least_n = self._limits.statics.needed_n(push_n, self.heading_rad)
         told = ", ".join(f"{force_n:.1f} N by {name}" for name, force_n in fresh.items())
         if not fresh or not min(fresh.values()) >= least_n:  # NaN is not enough either
             self._enough_since_ns = None
             told = told or "nobody measures it"
-            return f"what presses the robot on the wall: {told}; {least_n:.1f} N are needed: secure the robot"
+            needed = f"{least_n:.1f} N are needed{without}"
+            return f"what presses the robot on the wall: {told}; {needed}: secure the robot"
         for name, force_n in fresh.items():
             falling_n_s = -self._trends[name].slope_n_s()
             if not force_n - RUN_DOWN_S * falling_n_s >= least_n:
@@ -96,6 +106,26 @@ class PressWatch:
         if now_ns - self._enough_since_ns < self._outlasts_ns:
             return f"the fan's controller is silent, it may have let go; {told} so far: secure the robot"
         return ""
+
+    def _counted_push(self, now_ns: int, sees_slide: bool) -> tuple[float, str]:
+        """What the propellers push with for certain (N), and in words why that is not all."""
+        limits = self._limits
+        assert limits is not None
+        if not limits.nominal_thrust_n:
+            return 0.0, ""
+        if not limits.reports_thrust:
+            if sees_slide:
+                return limits.nominal_thrust_n, ""
+            return (
+                0.0,
+                " without the propellers: they report nothing, and nobody sees whether it slides",
+            )
+        for sample in self._samples("thrust"):
+            if sample.status is Status.OK and math.isfinite(sample.throttle):
+                self._push = sample.stamp.t_ns, limits.full_thrust_n * sample.throttle**2
+        if self._push is None or now_ns - self._push[0] > self._stale_ns:
+            return 0.0, " without the propellers: their controllers are silent and may have let go"
+        return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"
 
     def feels(self, now_ns: int) -> bool:
         """Whether load cells have just felt the force: enough of it, where nothing is doubted."""

@@ -70,6 +70,10 @@ class CaptureCheck:
         wheels: their way, kept by somebody else.
         seen: what honest ones differ by.
         creep: m per rolled metre by which a robot gets lower than its wheels roll.
+
+    Attributes:
+        camera, rolled: the two sums.
+        ways_m: over which the two have been compared since `reset`.
     """
 
     def __init__(self, wheels: WheelTrack, seen: Seen, *, creep: float) -> None:
@@ -85,6 +89,7 @@ class CaptureCheck:
         for part in (self.camera, self.rolled, self._camera_track, self._capture, *self._leaps):
             part.reset()
         self._last: list[tuple[int, Kept, Kept] | None] = [None, None]
+        self.ways_m = [0.0, 0.0]
 
     def take(self, camera: tuple[PoseMeasurement, ...], capture: tuple[PoseMeasurement, ...]) -> None:
         """Take the poses of one cycle."""
@@ -130,6 +135,7 @@ class CaptureCheck:
         true, turned = moved(was, seen)
         if self._leaps[0].jumped(t_ns, abs(way - true), abs(turn - turned)):
             return
+        self.ways_m[0] += abs(true)
         allowed = h.lever_m * abs(turned) + h.rest_m_s * dt_s
         self.camera.add(t_ns, way, true, allowed, cmath.rect(1.0, -turned), way=(h.scale, h.across))
 
@@ -140,5 +146,6 @@ class CaptureCheck:
         far, loose = ((b - a).real for a, b in zip(before[2:], now[2:], strict=True))
         if self._leaps[1].jumped(t_ns, abs(true - rolling), abs(turned - turning)):
             return
+        self.ways_m[1] += far
         allowed = h.path * far + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
         self.rolled.add(t_ns, true, rolling, allowed, cmath.rect(1.0, -turning), self._creep * far)

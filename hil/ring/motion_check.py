@@ -20,6 +20,9 @@ from hil.vocabulary.signals import Measurements, PoseMeasurement
 
 GYRO = Party("imu", "the gyro")
 _GAP_NS = 1_000_000_000
+_AGREE_M = 0.1
+"""After so long a way who told of it as others did is believed again: a camera that stands still is found in
+a sixth of it."""
 
 
 @dataclass(frozen=True)
@@ -114,6 +117,7 @@ class MotionCheck:
         self._seen: _Seen | None = None
         self._felt: tuple[int, Kept, Kept] | None = None
         self._left_out: set[str] = set()
+        self._way_m = 0.0
 
     def update(self, measurements: Measurements) -> tuple[Doubt, ...]:
         """Take one cycle's measurements; what is in doubt because of them."""
@@ -132,6 +136,14 @@ class MotionCheck:
     def leave_out(self, name: str) -> None:
         """Compare nobody with this device any more."""
         self._left_out.add(name)
+
+    @property
+    def agreed(self) -> frozenset[str]:
+        """Who has told of a way of 0.1 m as somebody else did, and whom nobody contradicts."""
+        ways = zip(self._ways, (self._way_m, *self._capture.ways_m), strict=True)
+        agreed = {name for pair, way_m in ways if way_m > _AGREE_M for name in pair.names}
+        contradicted = {name for pair in self._sums if pair.suspicious for name in pair.names}
+        return frozenset(agreed - contradicted - self._left_out)
 
     def _look(self, poses: tuple[PoseMeasurement, ...]) -> bool:
         """Compare the newest camera pose with the last one compared; whether there was something to compare.
@@ -167,6 +179,7 @@ class MotionCheck:
         path, loose = ((b - a).real for a, b in zip(before.wheels[2:], now.wheels[2:], strict=True))
         if self._leap.jumped(now.t_ns, abs(way - rolling), abs(turn - turning)):
             return False
+        self._way_m += path
         allowed = h.path * path + h.lever_m * abs(turning) + h.rest_m_s * dt_s + loose
         lower = h.creep * path if self._on_wall else 0.0
         self._way.add(t_ns, way, rolling, allowed, cmath.rect(1.0, -turning), lower)

@@ -269,6 +269,11 @@ class Supervisor:
             raise _stop_for(found)
         return tuple(events)
 
+    @property
+    def agreed(self) -> frozenset[str]:
+        """Devices that have told of a way since `reset` as others did."""
+        return frozenset() if self.checks.motion is None else self.checks.motion.agreed
+
     def figures(self) -> Mapping[str, float]:
         """What the checks of this cycle measured, for the robot's state."""
         return {} if self.checks.hold is None else self.checks.hold.figures

@@ -14,6 +14,8 @@ from hil.vocabulary.errors import SafetyStop
 
 CLIMB = line((0, 0, 0), (0.4, 0, 0), duration_s=8.0)
 FAR_M = 0.005
+VESCS = {"thrust.model": "vesc"}
+TETHER = {"safety.tethered": True}
 
 
 def left(*faults, without=(), seed=5, feedback="ekf", **overrides):
@@ -57,14 +59,52 @@ def test_a_doubted_camera_is_named_where_nobody_else_could_see_a_slide():
     )
 
 
-@pytest.mark.parametrize("without", [("mocap",), ("load_cells",)])
-def test_load_cells_or_motion_capture_do_without_the_camera(without):
-    held, stop, _, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=without)
+def test_motion_capture_does_without_the_camera():
+    held, stop, _, speed_m_s = left("tracker:wrong@2.5,scale=0.3", without=("load_cells",))
     assert stop.reason == "sensors_disagree"
     assert held.state == "HELD"
     assert "camera" not in held.why.split(";")[0]
-    assert speed_m_s < 1e-4
-    assert (held.moved_m is None) == ("mocap" in without)
+    assert (held.moved_m is None, speed_m_s < 1e-4) == (False, True)
+
+
+def test_load_cells_do_without_a_camera_where_the_propellers_report_or_are_not_needed():
+    """They feel what presses; that nobody carries a part of the weight any more they do not feel."""
+    blind, lie = ("mocap",), "tracker:wrong@2.5,scale=0.3"
+    held, _, _, speed_m_s = left(lie, without=blind)
+    assert (held.state, speed_m_s < 1e-4) == ("NOT HELD", True)
+    assert "without the propellers: they report nothing, and nobody sees whether it slides" in held.why
+    for overrides in (VESCS, {"environment.friction": 0.9}):
+        held, stop, _, speed_m_s = left(lie, without=blind, **overrides)
+        assert stop.reason == "sensors_disagree"
+        assert (held.state, held.moved_m, speed_m_s < 1e-4) == ("HELD", None, True)
+
+
+@pytest.mark.parametrize(("seed", "without"), [(1, ("mocap", "tracker")), (5, ("mocap", "tracker"))])
+def test_propellers_that_weaken_unseen_are_not_called_held(seed, without):
+    held, *_ = left("thrust:wrong@8.2,factor=0.55", without=without, seed=seed, feedback="odometry")
+    assert held.state == "NOT HELD"
+
+
+@pytest.mark.parametrize("fault", ["thrust:bus_off@8.2", "thrust:off@8.2", "thrust:bus_off@3"])
+def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_still_stands(fault):
+    held, *_ = left(fault, **VESCS)
+    assert held.state == "NOT HELD"
+    assert "the propellers" in held.why or "the camera" in held.why or "accelerometer" in held.why
+
+
+def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
+    faults = ("tracker:wrong@1.3+1.5,scale=0",)
+    bench = hil.open_bench("emulated", seed=5, faults=faults, overrides={"mocap": None, "load_cells": None})
+    with bench:
+        with pytest.raises(SafetyStop, match="sensors_disagree"):
+            bench.drive(CLIMB, start_pose=np.zeros(3))
+        assert bench.look(1.0).state == "NOT HELD"
+        bench.observe(2.0)
+        doubted = bench.look(1.0)
+        assert doubted.state == "NOT HELD", "at rest nobody can tell a frozen camera"
+        assert "what the camera said before the stop is in doubt" in doubted.why
+        bench.drive(line((0, 0, 0), (0.15, 0, 0), duration_s=3.0), start_pose=np.zeros(3), hold_s=0.5)
+        assert bench.look(1.0).state == "HELD"
 
 
 def test_wheels_and_imu_alone_do_not_see_a_slide():
@@ -76,7 +116,7 @@ def test_wheels_and_imu_alone_do_not_see_a_slide():
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert "that takes a camera, motion capture or load cells" in held.why
     assert moved_m < FAR_M
-    held, *_ = left(without=blind, feedback="odometry", **{"safety.tethered": True})
+    held, *_ = left(without=blind, feedback="odometry", **TETHER)
     assert held.state == "HELD", "a tether holds it"
 
 
@@ -90,7 +130,7 @@ def test_wheels_and_imu_alone_do_not_see_a_slide():
 )
 def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):
     held, _, moved_m, _ = left(
-        *faults, without=without, feedback="odometry" if "tracker" in without else "ekf"
+        *faults, without=without, feedback="odometry" if "tracker" in without else "ekf", **TETHER
     )
     assert moved_m > 0.01, "it slid while the servos had no torque"
     assert (held.state, held.moved_m) == ("HELD", None)

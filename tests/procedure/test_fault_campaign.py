@@ -136,6 +136,18 @@ def test_a_robot_whose_force_nobody_measures_need_not_be_called_held():
     assert why.startswith("not held")
 
 
+@pytest.mark.parametrize(
+    ("until", "excused"), [(("", ""), True), (("+0.5", ""), True), (("+0.5", "+0.5"), False)]
+)
+def test_a_robot_that_nobody_sees_need_not_be_called_held(until, excused):
+    """Whether its propellers still carry it is told by those who see a slide only."""
+    specs = tuple(f"{name}:off@1{until}" for name, until in zip(("tracker", "mocap"), until, strict=True))
+    blind = Cell("tracker+mocap", "off+off", "random", 0, "own", specs)
+    told = [("tracker", "it is away"), ("mocap", "it is away")]
+    why = judge(blind, seen(said="NOT HELD", why="nobody sees whether it slides", events=told)).why
+    assert (why == ()) is excused
+
+
 def test_what_holds_the_robot_may_go_after_it_was_said_to_be_held_if_that_is_noticed():
     gone = {"crept_m": 0.01, "adhesion_n": 9.0}
     noticed, still = Held("NOT HELD", 0.5, "adhesion is lost", True), Held("HELD", 0.0, "torque on", True)
