@@ -14,7 +14,7 @@ from hil.cli import start
 from hil.cli.attended import watching
 from hil.cli.options import SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
-from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, UsageError
+from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError
 from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
@@ -190,6 +190,9 @@ def _live(session: LiveSession, view: str | None, *, as_json: bool) -> None:
         with bench:
             click.echo(f"at the start {seen_in_words(bench.look())}", err=True)
             session.run()
+    except HilError as error:
+        session.ended = session.ended or str(error)
+        raise
     finally:
         bench.close()
         _report(session, as_json=as_json)

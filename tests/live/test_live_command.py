@@ -235,6 +235,15 @@ def test_a_disk_that_takes_no_files_is_named_before_anything_is_opened(capsys):
     assert "at the start" not in said
 
 
+def test_a_bench_that_does_not_open_says_in_its_summary_why(tmp_path, capsys):
+    absent = tmp_path / "none.toml"
+    absent.write_text('schema = 1\nname = "none"\n[imu]\nport = "/dev/absent"\n')
+    assert main(["live", "--bench", str(absent), "--no-record", "--json"]) == 3
+    summary = json.loads(capsys.readouterr().out)
+    assert "imu at /dev/absent: port cannot be opened" in summary["ended"]
+    assert summary["timing"]["cycles"] == 0
+
+
 @pytest.mark.parametrize(("policy", "code"), [("stop", 4), ("go-on", 0)])
 def test_a_disk_that_fills_up_stops_the_robot_or_not(tmp_path, policy, code):
     """The thread that writes finds no room while the robot is driven; nobody else's files are touched."""
