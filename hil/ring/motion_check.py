@@ -139,11 +139,10 @@ class MotionCheck:
 
     @property
     def agreed(self) -> frozenset[str]:
-        """Who has told of a way of 0.1 m as somebody else did, and whom nobody contradicts."""
+        """Who has told of a way of 0.1 m as somebody else did."""
         ways = zip(self._ways, (self._way_m, *self._capture.ways_m), strict=True)
-        agreed = {name for pair, way_m in ways if way_m > _AGREE_M for name in pair.names}
-        contradicted = {name for pair in self._sums if pair.suspicious for name in pair.names}
-        return frozenset(agreed - contradicted - self._left_out)
+        agreed = [pair.names for pair, way_m in ways if way_m > _AGREE_M and not pair.suspicious]
+        return frozenset(name for names in agreed for name in names) - self._left_out
 
     def _look(self, poses: tuple[PoseMeasurement, ...]) -> bool:
         """Compare the newest camera pose with the last one compared; whether there was something to compare.

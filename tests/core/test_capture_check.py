@@ -266,3 +266,30 @@ def test_an_unseen_slide_shakes_the_estimate_and_names_what_holds_the_robot(unse
     (event,) = supervisor.check(Inputs(0, 0), Measurements(0, 0))
     assert supervisor.left_out.shaken == (shaken_m, 0.0)
     assert event.message.endswith("if it slides, look at the fan and the propellers") is unseen
+
+
+@pytest.mark.parametrize(
+    ("seen", "captured", "mocap", "agreed"),
+    [
+        (UP, UP, True, {"tracker", "servos", "mocap"}),
+        (UP, UP, False, {"tracker", "servos"}),
+        (0.0 * UP, UP, True, {"servos", "mocap"}),
+        (0.0 * UP, UP, False, set()),
+        (UP, 0.0 * UP, True, {"tracker", "servos"}),
+    ],
+)
+def test_who_tells_of_a_way_as_somebody_else_does_agrees(seen, captured, mocap, agreed):
+    check = MotionCheck(GEOMETRY)
+    watching = Supervisor(SafetyLimits(stale_s={}), checks=Checks(motion=check))
+    for k in range(3, 90):
+        check.update(cycle(k, at(UP), at(seen), at(captured), mocap=mocap))
+    assert check.agreed == set(), "0.1 m it takes"
+    for k in range(90, 250):
+        check.update(cycle(k, at(UP), at(seen), at(captured), mocap=mocap))
+    assert check.agreed == agreed
+    assert watching.agreed == check.agreed
+    check.leave_out("servos")
+    assert "servos" not in check.agreed
+    check.reset()
+    assert check.agreed == set()
+    assert Supervisor(SafetyLimits(stale_s={})).agreed == set()
