@@ -24,7 +24,8 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.recording.runs import RunStart
 from hil.ring.loop import Brain
 from hil.ring.realtime import warm_up
-from hil.robot.trajectories import Segment, Straight, Trajectory
+from hil.robot.paths import Segment, Straight
+from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.geometry import Array
@@ -174,7 +175,7 @@ class LiveSession:
         self.bench.check(trajectory)
         if self.monitor is not None:
             times_s = np.linspace(0.0, trajectory.duration_s, _PATH_POINTS)
-            self.monitor.show_path(np.array([trajectory.sample(t).pose_in_wall[:2] for t in times_s]))
+            self.monitor.show_path(trajectory.sample_many(times_s)[0][:, :2])
         return trajectory
 
     def _obey(self, lines: CommandLines, pose: Array) -> VelocityReference:

@@ -1,8 +1,7 @@
 """References: where the robot should be at a time.
 
-A trajectory is a chain of segments. A segment is a path over s in [0, 1] and a time law: `quintic`
-(s = 10 u^3 - 15 u^4 + 6 u^5, at rest at both ends) or `constant` (the step profile of the public
-recordings). Wall frame: X up the wall, Y to the left; heading about the wall normal.
+A trajectory is a chain of segments (`hil.robot.paths`). Wall frame: X up the wall, Y to the left; heading
+about the wall normal.
 SI units.
 """
 
@@ -14,10 +13,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from hil.robot.paths import Arc, Chain, Ints, Pose, Segment, Straight, TimeLaw
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 from hil.vocabulary.signals import Reference
@@ -25,79 +25,8 @@ from hil.vocabulary.signals import Reference
 _STRIDE = 64
 """Segments that are walked through one by one to find one; sets of these are found by bisection."""
 
-TimeLaw = Literal["quintic", "constant"]
-Pose = tuple[float, float, float]
-
 QUINTIC_PEAK_SPEED = 1.875
 QUINTIC_PEAK_ACCELERATION = 10.0 / math.sqrt(3.0)
-
-
-@dataclass(frozen=True)
-class Straight:
-    """Path that changes x, y and heading in proportion to s, between two poses (x m, y m, theta rad)."""
-
-    start: Pose
-    end: Pose
-
-    def __call__(self, s: float) -> tuple[Array, Array, Array]:
-        """Pose (3,), its first and its second derivative by s."""
-        a, way = self._ends
-        return a + s * way, way, np.zeros(3)
-
-    @cached_property
-    def _ends(self) -> tuple[Array, Array]:
-        """First pose, and the way from it to the last."""
-        a, b = np.array(self.start), np.array(self.end)
-        way: Array = b - a
-        way.setflags(write=False)
-        return a, way
-
-
-@dataclass(frozen=True)
-class Arc:
-    """Arc to the left (positive angle) or right of the start heading, heading tangent or fixed."""
-
-    start: Pose
-    radius_m: float
-    angle_rad: float
-    tangent: bool = True
-
-    def __call__(self, s: float) -> tuple[Array, Array, Array]:
-        """Pose (3,), its first and its second derivative by s."""
-        x, y, theta = self.start
-        side, w = math.copysign(1.0, self.angle_rad), abs(self.angle_rad)
-        a = w * s
-        turn = rotation2(theta) * self.radius_m
-        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))])
-        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * w
-        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * w**2
-        heading, rate = (side * a, side * w) if self.tangent else (0.0, 0.0)
-        return (
-            np.array([x + p[0], y + p[1], theta + heading]),
-            np.array([d[0], d[1], rate]),
-            np.array([dd[0], dd[1], 0.0]),
-        )
-
-
-@dataclass(frozen=True)
-class Segment:
-    """One stretch: a path over s in [0, 1], how long it takes, and how s runs."""
-
-    path: Straight | Arc
-    duration_s: float
-    law: TimeLaw = "quintic"
-
-    def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Pose, velocity and acceleration (3,) each, in wall axes, at a time within the segment."""
-        u = min(max(t_s / self.duration_s, 0.0), 1.0)
-        if self.law == "quintic":
-            s = u**3 * (10.0 - 15.0 * u + 6.0 * u**2)
-            ds = 30.0 * u**2 * (1.0 - u) ** 2 / self.duration_s
-            dds = 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / self.duration_s**2
-        else:
-            s, ds, dds = u, (1.0 / self.duration_s if 0.0 <= t_s < self.duration_s else 0.0), 0.0
-        pose, first, second = self.path(s)
-        return pose, first * ds, second * ds**2 + first * dds
 
 
 @dataclass(frozen=True)
@@ -151,6 +80,40 @@ class Trajectory:
             left -= segment.duration_s
         pose, _, _ = self.segments[-1].path(1.0)
         return _reference(t_s, pose, np.zeros(3), np.zeros(3), True)
+
+    def sample_many(self, times_s: ArrayLike) -> tuple[Array, Array, Array]:
+        """What `sample` says at each of many times, but for rounding, at a twentieth of its cost.
+
+        Args:
+            times_s: (n,) times.
+
+        Returns:
+            Poses in the wall frame, twists in the reference's body frame and accelerations in wall axes,
+            (n, 3) each; where a segment holds what is no number, so do they.
+        """
+        t_s = np.asarray(times_s, dtype=np.float64)
+        with np.errstate(invalid="ignore", over="ignore"):
+            pose, velocity, acceleration = self._chain.at(*self._places(t_s))
+            velocity[t_s < 0.0] = acceleration[t_s < 0.0] = 0.0
+            c, s = np.cos(pose[:, 2]), np.sin(pose[:, 2])
+            ahead, left = c * velocity[:, 0] + s * velocity[:, 1], c * velocity[:, 1] - s * velocity[:, 0]
+        return pose, np.column_stack([ahead, left, velocity[:, 2]]), acceleration
+
+    @cached_property
+    def _chain(self) -> Chain:
+        return Chain(self.segments)
+
+    def _places(self, times_s: Array) -> tuple[Ints, Array]:
+        """Which segment, (n,), and the time within it, (n,), both as `sample` finds them, to the last bit."""
+        strides, durations_s = np.array(self._strides), np.append(self._chain.durations_s, math.inf)
+        stride = np.maximum(np.searchsorted(strides, times_s, side="right") - 1, 0)
+        k, left = stride * _STRIDE, times_s - strides[stride]
+        later = np.flatnonzero(left >= durations_s[k])
+        while later.size:
+            left[later] -= durations_s[k[later]]
+            k[later] += 1
+            later = later[left[later] >= durations_s[k[later]]]
+        return k, np.maximum(left, 0.0)
 
 
 def _segment(data: Mapping[str, Any]) -> Segment:

@@ -235,8 +235,12 @@ class Turning:
     def __init__(self, heading_rad, acceleration):
         self.now = Reference(0.0, np.array([0, 0, heading_rad]), np.zeros(3), np.array(acceleration, float))
 
-    def sample(self, t_s):
-        return self.now
+    def sample_many(self, times_s):
+        now = self.now
+        return tuple(
+            np.tile(value, (len(times_s), 1))
+            for value in (now.pose_in_wall, now.twist_body, now.acceleration_wall)
+        )
 
 
 @pytest.mark.parametrize("heading", [0.0, 0.7, -0.7, 2.0])
