@@ -119,6 +119,11 @@ class Blueprint:
             config, self.geometry, surface=self.config.environment.kind, diagnostics=diagnostics
         )
 
-    def check(self, trajectory: Trajectory) -> None:
-        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time."""
-        check(trajectory, self.geometry.projection(), motion_limits(self.config))
+    def check(self, trajectory: Trajectory, *, known: Trajectory | None = None) -> None:
+        """Refuse what the limits cannot follow; raises `TrajectoryError` with the first offending time.
+
+        Args:
+            trajectory: what is asked for.
+            known: was checked before; the segments that both end with are not looked at again.
+        """
+        check(trajectory, self.geometry.projection(), motion_limits(self.config), known=known)

@@ -19,6 +19,7 @@ from hil.vocabulary.files import check_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.config.bench import BenchConfig
     from hil.live import LivePlan, LiveSession
     from hil.monitor import RerunMonitor
     from hil.recording.mcap_writer import McapRecorder, OnFailure
@@ -110,27 +111,22 @@ def command(
     Example: hil live --bench emulated --duration 20 --rerun spawn
     """
     from hil.bench import open_bench, plan_bench
-    from hil.config.loading import load_bench
     from hil.live import LivePlan, load_trajectory, open_commands
     from hil.vocabulary.stop_signals import StopRequest
 
     _must_agree(source, commands, repeated, record, unrecorded=unrecorded)
-    overrides = _start_and_replay(bench, emulate, start_pose, repeated)
-    reference = None
+    config = _loaded(bench, emulate, start_pose, repeated, seed)
+    reference, known = None, None
     if source is not None:
-        planned = load_bench(bench, emulate=emulate, overrides=overrides)
-        reference = load_trajectory(source, plan_bench(planned, calibration=calibration).check)
+        reference, known = load_trajectory(source, plan_bench(config, calibration=calibration).check)
     lines = open_commands(commands)
     if lines is not None:
         click.echo(f"velocity commands: {lines.where}", err=True)
-    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s)
+    plan = LivePlan(reference, lines, duration_s, feedback, observers, controller, dead_man_s, known)
     stop = StopRequest()
     with stop.noted():
         with nullcontext() if lines is None else closing(lines):
-            opened = open_bench(
-                bench, emulate=emulate, seed=seed, realtime=True, faults=faults, calibration=calibration,
-                overrides=overrides,
-            )  # fmt: skip
+            opened = open_bench(config, seed=seed, realtime=True, faults=faults, calibration=calibration)
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 session = _session(opened, plan, recorder, _monitor(opened, view), stop)
@@ -156,16 +152,18 @@ def _must_agree(
         check_file(record)
 
 
-def _start_and_replay(
-    bench: str, emulate: str | None, start_pose: str | None, repeated: Path | None
-) -> dict[str, object]:
-    """Overrides of the bench file: where the robot stands, and which recording it repeats."""
+def _loaded(
+    bench: str, emulate: str | None, start_pose: str | None, repeated: Path | None, seed: int
+) -> BenchConfig:
+    """The bench file with where the robot stands, and which recording it repeats."""
     from hil.config.loading import load_bench
 
     overrides = start.start_override(start_pose)
     if repeated is not None:
         overrides["emulation.replay"] = str(repeated.resolve())
-    return overrides | start.asked_start(load_bench(bench, emulate=emulate, overrides=overrides))
+    config = load_bench(bench, emulate=emulate, overrides=overrides, seed=seed)
+    asked = start.asked_start(config)
+    return load_bench(bench, emulate=emulate, overrides=overrides | asked, seed=seed) if asked else config
 
 
 def _session(

@@ -19,8 +19,10 @@ MakeTrajectory = Callable[[Array], Trajectory]
 _THERE_M, _THERE_RAD = 0.005, 0.01
 
 
-def load_trajectory(path: Path, check: Callable[[Trajectory], None]) -> MakeTrajectory:
-    """How to make the reference, given the pose (3,) at which the robot stands.
+def load_trajectory(
+    path: Path, check: Callable[[Trajectory], None]
+) -> tuple[MakeTrajectory, Trajectory | None]:
+    """How to make the reference from the pose (3,) where the robot stands, and what of it is known to hold.
 
     What can be checked before that is known is checked here: the way from the first waypoint on.
 
@@ -29,6 +31,9 @@ def load_trajectory(path: Path, check: Callable[[Trajectory], None]) -> MakeTraj
             first waypoint), or `.py` that defines `trajectory(start_pose)` and returns a `Trajectory`.
         check: refuses what the robot cannot follow, as `Blueprint.check` does.
 
+    Returns:
+        The maker, and the way with whose segments its trajectories end, checked; None for a script.
+
     Raises:
         DataError: no such waypoints.
         TrajectoryError: the robot cannot drive through them.
@@ -36,17 +41,20 @@ def load_trajectory(path: Path, check: Callable[[Trajectory], None]) -> MakeTraj
     """
     if path.suffix == ".csv":
         waypoints = read_waypoints(path)
-        check(through(waypoints, name=str(path)))
-        return lambda pose: _from_here(pose, waypoints, path.stem)
+        way = through(waypoints, name=str(path))
+        check(way)
+        return lambda pose: _from_here(pose, waypoints, way, path.stem), way
     if path.suffix == ".py" and path.is_file():
-        return _script(path)
+        return _script(path), None
     raise UsageError(f"--trajectory {path}", expected="a .csv file of waypoints or a .py script")
 
 
-def _from_here(pose: Array, waypoints: list[Array], name: str) -> Trajectory:
+def _from_here(pose: Array, waypoints: list[Array], way: Trajectory, name: str) -> Trajectory:
+    """The way after a line to its first waypoint, or to its second where the robot is at the first."""
     gap = waypoints[0] - pose
-    there = np.hypot(gap[0], gap[1]) < _THERE_M and abs(gap[2]) < _THERE_RAD
-    return through([pose, *waypoints[1:]] if there else [pose, *waypoints], name=name)
+    reached = int(np.hypot(gap[0], gap[1]) < _THERE_M and abs(gap[2]) < _THERE_RAD)
+    first = through([pose, waypoints[reached]])
+    return Trajectory(name, (*first.segments, *way.segments[reached:]))
 
 
 def _script(path: Path) -> MakeTrajectory:

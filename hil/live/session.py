@@ -51,6 +51,8 @@ class LivePlan:
         feedback: estimator in the loop; `observers` run beside it.
         controller: `nonlinear`, `optimal`, or the configured one.
         dead_man_s: age at which a velocity command counts as `stop`.
+        known: what the bench's limits are known to allow; segments of it at the end of the trajectory are not
+            checked again while the robot waits.
     """
 
     trajectory: MakeTrajectory | None = None
@@ -60,6 +62,7 @@ class LivePlan:
     observers: tuple[str, ...] = ()
     controller: str | None = None
     dead_man_s: float = 0.5
+    known: Trajectory | None = None
 
 
 class LiveSession:
@@ -172,7 +175,7 @@ class LiveSession:
         if self.plan.trajectory is None:
             return _standing(pose)
         trajectory = self.plan.trajectory(pose)
-        self.bench.check(trajectory)
+        self.bench.check(trajectory, known=self.plan.known)
         if self.monitor is not None:
             times_s = np.linspace(0.0, trajectory.duration_s, _PATH_POINTS)
             self.monitor.show_path(trajectory.sample_many(times_s)[0][:, :2])

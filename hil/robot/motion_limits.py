@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import NamedTuple
 
 import numpy as np
@@ -35,13 +36,16 @@ class MotionLimits:
     y_range_m: tuple[float, float] | None = None
 
 
-def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> None:
+def check(
+    trajectory: Trajectory, projection: Array, limits: MotionLimits, *, known: Trajectory | None = None
+) -> None:
     """Refuse a trajectory that the limits cannot follow.
 
     Args:
         trajectory: what is asked for.
         projection: P (8, 3) of the wheels, `WheelGeometry.projection()`.
         limits: what must hold at every time.
+        known: held against these limits before: the segments that both end with are not looked at again.
 
     Raises:
         TrajectoryError: with the first offending time and value.
@@ -51,9 +55,17 @@ def check(trajectory: Trajectory, projection: Array, limits: MotionLimits) -> No
             trajectory.name, t_s=0.0, quantity="duration (s)", value=trajectory.duration_s, limit=_LONGEST_S,
             remedy="divide the motion",
         )  # fmt: skip
-    times_s = np.arange(0.0, trajectory.duration_s + _CHECK_STEP_S, _CHECK_STEP_S)
+    until_s = trajectory.duration_s if known is None else _new_s(trajectory, known)
+    times_s = np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S)
     for begin in range(0, len(times_s), _AT_ONCE):
         _check(trajectory, times_s[begin : begin + _AT_ONCE], projection, limits)
+
+
+def _new_s(trajectory: Trajectory, known: Trajectory) -> float:
+    """How long it takes until the segments come, the very same ones, that `known` ends with as well."""
+    pairs = zip(reversed(trajectory.segments), reversed(known.segments), strict=False)
+    shared = sum(1 for _ in takewhile(lambda pair: pair[0] is pair[1], pairs))
+    return sum(part.duration_s for part in trajectory.segments[: len(trajectory.segments) - shared])
 
 
 def _check(trajectory: Trajectory, times_s: Array, projection: Array, limits: MotionLimits) -> None:
