@@ -10,13 +10,11 @@ from typing import Any, TypeVar
 
 from hil.bench.drivers import model_of
 from hil.bench.guarded_parts import guarded_face, parts_of
-from hil.bench.repeating import repeating_robot
 from hil.config.bench import BenchConfig
 from hil.config.servo_models import DEFAULT_MODEL, ServoModel, servo_model
 from hil.config.servos import ServosConfig
 from hil.devices.emulated import EmulatedDevice, Face, Setting
 from hil.fakes.faults import Fault, FaultPlan, Supported, describe
-from hil.fakes.mujoco_plant import make_mujoco_plant
 from hil.fakes.plant import SteppedBody, make_plant
 from hil.fakes.plant_api import Plant
 from hil.fakes.server import EmulationServer
@@ -48,6 +46,8 @@ def build_world(config: BenchConfig, *, seed: int, faults: Sequence[Fault] = ())
     """The robot on its surface at world time 0, without devices."""
     plan = FaultPlan(faults)
     if config.emulation.replay is not None:
+        from hil.bench.repeating import repeating_robot  # with readers of every kind of recording
+
         return World(repeating_robot(config), seed=seed, faults=plan)
     return World(_simulated(config, seed, plan), seed=seed, faults=plan)
 
@@ -68,6 +68,8 @@ def _simulated(config: BenchConfig, seed: int, plan: FaultPlan) -> Plant:
     }
     if emulation.plant == "own":
         return make_plant(config.robot, **common)
+    from hil.fakes.mujoco_plant import make_mujoco_plant
+
     mjcf = None if emulation.mjcf is None else Path(emulation.mjcf)
     return make_mujoco_plant(config.robot, contact=emulation.contact or "creep", mjcf=mjcf, **common)
 

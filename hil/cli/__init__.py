@@ -5,6 +5,7 @@ Sub-commands live one to a module and are imported only when called, so that `hi
 
 from __future__ import annotations
 
+import gc
 import importlib
 import importlib.util
 import json
@@ -25,6 +26,9 @@ from hil.vocabulary.stop_signals import deaf_from_now_on
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+_OBJECTS = 50_000
+"""New objects after which Python looks for garbage; after its own 700 a start takes a tenth longer."""
 
 COMMANDS = {
     "accept": "the first day: doctor, contract of every device, turning wheels, one page to sign",
@@ -130,6 +134,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def script() -> None:
     """Console entry point."""
+    gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
     try:
         output = Output()
     except Aborted as error:

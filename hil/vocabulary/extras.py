@@ -10,8 +10,10 @@ import shlex
 import sys
 from contextlib import suppress
 from importlib import metadata, util
+from typing import TYPE_CHECKING
 
-from packaging.requirements import Requirement
+if TYPE_CHECKING:
+    from packaging.requirements import Requirement
 
 DISTRIBUTION = "hil-4wis4wid"
 MODULES = {
@@ -80,6 +82,8 @@ def _fits(requirement: Requirement, extra: str) -> bool:
 
 
 def _requirements() -> list[Requirement]:
+    from packaging.requirements import Requirement
+
     try:
         found = metadata.requires(DISTRIBUTION) or []
     except metadata.PackageNotFoundError:

@@ -114,10 +114,12 @@ def _uses(function: Callable[..., Any]) -> Iterator[tuple[str, Any]]:
             raise TypeError(f"{function.__qualname__} uses {name}: a kernel stands below what it uses")
 
 
-def _globals(code: CodeType) -> set[str]:
+@cache
+def _globals(code: CodeType) -> frozenset[str]:
     """Global names that a piece of code reads, that of functions inside it included."""
     inner = [c for c in code.co_consts if isinstance(c, CodeType)]
-    names = {str(i.argval) for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME")}
+    read = (i for i in dis.get_instructions(code) if i.opname in ("LOAD_GLOBAL", "LOAD_NAME"))
+    names = frozenset(str(i.argval) for i in read)
     return names.union(*map(_globals, inner))
 
 

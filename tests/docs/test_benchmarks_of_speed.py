@@ -11,6 +11,11 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 GROWTH = runpy.run_path(str(ROOT / "benchmarks" / "growth.py"))
 TABLE = runpy.run_path(str(ROOT / "benchmarks" / "table.py"))
+START = runpy.run_path(str(ROOT / "benchmarks" / "start.py"))
+NOT_FOR_DRIVING = {
+    "matplotlib", "rosbags", "mujoco", "packaging", "pyarrow", "rich", "jinja2", "distributed", "rerun",
+    "hil.recording.public_csv", "hil.recording.rosbag", "hil.calibration.calibrate", "hil.report.run_page",
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("power", [1, 2])
@@ -52,6 +57,13 @@ def test_a_ratio_is_how_many_times_as_good_ours_is():
         "normal_equations": {"creep": {"compiled_ms": 10.0, "arrays_ms": 50.0}},
     }
     assert [row.ratio for row in TABLE["of_calibration"](told)] == [200.0, 5.0]
+
+
+def test_a_run_loads_what_it_drives_with_and_nothing_else_before_it_drives():
+    share, loaded = START["imports"]("steering_zero")
+    assert 0.1 < share < 1.0
+    assert {"hil.ring.loop", "hil.drivers.servos"} <= set(loaded)
+    assert not NOT_FOR_DRIVING & set(loaded)
 
 
 @pytest.mark.long
