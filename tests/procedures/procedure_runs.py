@@ -13,6 +13,8 @@ from hil.procedure.bench_source import BenchSource
 from hil.procedure.results import Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
+from hil.replay.recordings import open_recording
+from hil.replay.verification import verify_run
 from hil.vocabulary.clock import MonotonicClock, nanoseconds
 
 SAFE_HEADING_RAD = math.radians(15.0)
@@ -104,3 +106,12 @@ def assert_covered(errors_over_uncertainty: list[float], *, few: bool):
     assert ratio.max() < (2.0 if few else 2.2), ratio.round(2)
     if not few:
         assert np.mean(ratio <= 1.0) >= 0.9, np.sort(ratio)[-10:].round(2)
+
+
+def assert_verifies(path: Path):
+    """A recording of a procedure that plays scripts repeats bit for bit, every stretch of it."""
+    opened = open_recording(path)
+    told = [verify_run(opened.bench, each) for each in opened.runs]
+    assert [r["difference"] for r in told] == [None] * len(told)
+    assert "script" in {each.start.controller for each in opened.runs}
+    assert opened.problems == []

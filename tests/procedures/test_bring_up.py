@@ -59,25 +59,37 @@ def clock_ratios(seed, done):
     ]
 
 
-@pytest.mark.parametrize("slept_s", [0.0, 0.06])
-def test_gaps_that_this_computer_made_are_told_as_its_own(tmp_path, monkeypatch, slept_s):
-    cycle, cycles = ControlLoop.cycle, iter(range(10**6))
+@pytest.fixture(scope="module")
+def as_configured(tmp_path_factory):
+    return bring_up(3, tmp_path_factory.mktemp("bring_up") / "run", wrong=False)
 
-    def at_times_late(loop, deadline_ns):
-        if next(cycles) == 150:
-            loop.clock.sleep_until_ns(deadline_ns + nanoseconds(slept_s))
-        return cycle(loop, deadline_ns)
 
-    monkeypatch.setattr(ControlLoop, "cycle", at_times_late)
-    done = run("bring_up", tmp_path / "run", BRIEF, seed=1)
+def assert_gap_is_told(done, slept_s):
+    """The largest gap is a cycle and what this computer slept, and told as its own where it slept."""
     gap_ms = done.values["loop.largest_gap"]
     assert gap_ms == pytest.approx(1e3 * slept_s + 10.0, abs=1.0)
     told = [note for note in done.result.facts["notes"] if "This computer was late itself" in note]
     assert [f"{gap_ms:.0f} ms" in note for note in told] == [True] * bool(slept_s)
 
 
-def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(tmp_path):
-    done = bring_up(3, tmp_path / "run", wrong=False)
+def test_a_computer_that_made_no_gaps_is_told_none(as_configured):
+    assert_gap_is_told(as_configured, 0.0)
+
+
+def test_gaps_that_this_computer_made_are_told_as_its_own(tmp_path, monkeypatch):
+    cycle, cycles = ControlLoop.cycle, iter(range(10**6))
+
+    def at_times_late(loop, deadline_ns):
+        if next(cycles) == 150:
+            loop.clock.sleep_until_ns(deadline_ns + nanoseconds(0.06))
+        return cycle(loop, deadline_ns)
+
+    monkeypatch.setattr(ControlLoop, "cycle", at_times_late)
+    assert_gap_is_told(run("bring_up", tmp_path / "run", BRIEF, seed=1), 0.06)
+
+
+def test_bring_up_passes_on_a_bench_as_configured_and_finds_its_clocks(as_configured):
+    done = as_configured
     assert_covered(clock_ratios(3, done), few=True)
     assert done.values["devices"] == 8
     assert done.values["encoders.clock_drift"] == pytest.approx(-30.0, abs=1.0)

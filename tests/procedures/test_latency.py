@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from latency_truth import measured_and_true_ms
-from procedure_runs import assert_covered, run
+from procedure_runs import assert_covered, assert_verifies, run
 
 from hil.procedures.latency import Parameters
 from hil.procedures.parts.latency_fit import Command, fit_delay, fit_driven, fit_response, integrated
@@ -38,12 +38,21 @@ def test_true_delays_lie_within_the_stated_intervals_over_twenty_seeds():
     assert max(phases_ms) > 2.0
 
 
-def test_a_run_says_what_was_found_and_passes(tmp_path):
-    done = run("latency", tmp_path / "run", SHORT, seed=1)
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    return run("latency", tmp_path_factory.mktemp("latency") / "run", SHORT, seed=1)
+
+
+def test_a_run_says_what_was_found_and_passes(done):
     assert done.result.verdict.value in ("PASS", "MARGINAL"), done.failed or done.result.error
     assert done.values["servos.velocity_lag"] == pytest.approx(52.0, abs=3.0)
     assert done.values["imu.stamp_error_uncertainty"] < 1.0
     done.assert_held()
+
+
+@pytest.mark.timeout(600)  # the first process to start may compile the estimators
+def test_its_recording_verifies_from_end_to_end(done):
+    assert_verifies(done.result.folder / "recording.mcap")
 
 
 def test_devices_that_are_late_fail(tmp_path):
