@@ -27,7 +27,7 @@ from hil.vocabulary.stop_signals import deaf_from_now_on
 # algebra library then cost up to ten times what they bring when another process uses a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-_OBJECTS = 50_000
+_OBJECTS = 10_000
 """New objects after which Python looks for garbage; after its own 700 a start takes a tenth longer."""
 
 COMMANDS = {
