@@ -56,13 +56,14 @@ def test_servo_goals_read_back_as_the_setpoint_they_came_from():
     np.testing.assert_allclose(wheels.steering_rad, setpoint.steering_rad, atol=1e-15)
 
 
-def test_a_wheel_with_a_silent_servo_is_not_valid():
+@pytest.mark.parametrize("silent", range(8))
+def test_a_wheel_with_a_silent_servo_is_not_valid_and_the_others_are(silent):
     status = [Status.OK] * 8
-    status[5] = Status.TIMEOUT
+    status[silent] = Status.TIMEOUT
     wheels = Alignment(AlignmentParameters()).measure(
         Inputs(0, 0, servos=(servo_sample(np.zeros(8), tuple(status)),))
     )
-    assert wheels.wheels[0].valid == (True, False, True, True)
+    assert wheels.wheels[0].valid == tuple(wheel != silent % 4 for wheel in range(4))
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.04, 0.97])
@@ -141,6 +142,20 @@ def test_gravity_in_the_wall_plane_gives_heading_through_the_mount(heading):
     assert on_wall.gyro[0].yaw_rate_rad_s == pytest.approx(0.7)
     floor = Alignment(AlignmentParameters(imu=mount, on_wall=False)).measure(Inputs(0, 0, imu=(sample,)))
     assert math.isnan(floor.gyro[0].gravity_heading_rad)
+
+
+@pytest.mark.parametrize(("share", "known"), [(0.09, False), (0.11, True)])
+@pytest.mark.parametrize("heading", [0.0, math.pi / 2, 2.0])
+def test_gravity_tells_a_heading_only_where_enough_of_it_lies_in_the_plane(heading, share, known):
+    """On a surface that is almost level it would be noise."""
+    up = 9.81 * np.array(
+        [share * math.cos(heading), -share * math.sin(heading), math.sqrt(1.0 - share * share)]
+    )
+    sample = ImuSample(STAMP, np.array([1.0, 0, 0, 0]), np.zeros(3), np.zeros(3), up, (3, 3, 3, 3))
+    gyro = Alignment(AlignmentParameters()).measure(Inputs(0, 0, imu=(sample,))).gyro[0]
+    assert math.isfinite(gyro.gravity_heading_rad) is known
+    if known:
+        assert gyro.gravity_heading_rad == pytest.approx(heading, abs=1e-9)
 
 
 def test_alignment_wants_four_wheels():

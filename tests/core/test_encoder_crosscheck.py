@@ -152,9 +152,21 @@ def test_a_slip_that_comes_again_is_told_again():
 
 
 def test_without_one_of_the_two_nothing_is_compared():
-    watch, events = SteeringWatch(EncodersConfig()), []
-    watch.judge(Inputs(0, 0), Measurements(0, 0), events, lambda *cause: pytest.fail(str(cause)))
+    watch, events, stamp = SteeringWatch(EncodersConfig()), [], Stamp(0, 0, 0)
+    outside = EncoderSample(stamp, np.full(4, 1.0), (Status.OK,) * 4, (0,) * 4)
+    wheels = WheelMeasurement(stamp, np.zeros(4), np.zeros(4), np.zeros(4), (True,) * 4)
+    for encoders in ((), (outside,)):
+        for measured in ((), (wheels,))[: 2 - len(encoders)]:
+            inputs = Inputs(0, 0, encoders=encoders)
+            watch.judge(inputs, Measurements(0, 0, wheels=measured), events, pytest.fail)
     assert events == []
+
+
+def test_angles_are_compared_every_50_ms_as_they_are_then():
+    told, _ = watched(0.5, slips=((41, 45),))
+    assert told == []
+    told, _ = watched(0.5, slips=((41, 47),))
+    assert told != []
 
 
 def test_what_is_learnt_is_the_mean_of_the_first_five_pairs():
