@@ -41,6 +41,7 @@ class Status(str, enum.Enum):
     PARITY = "parity"
     MAGNET = "magnet"
     RESET = "reset"
+    LATE = "answers late"
 
 
 @quickly_made
