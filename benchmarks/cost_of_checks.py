@@ -24,11 +24,16 @@ import numpy as np
 from virtual_pair import TURN_CYCLES, Turns, in_turns, started, wall
 
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.filter_watch import FilterWatch
 from hil.ring.motion_check import MotionCheck
+from hil.ring.wheel_watch import WheelWatch
 
 MOST = 1.05
-CHECKS = ((MotionCheck, "update"), (SteeringWatch, "judge"), (FilterWatch, "judge"))
+CHECKS = (
+    (MotionCheck, "update"), (SteeringWatch, "judge"), (FilterWatch, "judge"), (EstimateWatch, "judge"),
+    (WheelWatch, "judge"),
+)  # fmt: skip
 FORMS = ("with", "without")
 UNSETTLED = 2
 """Turns at the start of a line that are not compared: the first cycles fill the windows."""

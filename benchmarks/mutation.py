@@ -50,6 +50,8 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "crosscheck": ("hil/ring/crosscheck.py", ("tests/core/test_encoder_crosscheck.py",)),
     "motion_check": ("hil/ring/motion_check.py", _SENSES),
     "capture_check": ("hil/ring/capture_check.py", _SENSES),
+    "estimate_watch": ("hil/ring/estimate_watch.py", ("tests/core/test_estimate_watch.py",)),
+    "wheel_watch": ("hil/ring/wheel_watch.py", ("tests/core/test_wheel_watch.py",)),
     "doubts": ("hil/ring/doubts.py", _SENSES),
     "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor_asks_everybody.py")),
     "stream_watch": ("hil/ring/stream_watch.py", (_STREAMS,)),

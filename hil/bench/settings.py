@@ -15,17 +15,20 @@ from hil.config.device import ImuConfig, TrackerConfig
 from hil.config.encoders import EncodersConfig
 from hil.config.kept_motor import KeptMotorConfig
 from hil.config.load_cells import LoadCellsConfig
+from hil.config.mocap import MocapConfig
 from hil.config.servos import ServosConfig
 from hil.config.thrust import ThrustConfig
 from hil.ring.adhesion import AdhesionLimits, AdhesionWatch
 from hil.ring.alignment import AlignmentParameters
 from hil.ring.capture_check import Seen
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.motion_check import MotionCheck
 from hil.ring.poses import Mount
 from hil.ring.realtime import RealTime
 from hil.ring.stream_watch import Healthy
 from hil.ring.supervisor import Checks, SafetyLimits
+from hil.ring.wheel_watch import WheelWatch
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.motion_limits import MotionLimits
 from hil.vocabulary.blame import asked
@@ -89,14 +92,18 @@ def checks(config: BenchConfig, geometry: WheelGeometry, *, follows: bool, feedb
         feedback: estimator in the loop.
     """
     servos, encoders = config.of(ServosConfig), config.of(EncodersConfig)
-    ids = () if servos is None else servos.steer_ids
+    ids, steer_ids = ((), ()) if servos is None else (servos.ids, servos.steer_ids)
+    motion = None if servos is None else motion_check(config, geometry)
+    witness = config.of(MocapConfig) is not None and not config.estimator.mocap.use and feedback != "odometry"
     return Checks(
-        motion=None if servos is None else motion_check(config, geometry),
+        motion=motion,
+        estimate=EstimateWatch(motion.capture, follows=follows) if motion and witness else None,
+        wheels=WheelWatch(geometry, ids) if motion and follows else None,
         estimated=frozenset(
             ("tracker", "imu", "mocap") if config.estimator.mocap.use else ("tracker", "imu")
         ),
         needs_camera=follows and feedback != "odometry",
-        steering=None if encoders is None else SteeringWatch(encoders, ids),
+        steering=None if encoders is None else SteeringWatch(encoders, steer_ids),
         stops_by_steering=follows,
         holders=tuple(kinds()[name].noun for name in config.devices() if kinds()[name].holds),
         healthy=healthy(config),

@@ -82,6 +82,9 @@ class MotionCheck:
         honest: what honest sensors differ by.
         on_wall: whether body x points up, within the heading that a wall allows.
         seen: what honest poses of camera and motion capture differ by.
+
+    Attributes:
+        capture: motion capture against camera and wheels.
     """
 
     def __init__(
@@ -102,8 +105,8 @@ class MotionCheck:
         self._wheels_gyro = Sum(WHEELS, GYRO, h.told_rad, h.stop_rad, turns=True)
         self._turns = (self._camera_wheels, self._camera_gyro, self._wheels_gyro)
         seen = seen if seen is not None else Seen()
-        self._capture = CaptureCheck(self._wheels, seen, creep=h.creep if on_wall else 0.0)
-        self._ways = (self._way, self._capture.camera, self._capture.rolled)
+        self.capture = CaptureCheck(self._wheels, seen, creep=h.creep if on_wall else 0.0)
+        self._ways = (self._way, self.capture.camera, self.capture.rolled)
         self._sums = (*self._ways, *self._turns)
         self._leap = Relocalisation()
         self.reset()
@@ -112,7 +115,7 @@ class MotionCheck:
         """Forget what was seen."""
         self._wheels.reset()
         self._gyro.reset()
-        for one in (self._way, *self._turns, self._leap, self._capture):
+        for one in (self._way, *self._turns, self._leap, self.capture):
             one.reset()
         self._seen: _Seen | None = None
         self._felt: tuple[int, Kept, Kept] | None = None
@@ -127,8 +130,8 @@ class MotionCheck:
             self._gyro.take(gyro)
         looked = self._look(measurements.tracker)
         if measurements.mocap:
-            self._capture.take(measurements.tracker, measurements.mocap)
-            looked |= self._capture.compare()
+            self.capture.take(measurements.tracker, measurements.mocap)
+            looked |= self.capture.compare()
         if measurements.gyro:
             looked |= self._feel(measurements.gyro[-1].stamp.t_ns)
         return self._doubts(measurements.t_ns) if looked else ()
@@ -140,7 +143,7 @@ class MotionCheck:
     @property
     def agreed(self) -> frozenset[str]:
         """Who has told of a way of 0.1 m as somebody else did."""
-        ways = zip(self._ways, (self._way_m, *self._capture.ways_m), strict=True)
+        ways = zip(self._ways, (self._way_m, *self.capture.ways_m), strict=True)
         agreed = [pair.names for pair, way_m in ways if way_m > _AGREE_M and not pair.suspicious]
         return frozenset(name for names in agreed for name in names) - self._left_out
 
@@ -217,7 +220,7 @@ class MotionCheck:
         for pairs in (self._ways, self._turns):
             believed = [one for one in pairs if self._left_out.isdisjoint(one.names)]
             found += [
-                replace(one.doubt(t_ns, believed), unseen=self._capture.unseen(one))
+                replace(one.doubt(t_ns, believed), unseen=self.capture.unseen(one))
                 for one in believed if one.news()
             ]  # fmt: skip
         return tuple(found)

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.fall_watch import FallWatch
 from hil.ring.filter_watch import FilterWatch
 from hil.ring.left_out import LeftOut
@@ -23,6 +24,7 @@ from hil.ring.motion_check import MotionCheck
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
 from hil.ring.stream_watch import Healthy, StreamWatch
+from hil.ring.wheel_watch import WheelWatch
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
@@ -60,6 +62,8 @@ class Checks:
 
     Attributes:
         motion: camera against wheels and gyro; None without.
+        estimate: the estimate against motion capture; None where nobody is a witness.
+        wheels: each wheel against the other three; None where they are not told to roll by one motion.
         needs_camera: whether the estimate that is followed uses the camera: the robot stops where that is
             in doubt or silent.
         steering: external encoders against the servos; None without.
@@ -74,6 +78,8 @@ class Checks:
     """
 
     motion: MotionCheck | None = None
+    estimate: EstimateWatch | None = None
+    wheels: WheelWatch | None = None
     needs_camera: bool = False
     steering: SteeringWatch | None = None
     stops_by_steering: bool = False
@@ -124,12 +130,10 @@ class Supervisor:
         self._servos.reset()
         self._samples.reset()
         self._streams.reset()
-        if self.checks.motion is not None:
-            self.checks.motion.reset()
-        if self.checks.steering is not None:
-            self.checks.steering.reset()
-        if self.checks.hold is not None:
-            self.checks.hold.reset()
+        own = self.checks
+        for check in (own.motion, own.estimate, own.wheels, own.steering, own.hold):
+            if check is not None:
+                check.reset()
         self._fall.reset()
         self._filter.reset()
         self._causes: dict[str, str] = {}
@@ -160,7 +164,7 @@ class Supervisor:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
         self._causes = {}
-        self.left_out.begin(self._filter.take_off())
+        self._begin()
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
@@ -174,6 +178,13 @@ class Supervisor:
         if measurements is not None:
             self._compare(inputs, measurements, events)
         return tuple(events)
+
+    def _begin(self) -> None:
+        """Whatever was found about the estimate before makes it unsure from now on."""
+        watches = (self._filter, self.checks.estimate, self.checks.wheels)
+        offs = [watch.take_off() for watch in watches if watch is not None]
+        off_m, off_rad = (max(parts) for parts in zip(*offs, strict=True))
+        self.left_out.begin((off_m, off_rad))
 
     def _check_pace(self, t_ns: int) -> None:
         """Behind a pause the reference is far ahead of a robot that its servos' watchdogs have stopped."""
@@ -221,12 +232,16 @@ class Supervisor:
     def _compare(self, inputs: Inputs, measurements: Measurements, events: list[Event]) -> None:
         """Hold sensors against each other."""
         checks = self.checks
+        if checks.wheels is not None:
+            checks.wheels.judge(inputs.t_ns, measurements.wheels, events)
         if checks.steering is not None:
             stop = self._blame if checks.stops_by_steering else _ignore
             checks.steering.judge(inputs, measurements, events, stop)
         if checks.motion is not None:
             for doubt in checks.motion.update(measurements):
                 self.doubted.update((doubt.source,) if doubt.confirmed else (doubt.source, doubt.against))
+                if checks.wheels is not None and doubt.may_slide:
+                    checks.wheels.doubt()
                 if not doubt.grave:
                     told = doubt.message
                     if doubt.unseen and checks.needs_camera:
@@ -244,7 +259,11 @@ class Supervisor:
                     self._blame("sensors_disagree", doubt.message + told)
 
     def guard(self, state: RobotState, reference: Reference | None) -> tuple[Event, ...]:
-        """Judge the estimate: raises `SafetyStop` for NaN, too much heading on a wall, or a lost robot."""
+        """Judge the estimate.
+
+        Raises:
+            SafetyStop: `not_finite`, `heading`, `tracking`, or `sensors_disagree` with motion capture.
+        """
         events: list[Event] = []
         self._filter.judge(state, events)
         found: dict[str, str] = {}
@@ -265,6 +284,9 @@ class Supervisor:
             error_m = math.hypot(wanted_x_m - x_m, wanted_y_m - y_m)
             if error_m > self.limits.tracking_error_limit_m:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
+        watch = self.checks.estimate
+        if watch is not None and watch.witness not in self.left_out:
+            watch.judge(state, events, found.__setitem__)
         if found:
             raise _stop_for(found)
         return tuple(events)
