@@ -22,6 +22,8 @@ _AHEAD_S = 0.5
 _DISAGREE_NS, _DISAGREE_N, _DISAGREE_SHARE = nanoseconds(0.25), 3.0, 0.1
 _POWER_OF_SPEED = 3.0
 _SAME_SHARE, _SAME_RAD = 0.005, 0.002
+_WEAK_PUSH = 0.85
+"""Share of the push that propellers are to give below which a stop speaks of them."""
 _OK = Status.OK
 LETTING_GO = ("adhesion", "utilisation")
 """Reasons to stop for which more force is what helps."""
@@ -241,16 +243,26 @@ class AdhesionWatch:
             told += "until the robot slides"
         if force_n < limit_n:
             least = f"{limit_n:.1f} N are the least on this surface ({self._needed_n:.1f} needed)"
-            stop("adhesion", f"{told}; {least}")
+            stop("adhesion", f"{told}; {least}{self._weak_push()}")
         elif soon_n < limit_n:
-            stop("adhesion", f"{told}; look at fan, battery and seal")
+            stop("adhesion", f"{told}; look at fan, battery and seal{self._weak_push()}")
         if self._most > self.limits.utilisation:
             wheel = max(WHEELS, key=lambda w: self._used[f"utilisation_{w}"])
             stop(
                 "utilisation",
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
-                f"{100 * self.limits.utilisation:.0f} %: {told}",
+                f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}",
             )
+
+    def _weak_push(self) -> str:
+        """What propellers that report their speed give too little of: less push needs more adhesion."""
+        wanted_n = self.limits.nominal_thrust_n
+        if not self.limits.reports_thrust or self._thrust_n >= _WEAK_PUSH * wanted_n:
+            return ""
+        return (
+            f"; the propellers report {self._thrust_n:.1f} N of the {wanted_n:.1f} N that they are to give: "
+            "look at their controllers, battery and blades"
+        )
 
     def _left(self, force_n: float) -> str:
         """What is left of the margin that the wanted force has, in words."""

@@ -1,6 +1,7 @@
 """Propellers behind VESCs: the emulated ones at the wire, their driver, and the robot they help to carry."""
 
 import math
+import re
 from contextlib import contextmanager
 
 import numpy as np
@@ -270,6 +271,31 @@ def test_one_motor_that_loses_its_power_stops_the_robot_before_it_is_lost():
     assert caught.value.reason in ("adhesion", "utilisation")
     assert np.abs(truth.joint_velocity_rad_s[:4]).max() < 0.05
     assert not truth.fallen
+
+
+@pytest.mark.parametrize("factor", [0.5, 0.7])
+def test_a_stop_for_want_of_force_names_propellers_that_report_too_little_push(factor):
+    with hil.open_bench(
+        "emulated", seed=1, faults=(f"thrust:wrong@1.5,factor={factor}",), overrides=ON_VESCS
+    ) as bench:
+        wanted_n = thrust_wanted_n(bench.config)
+        with pytest.raises(SafetyStop) as caught:
+            bench.drive(CLIMB, feedback="odometry")
+        assert bench.truth().thrust_n == pytest.approx(wanted_n, rel=0.02)
+    assert caught.value.reason in ("adhesion", "utilisation")
+    reported_n = float(
+        re.search(r"the propellers report (\d+\.\d) N of the 22\.3 N that", str(caught.value))[1]
+    )
+    assert 0.0 < reported_n < 0.85 * wanted_n
+
+
+def test_a_stop_that_the_fan_alone_causes_says_nothing_of_propellers():
+    faults = ("adhesion:wrong@1.5,factor=0.6",)
+    opened = hil.open_bench("emulated", seed=1, faults=faults, overrides=ON_VESCS)
+    with opened as bench, pytest.raises(SafetyStop) as caught:
+        bench.drive(CLIMB, feedback="odometry")
+    assert caught.value.reason in ("adhesion", "utilisation", "adhesion_disagree")
+    assert "propellers" not in str(caught.value)
 
 
 def test_one_controller_that_says_nothing_stops_the_wheels():
