@@ -1,7 +1,7 @@
 """Which wheel contradicts the other three: its hub slips, or its servo lies.
 
 The motion of the body has three unknowns and the wheels tell eight: any three say how far the fourth has
-to roll. Honest wheels of a driven robot keep to that within 0.1 mm in 0.4 s, on both plants, because all four
+to roll. Honest wheels of a driven robot keep to that within 0.4 mm in 0.4 s, on both plants, because all four
 are told to roll by one motion. A wheel that begins to slip leaves it by millimetres for as long as its motor
 needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so that the
 estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not found.
@@ -22,8 +22,9 @@ from hil.vocabulary.signals import SERVOS, WHEELS, Event, WheelMeasurement
 
 _STEP_NS, _WINDOW_NS = 28_000_000, 400_000_000
 _STEP_RAD, _FASTEST_RAD_S = 0.2, 6.5
-_APART_M, _APART_SHARE, _AGAIN = 0.0003, 0.02, 2
-"""Three times what honest wheels contradict each other by, and how often in a row that is to be seen."""
+_APART_M, _APART_SHARE, _AGAIN = 0.0005, 0.02, 2
+"""More than honest wheels contradict each other by (0.1 mm straight on, 0.4 mm where an arc begins or ends),
+per metre more, and how often in a row it is to be seen. Directions of wheels that are steered come late."""
 _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
 """What the estimate is unsure by where one wheel of four slips, then per metre, and in which steps: its error
 grows by a tenth of the way, whatever the share by which the hub slips."""
@@ -54,8 +55,8 @@ class WheelWatch:
     def _forget(self) -> None:
         """Nothing is known of the wheels."""
         self._last: tuple[int, list[float], list[float]] | None = None
-        self._steps: deque[tuple[int, list[float], list[float]]] = deque()
-        self._rolled_m, self._said_m = [0.0] * 4, [0.0] * 4
+        self._steps: deque[tuple[int, list[float], list[float], float]] = deque()
+        self._rolled_m, self._said_m, self._loose_m = [0.0] * 4, [0.0] * 4, 0.0
         self._suspect, self._seen = -1, 0
 
     def take_off(self) -> tuple[float, float]:
@@ -92,24 +93,34 @@ class WheelWatch:
             self._forget()
         else:
             middle = [0.5 * (a + b) - z for a, b, z in zip(steering, last[2], self._zero_rad, strict=True)]
-            self._roll(t_ns, [a * r for a, r in zip(turned[:4], self._radius_m, strict=True)], middle)
+            rolled_m = [a * r for a, r in zip(turned[:4], self._radius_m, strict=True)]
+            loose_m = max(abs(r * a) for r, a in zip(rolled_m, turned[4:], strict=True))
+            self._roll(t_ns, rolled_m, middle, loose_m)
         self._last = (t_ns, angles, steering)
         return True
 
-    def _roll(self, t_ns: int, rolled_m: list[float], angle_rad: list[float]) -> None:
-        """Add a step (4,) along these directions to the window, and drop what is too old."""
+    def _roll(self, t_ns: int, rolled_m: list[float], angle_rad: list[float], loose_m: float) -> None:
+        """Add a step (4,) along these directions to the window, and drop what is too old.
+
+        Args:
+            t_ns: end of the step.
+            rolled_m: (4,).
+            angle_rad: (4,) directions.
+            loose_m: what the turning of these directions leaves open.
+        """
         c, s = [math.cos(a) for a in angle_rad], [math.sin(a) for a in angle_rad]
         u = [part * r for r, *parts in zip(rolled_m, c, s, strict=True) for part in parts]
         said = (self._others @ u).tolist()
         said_m = [x * ci + y * si for x, y, ci, si in zip(said[::2], said[1::2], c, s, strict=True)]
-        self._steps.append((t_ns, rolled_m, said_m))
-        self._add(rolled_m, said_m, 1.0)
+        self._steps.append((t_ns, rolled_m, said_m, loose_m))
+        self._add(rolled_m, said_m, loose_m, 1.0)
         while self._steps[0][0] <= t_ns - _WINDOW_NS:
-            _, old_m, was_m = self._steps.popleft()
-            self._add(old_m, was_m, -1.0)
+            _, old_m, was_m, open_m = self._steps.popleft()
+            self._add(old_m, was_m, open_m, -1.0)
         self._way_m += 0.25 * sum(map(abs, rolled_m))
 
-    def _add(self, rolled_m: list[float], said_m: list[float], sign: float) -> None:
+    def _add(self, rolled_m: list[float], said_m: list[float], loose_m: float, sign: float) -> None:
+        self._loose_m += sign * loose_m
         self._rolled_m = [a + sign * b for a, b in zip(self._rolled_m, rolled_m, strict=True)]
         self._said_m = [a + sign * b for a, b in zip(self._said_m, said_m, strict=True)]
 
@@ -117,7 +128,7 @@ class WheelWatch:
         """The wheel that is farthest from what the other three say."""
         apart = [abs(a - b) for a, b in zip(self._rolled_m, self._said_m, strict=True)]
         worst = max(range(4), key=apart.__getitem__)
-        if apart[worst] <= _APART_M + _APART_SHARE * abs(self._said_m[worst]):
+        if apart[worst] <= _APART_M + _APART_SHARE * abs(self._said_m[worst]) + self._loose_m:
             self._suspect, self._seen = -1, 0
             return
         self._seen = self._seen + 1 if worst == self._suspect else 1

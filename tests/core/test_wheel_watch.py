@@ -68,8 +68,8 @@ def test_without_known_ids_the_servo_is_named():
 
 def test_what_the_message_says_is_what_the_wheels_have_rolled():
     ride = Ride(TWISTS["up"]).go(1.0)
-    ride.go(0.06, (1.5, 1.0, 1.0, 1.0))
-    assert "rolled 22.5 mm in 0.4 s and the other three say 21.0 mm (107 %)" in ride.events[0].message
+    ride.go(0.06, (2.0, 1.0, 1.0, 1.0))
+    assert "rolled 24.0 mm in 0.4 s and the other three say 21.0 mm (114 %)" in ride.events[0].message
 
 
 def test_the_estimate_is_unsure_by_more_the_farther_it_goes():
@@ -85,6 +85,17 @@ def test_who_hears_from_others_that_wheels_slip_has_the_whole_way_unsure():
     ride.watch.doubt()
     ride.go(0.1)
     assert np.sqrt(np.sum(np.square(ride.off_m))) == pytest.approx(0.003 + 0.05 * 0.2, abs=0.0005)
+    assert ride.events == []
+
+
+def test_wheels_whose_directions_come_late_while_they_are_steered_are_let_be():
+    """The reported direction is one sample behind."""
+    ride = Ride(TWISTS["up"]).go(1.0)
+    for k in range(40):
+        turned = inverse(GEOMETRY, np.array([0.05, 0.0, 0.01 * k]))
+        ride.rate = inverse(GEOMETRY, np.array([0.05, 0.0, 0.01 * (k + 1)]))[0] / GEOMETRY.radius_m
+        ride.steering = turned[1]
+        ride.go(0.03)
     assert ride.events == []
 
 
