@@ -25,8 +25,8 @@ _STEP_RAD, _FASTEST_RAD_S = 0.2, 6.5
 _APART_M, _APART_SHARE, _AGAIN = 0.0005, 0.02, 2
 """More than honest wheels contradict each other by (0.1 mm straight on, 0.4 mm where an arc begins or ends),
 per metre more, and how often in a row it is to be seen. Directions of wheels that are steered come late."""
-_SWUNG_RAD, _SWUNG_M = 0.03, 0.002
-"""A wheel that is swung by so much in a step goes to another direction: what it rolls then counts little."""
+_SWUNG_RAD = 0.1
+"""A wheel that is swung by so much in a step goes to another direction: what it rolls then does not count."""
 _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
 """What the estimate is unsure by where one wheel of four slips, then per metre, and in which steps: its error
 grows by a tenth of the way, whatever the share by which the hub slips."""
@@ -98,7 +98,7 @@ class WheelWatch:
             rolled_m = [a * r for a, r in zip(turned[:4], self._radius_m, strict=True)]
             loose_m = max(abs(r * a) for r, a in zip(rolled_m, turned[4:], strict=True))
             if max(turned[4:]) > _SWUNG_RAD or min(turned[4:]) < -_SWUNG_RAD:
-                loose_m += _SWUNG_M
+                loose_m += max(map(abs, rolled_m))
             self._roll(t_ns, rolled_m, middle, loose_m)
         self._last = (t_ns, angles, steering)
         return True
