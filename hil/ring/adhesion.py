@@ -236,7 +236,7 @@ class AdhesionWatch:
         soon_n = force_n + _AHEAD_S * rate_n_s if falling else force_n
         if soon_n >= limit_n and self._most <= self.limits.utilisation:
             return
-        told = f"{force_n:.1f} N of adhesion, {self._left(force_n)}"
+        told = f"{force_n:.1f} N of adhesion{self._by_whom()}, {self._left(force_n)}"
         if falling:
             left_s = max((force_n - self._needed_n) / -rate_n_s, 0.0)
             told += f", falling by {-rate_n_s:.1f} N/s by the {measure}: {left_s:.1f} s are left "
@@ -253,6 +253,14 @@ class AdhesionWatch:
                 f"wheel {wheel} uses {100 * self._most:.0f} % of its friction, more than "
                 f"{100 * self.limits.utilisation:.0f} %: {told}{self._weak_push()}",
             )
+
+    def _by_whom(self) -> str:
+        """Who says so, where another says otherwise: it may be that one that is wrong."""
+        if not apart(self._cells_n, self._speed_n):
+            return ""
+        told = [(self._cells_n, "the load cells"), (self._speed_n, "the fan's speed")]
+        (_, low), (other_n, high) = sorted(told)
+        return f" by {low} ({other_n:.1f} N by {high}: one of them is wrong, or air leaks under the robot)"
 
     def _weak_push(self) -> str:
         """What propellers that report their speed give too little of: less push needs more adhesion."""

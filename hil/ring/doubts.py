@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from hil.vocabulary.clock import NS_PER_S
 
-STEP_NS = 40_000_000
+STEP_NS = 58_000_000
 """What two devices say is compared no more often."""
 _LITTLE = 0.3
 _JUMP_M, _JUMP_RAD, _CALM_NS = 0.02, 0.05, 500_000_000

@@ -23,6 +23,8 @@ _SIGMAS, _SLACK_M, _TOLD_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
 at so much beside, as robots as delivered come to 5.2 mm; until then it is quietly unsure by so much more."""
 _STOP_M = 0.015
 """So much beyond that, the robot must not go on: the path error by which every lie is to be found."""
+_KEPT_NS = 18_000_000
+"""Estimates are kept no closer than this: between two of them the way is straight to 0.01 mm."""
 _LEANS = 0.5
 """Share of the estimate's error that a device must have to be the cause."""
 
@@ -66,6 +68,9 @@ class EstimateWatch:
 
         What is told widens the estimate so far that it covers what may come until the robot stops.
         """
+        kept_ns = self._states.newest_ns
+        if kept_ns is not None and state.t_ns - kept_ns < _KEPT_NS:
+            return
         x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         self._states.put(state.t_ns, (complex(x_m, y_m), heading_rad))
         if self._step(state):

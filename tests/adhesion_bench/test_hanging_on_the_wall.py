@@ -94,6 +94,7 @@ def test_a_force_that_stays_over_its_limit_stops_nothing_and_holds():
         ("load_cells:stuck@2", ("stale_load_cells",), "nothing usable from the load cells"),
         ("load_cells:jump@2,force_n=12", ("adhesion_disagree",), "the cells lie"),
         ("load_cells:jump@2,force_n=-8", ("adhesion_disagree", "adhesion"), "load cells"),
+        ("load_cells:jump@2,force_n=-30", ("adhesion",), "N of adhesion by the load cells (4"),
         ("load_cells:wrong@2,factor=1.3", ("adhesion_disagree",), "the cells lie"),
         ("load_cells:wrong@1,drift_n_s=4", ("adhesion_disagree",), "the cells lie"),
         ("load_cells:off@2", ("stale_load_cells",), "nothing usable from the load cells"),

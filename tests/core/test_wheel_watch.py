@@ -68,8 +68,8 @@ def test_without_known_ids_the_servo_is_named():
 
 def test_what_the_message_says_is_what_the_wheels_have_rolled():
     ride = Ride(TWISTS["up"]).go(1.0)
-    ride.go(0.06, (2.0, 1.0, 1.0, 1.0))
-    assert "rolled 24.0 mm in 0.4 s and the other three say 21.0 mm (114 %)" in ride.events[0].message
+    ride.go(0.12, (2.0, 1.0, 1.0, 1.0))
+    assert "rolled 27.0 mm in 0.4 s and the other three say 21.0 mm (129 %)" in ride.events[0].message
 
 
 def test_the_estimate_is_unsure_by_more_the_farther_it_goes():
