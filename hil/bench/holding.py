@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -70,7 +70,7 @@ class HoldWatch(Sink):
         self._witnesses = {k.name: k.witness for k in present if k.witness is not None}
         self._on_wall, self._can_fall = on_wall, can_fall
         self._travel = Travel(self._witnesses, radius_m)
-        self._doubted: frozenset[str] = frozenset()
+        self._doubted: dict[str, bool] = {}
 
     def write(self, record: CycleRecord) -> None:
         """Remember where the robot was seen last."""
@@ -87,14 +87,18 @@ class HoldWatch(Sink):
     def close(self) -> None:
         """Nothing to let go of."""
 
-    def stopped(self, doubted: Collection[str] = (), agreed: Collection[str] = ()) -> None:
+    def stopped(self, doubted: Mapping[str, bool] | None = None, agreed: Collection[str] = ()) -> None:
         """The robot has been stopped: what it moves from here on counts.
 
         Args:
-            doubted: devices whose word on how it moved was in doubt; that it rests is not believed of them.
+            doubted: devices whose word on how it moved was in doubt, and whether others agreed against them;
+                that it rests is not believed of them.
             agreed: those that told of a way as others did; they are believed again.
         """
-        self._doubted = self._doubted.difference(agreed).union(doubted)
+        for name in agreed:
+            self._doubted.pop(name, None)
+        for name, sure in (doubted or {}).items():
+            self._doubted[name] = sure or self._doubted.get(name, False)
         self._travel.stopped(self._clock.now_ns())
 
     def look(self, limit_s: float) -> Held:
@@ -121,7 +125,8 @@ class HoldWatch(Sink):
             if not hold.wanted:
                 return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
             if not doubt:
-                rests = ", ".join(kinds()[name].noun for name in self._believed(seen))
+                by = {*self._believed(seen), *self._places(seen)}
+                rests = ", ".join(kinds()[name].noun for name in seen if name in by)
                 pressed = self._press.in_words(hold.t_ns)
                 return self._verdict("HELD", f"torque on, at rest by {rests}{pressed}", seen)
             if self._clock.now_ns() >= end_ns:
@@ -133,8 +138,13 @@ class HoldWatch(Sink):
         return [name for name in seen if name == JOINTS or name not in self._doubted]
 
     def _places(self, seen: Collection[str]) -> list[str]:
-        """Those of them who would see a slide."""
-        return self._believed([name for name in seen if self._witnesses[name].is_place])
+        """Those of them who would see a slide, and are believed.
+
+        Of two that contradicted each other, nobody knows who, one is right: when both see it rest, it does.
+        """
+        places = [name for name in seen if self._witnesses[name].is_place]
+        undecided = [name for name in places if not self._doubted.get(name)]
+        return self._believed(places) or (undecided if len(undecided) > 1 else [])
 
     def _verdict(self, state: State, why: str, seen: Collection[str] = (), *, wanted: bool = True) -> Held:
         moved_m = self._travel.moved_m(self._believed(seen), slides=self._on_wall)

@@ -16,6 +16,7 @@ import numpy as np
 
 from hil.ring.adhesion import AdhesionWatch
 from hil.ring.crosscheck import SteeringWatch
+from hil.ring.doubts import Doubt
 from hil.ring.estimate_watch import EstimateWatch
 from hil.ring.fall_watch import FallWatch
 from hil.ring.filter_watch import FilterWatch
@@ -105,7 +106,8 @@ class Supervisor:
 
     Attributes:
         left_out: devices that are not believed any more.
-        doubted: those whose word on how the robot moves was in doubt since `reset`.
+        doubted: those whose word on how the robot moves was in doubt since `reset`, and whether others agreed
+            against them.
     """
 
     def __init__(
@@ -120,7 +122,7 @@ class Supervisor:
         self._samples = SampleWatch(stale_s, self.checks.gap_s)
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
-        self.doubted: set[str] = set()
+        self.doubted: dict[str, bool] = {}
         self._filter = FilterWatch()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
@@ -239,7 +241,7 @@ class Supervisor:
             checks.steering.judge(inputs, measurements, events, stop)
         if checks.motion is not None:
             for doubt in checks.motion.update(measurements):
-                self.doubted.update((doubt.source,) if doubt.confirmed else (doubt.source, doubt.against))
+                self._note(doubt)
                 if checks.wheels is not None and doubt.may_slide:
                     checks.wheels.doubt()
                 if not doubt.grave:
@@ -257,6 +259,15 @@ class Supervisor:
                         self._blame("blocked", standing)
                     told = self._look_at_holders("if it slides, look") if doubt.may_slide else ""
                     self._blame("sensors_disagree", doubt.message + told)
+
+    def _note(self, doubt: Doubt) -> None:
+        """Whose word is in doubt: both of two, until others agree against one of them."""
+        if doubt.confirmed:
+            self.doubted = {name: sure for name, sure in self.doubted.items() if sure}
+            self.doubted[doubt.source] = True
+        else:
+            for name in (doubt.source, doubt.against):
+                self.doubted.setdefault(name, False)
 
     def guard(self, state: RobotState, reference: Reference | None) -> tuple[Event, ...]:
         """Judge the estimate.

@@ -105,6 +105,24 @@ def test_propellers_that_have_fallen_silent_are_not_called_held_while_the_robot_
     assert "without the propellers: their controllers are silent and may have let go" in said[0].why
 
 
+@pytest.mark.parametrize(
+    ("doubted", "held"),
+    [
+        ({}, True),
+        ({"tracker": False, "mocap": False, "servos": False}, True),
+        ({"tracker": True}, True),
+        ({"tracker": True, "mocap": False}, False),
+        ({"tracker": True, "mocap": True}, False),
+    ],
+)
+def test_of_two_that_contradict_each_other_one_is_right_and_both_see_it_rest(doubted, held):
+    with hil.open_bench("emulated", seed=1) as bench:
+        bench._hold.stopped(doubted)
+        found = bench.look(1.0)
+    assert (found.state == "HELD") is held
+    assert ("camera" in found.why.split(";")[0]) is (held and doubted != {"tracker": True})
+
+
 def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
     faults = ("tracker:wrong@1.3+1.5,scale=0",)
     bench = hil.open_bench("emulated", seed=5, faults=faults, overrides={"mocap": None, "load_cells": None})

@@ -268,6 +268,32 @@ def test_an_unseen_slide_shakes_the_estimate_and_names_what_holds_the_robot(unse
     assert event.message.endswith("if it slides, look at the fan and the propellers") is unseen
 
 
+def test_two_that_contradict_each_other_are_both_in_doubt_until_others_agree_against_one():
+    class Says:
+        doubts = ()
+
+        def update(self, measurements):
+            return self.doubts
+
+        def reset(self):
+            pass
+
+    says, cycles = Says(), iter(range(100))
+    watching = Supervisor(SafetyLimits(stale_s={}), checks=Checks(motion=says))
+
+    def heard(*doubts):
+        says.doubts, k = doubts, next(cycles)
+        watching.check(Inputs(k, k * PERIOD_NS), Measurements(k, k * PERIOD_NS))
+        return watching.doubted
+
+    open_question = Doubt("tracker", "they differ", False, against="mocap")
+    assert heard(open_question) == {"tracker": False, "mocap": False}
+    assert heard(Doubt("tracker", "it differs", False, confirmed=True, against="mocap")) == {"tracker": True}
+    assert heard(open_question)["tracker"]
+    watching.reset()
+    assert watching.doubted == {}
+
+
 @pytest.mark.parametrize(
     ("seen", "captured", "mocap", "agreed"),
     [
