@@ -6,16 +6,18 @@
 One bench after another drives up and down in virtual time, each for a stretch, recorded. Every few
 seconds some device fails for a moment; what would truly let the robot go, and what changes a device for
 ever, is left out. After every stop the robot must be held again, and the stop must name one that has
-failed. A line of the table is one stretch: cycles, faults, stops, memory of this process when it ended
-(MB), open files and threads, processor time for a second of virtual time, cycles that did not begin on
-the grid. Exit code 1 for a stop that nobody explains, a robot that is not held, a file or thread too
-many, cycles off the grid, or memory that grows by more than `--leak` MB a virtual hour, by the slope of
-the second half of all stretches.
+failed. A line of the table is one stretch: cycles, faults, stops, memory that this process uses when it
+ended (MB; what is free goes back to the system first), open files and threads, processor time for a second
+of virtual time, cycles that were left out because the one before took longer, and cycles that began beside
+the grid. Exit code 1 for a stop that nobody explains, a robot that is not held, a cycle left out while
+nothing fails, one beside the grid, a file or thread too many, or memory that grows by more than `--leak` MB
+a virtual hour, by the slope of the second half of all stretches.
 """
 
 from __future__ import annotations
 
 import argparse
+import ctypes
 import gc
 import os
 import sys
@@ -37,6 +39,7 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.kinds import kinds
 
+_LIBC = ctypes.CDLL(None)
 WAY_M, MINUTE_S = 0.12, 60.0
 LEAST_MINUTES = 5.0
 """Of the second half: with fewer its slope says nothing."""
@@ -52,7 +55,7 @@ class Stretch:
     """What was seen of one.
 
     Attributes:
-        faults, stops, cycles, off_grid: counts.
+        faults, stops, cycles, left_out, off_grid: counts.
         wrong: what must not be.
         reasons: of the stops.
     """
@@ -60,6 +63,7 @@ class Stretch:
     faults: int = 0
     stops: int = 0
     cycles: int = 0
+    left_out: int = 0
     off_grid: int = 0
     wrong: list[str] = field(default_factory=list)
     reasons: Counter[str] = field(default_factory=Counter)
@@ -96,6 +100,10 @@ class Trouble:
         self.recent = [*self.recent, (now_s, device)][-3:]
         self.count += 1
 
+    def is_near(self) -> bool:
+        """Whether a device fails, or has just come back."""
+        return bool(self.recent) and self._now_s() < self.recent[-1][0] + LONGEST_S + BACK_S
+
     def explains(self, message: str) -> bool:
         """Whether a message names a device that has failed lately, or one whose motion it told wrongly."""
         words = {w for _, device in self.recent for w in _words(device)}
@@ -125,8 +133,14 @@ def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
             nonlocal last_ns
             trouble.stir()
             seen.cycles += 1
-            seen.off_grid += bool(last_ns) and record.deadline_ns - last_ns != period_ns
+            periods, beside = divmod(
+                record.deadline_ns - (last_ns or record.deadline_ns - period_ns), period_ns
+            )
             last_ns = record.deadline_ns
+            seen.off_grid += beside != 0
+            seen.left_out += periods - 1
+            if periods > 1 and not trouble.is_near():
+                seen.wrong.append(f"{periods - 1} cycles left out while nothing fails")
 
         while bench.clock.now_ns() < end_ns:
             here = bench.truth().pose_body_in_wall.copy()
@@ -158,6 +172,8 @@ def _stopped(bench: Any, seen: Stretch, trouble: Trouble, stop: HilError) -> Non
 def memory_mb() -> float:
     """Of this process, resident."""
     gc.collect()
+    if hasattr(_LIBC, "malloc_trim"):
+        _LIBC.malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
@@ -173,7 +189,7 @@ def main() -> None:
     parser.add_argument("--leak", type=float, default=20.0, help="MB per virtual hour")
     options = parser.parse_args()
     wrong, memory, handles, reasons = [], [], [], Counter()
-    print("stretch  cycles  faults  stops      MB  files  threads  cpu s/s  off grid")
+    print("stretch  cycles  faults  stops      MB  files  threads  cpu s/s  left out  off grid")
     for k in range(max(1, round(options.minutes / options.stretch))):
         began_s = time.process_time()
         with tempfile.TemporaryDirectory(prefix="hil-soak-") as folder:
@@ -186,11 +202,11 @@ def main() -> None:
         wrong += [f"stretch {k}: {seen.off_grid} cycles off the grid"] if seen.off_grid else []
         print(
             f"{k:7d} {seen.cycles:7d} {seen.faults:7d} {seen.stops:6d} {memory[-1]:7.1f} {handles[-1][0]:6d} "
-            f"{handles[-1][1]:8d} {cpu_s:8.3f} {seen.off_grid:9d}",
+            f"{handles[-1][1]:8d} {cpu_s:8.3f} {seen.left_out:9d} {seen.off_grid:9d}",
             flush=True,
         )
     later = memory[len(memory) // 2 :]
-    if len(later) * options.stretch >= LEAST_MINUTES:
+    if len(later) > 1 and len(later) * options.stretch >= LEAST_MINUTES:
         slope = float(np.polyfit(np.arange(len(later)) * options.stretch / 60.0, later, 1)[0])
         print(f"memory grows by {slope:.1f} MB per virtual hour")
         wrong += [f"memory grows by {slope:.1f} MB an hour"] if slope > options.leak else []
