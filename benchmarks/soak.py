@@ -133,9 +133,8 @@ def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
             nonlocal last_ns
             trouble.stir()
             seen.cycles += 1
-            periods, beside = divmod(
-                record.deadline_ns - (last_ns or record.deadline_ns - period_ns), period_ns
-            )
+            gone_ns = record.deadline_ns - last_ns if last_ns else period_ns
+            periods, beside = divmod(gone_ns, period_ns)
             last_ns = record.deadline_ns
             seen.off_grid += beside != 0
             seen.left_out += periods - 1
@@ -170,7 +169,7 @@ def _stopped(bench: Any, seen: Stretch, trouble: Trouble, stop: HilError) -> Non
 
 
 def memory_mb() -> float:
-    """Of this process, resident."""
+    """Of this process, resident, once what is free has gone back to the system."""
     gc.collect()
     if hasattr(_LIBC, "malloc_trim"):
         _LIBC.malloc_trim(0)

@@ -136,6 +136,14 @@ def test_a_robot_whose_force_nobody_measures_need_not_be_called_held():
     assert why.startswith("not held")
 
 
+def test_a_servo_that_goes_on_to_fail_behind_the_look_may_sag_a_little():
+    told = {"events": [("servos", "gone")]}
+    assert judge(cell("servo.steer_BL", "intermittent", "second"), seen(crept_m=0.003, **told)).why != ()
+    lasting = Cell("servo.steer_BL", "intermittent", "random", 6, "own", ("servo.steer_BL:intermittent@0.3",))
+    assert judge(lasting, seen(crept_m=0.003, **told)).why == ()
+    assert judge(lasting, seen(crept_m=0.006, **told)).why != ()
+
+
 @pytest.mark.parametrize(
     ("until", "excused"), [(("", ""), True), (("+0.5", ""), True), (("+0.5", "+0.5"), False)]
 )
