@@ -2,6 +2,7 @@
 
     python benchmarks/soak.py --minutes 20
     python benchmarks/soak.py --minutes 120 --stretch 30 --seed 3
+    python benchmarks/soak.py --minutes 15 --stretch 5 --real
 
 One bench after another drives up and down in virtual time, each for a stretch, recorded. Every few
 seconds some device fails for a moment; what would truly let the robot go, and what changes a device for
@@ -11,7 +12,9 @@ ended (MB; what is free goes back to the system first), open files and threads, 
 of virtual time, cycles that were left out because the one before took longer, and cycles that began beside
 the grid. Exit code 1 for a stop that nobody explains, a robot that is not held, a cycle left out while
 nothing fails, one beside the grid, a file or thread too many, or memory that grows by more than `--leak` MB
-a virtual hour, by the slope of the second half of all stretches.
+an hour, by the slope of the second half of all stretches. With `--real` the same in real time, against
+emulated devices in a process of their own; cycles that are left out are counted only, because other
+programs delay them too.
 """
 
 from __future__ import annotations
@@ -47,6 +50,8 @@ LASTING = ("jump", "unplug")
 """Faults that leave a device another one than before, or one that somebody has to open again."""
 LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
 """Devices whose faults may truly let the robot go, or leave nobody who knows how it is held."""
+_OPENS_S = 3.0
+"""What a bench takes to open at the most, so long as nothing has to be waited for."""
 EVERY_S, LONGEST_S, BACK_S = (2.0, 6.0), 1.5, 3.5
 
 
@@ -74,12 +79,7 @@ class Trouble:
 
     def __init__(self, bench: Any, rng: np.random.Generator) -> None:
         self._bench, self._rng = bench, rng
-        supported = bench.world.faults.supported
-        self._pairs = [
-            (device, kind)
-            for device, faults in supported.items() if device not in LETS_GO
-            for kind in faults if kind not in LASTING
-        ]  # fmt: skip
+        self._pairs = possible(bench)
         self.recent: list[tuple[float, str]] = []
         self.count = 0
         self._due_s = self._now_s() + 3.0
@@ -110,6 +110,52 @@ class Trouble:
         return any(word in message.lower() for word in words)
 
 
+class Timetable(Trouble):
+    """Faults that are known before the bench opens: the emulated devices are in another process.
+
+    Args:
+        seed: of the faults.
+        minutes: how long there are any.
+    """
+
+    def __init__(self, seed: int, minutes: float) -> None:
+        self._rng = np.random.default_rng(seed)
+        with open_bench("emulated", seed=seed) as bench:
+            pairs = possible(bench)
+        self.specs, self._plan, at_s = [], [], 5.0
+        while at_s < minutes * MINUTE_S:
+            device, kind = pairs[int(self._rng.integers(len(pairs)))]
+            lasts_s = self._rng.uniform(0.05, LONGEST_S)
+            self.specs.append(f"{device}:{kind}@{at_s:.3f}+{lasts_s:.3f}")
+            self._plan.append((at_s, device))
+            at_s += lasts_s + self._rng.uniform(*EVERY_S)
+
+    def begin(self, bench: Any) -> None:
+        """The bench is open; its devices began to live a little earlier."""
+        self._bench, self._began_s = bench, 0.0
+        self._began_s = self._now_s() - _OPENS_S
+
+    def stir(self) -> None:
+        """What has failed by now."""
+        gone_s = self._now_s() - self._began_s
+        past = [(at_s + self._began_s, device) for at_s, device in self._plan if at_s < gone_s]
+        self.count, self.recent = len(past), past[-3:]
+
+    def explains(self, message: str) -> bool:
+        """As for faults that were just made."""
+        self.stir()
+        return super().explains(message)
+
+
+def possible(bench: Any) -> list[tuple[str, str]]:
+    """Devices and faults that let no robot go."""
+    return [
+        (device, kind)
+        for device, faults in bench.world.faults.supported.items() if device not in LETS_GO
+        for kind in faults if kind not in LASTING
+    ]  # fmt: skip
+
+
 def _words(device: str) -> set[str]:
     """By what messages may call a device."""
     head = device.split(".", 1)[0].rstrip("s")
@@ -121,38 +167,52 @@ def _words(device: str) -> set[str]:
 
 def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
     """One bench, driven up and down for a while."""
-    seen, rng = Stretch(), np.random.default_rng(seed)
     with open_bench("emulated", seed=seed) as bench:
-        bench.add_sink(McapRecorder(str(folder / "soak.mcap"), bench.header(), lossless=True))
-        trouble = Trouble(bench, rng)
-        home = bench.truth().pose_body_in_wall.copy()
-        period_ns = round(NS_PER_S / bench.config.loop.rate_hz)
-        end_ns, up, last_ns = bench.clock.now_ns() + round(minutes * MINUTE_S * NS_PER_S), True, 0
+        return drive(bench, Trouble(bench, np.random.default_rng(seed)), minutes, folder)
 
-        def look(record: Any) -> None:
-            nonlocal last_ns
-            trouble.stir()
-            seen.cycles += 1
-            gone_ns = record.deadline_ns - last_ns if last_ns else period_ns
-            periods, beside = divmod(gone_ns, period_ns)
-            last_ns = record.deadline_ns
-            seen.off_grid += beside != 0
-            seen.left_out += periods - 1
-            if periods > 1 and not trouble.is_near():
-                seen.wrong.append(f"{periods - 1} cycles left out while nothing fails")
 
-        while bench.clock.now_ns() < end_ns:
-            here = bench.truth().pose_body_in_wall.copy()
-            there = home + np.array([WAY_M if up else 0.0, 0.0, 0.0])
-            up, last_ns, before = not up, 0, seen.cycles
-            try:
-                bench.drive(line(here, there), start_pose=here, hold_s=0.2, on_cycle=look)
-            except HilError as stop:
-                _stopped(bench, seen, trouble, stop)
-                if seen.cycles == before:
-                    seen.wrong.append(f"does not go on after {trouble.recent}: {stop}")
-                    break
-        seen.faults = trouble.count
+def real_stretch(seed: int, minutes: float, folder: Path) -> Stretch:
+    """The same in real time."""
+    trouble = Timetable(seed, minutes)
+    with open_bench("emulated", seed=seed, realtime=True, faults=trouble.specs) as bench:
+        trouble.begin(bench)
+        return drive(bench, trouble, minutes, folder, real=True)
+
+
+def drive(bench: Any, trouble: Trouble, minutes: float, folder: Path, *, real: bool = False) -> Stretch:
+    """Up and down until the time is over."""
+    seen = Stretch()
+    bench.add_sink(McapRecorder(str(folder / "soak.mcap"), bench.header(), lossless=not real))
+    home = here = np.array(bench.config.environment.start_pose, dtype=np.float64)
+    period_ns = round(NS_PER_S / bench.config.loop.rate_hz)
+    end_ns, up, last_ns = bench.clock.now_ns() + round(minutes * MINUTE_S * NS_PER_S), True, 0
+
+    def look(record: Any) -> None:
+        nonlocal last_ns, here
+        trouble.stir()
+        seen.cycles += 1
+        gone_ns = record.deadline_ns - last_ns if last_ns else period_ns
+        periods, beside = divmod(gone_ns, period_ns)
+        last_ns = record.deadline_ns
+        seen.off_grid += beside != 0
+        seen.left_out += periods - 1
+        if periods > 1 and not (real or trouble.is_near()):
+            seen.wrong.append(f"{periods - 1} cycles left out while nothing fails")
+        if np.isfinite(record.state.pose_body_in_wall).all():
+            here = record.state.pose_body_in_wall
+
+    while bench.clock.now_ns() < end_ns:
+        here = here if real else bench.truth().pose_body_in_wall.copy()
+        there = home + np.array([WAY_M if up else 0.0, 0.0, 0.0])
+        up, last_ns, before = not up, 0, seen.cycles
+        try:
+            bench.drive(line(here, there), start_pose=here, hold_s=0.2, on_cycle=look)
+        except HilError as stop:
+            _stopped(bench, seen, trouble, stop)
+            if seen.cycles == before:
+                seen.wrong.append(f"does not go on after {trouble.recent}: {stop}")
+                break
+    seen.faults = trouble.count
     return seen
 
 
@@ -164,6 +224,8 @@ def _stopped(bench: Any, seen: Stretch, trouble: Trouble, stop: HilError) -> Non
         seen.wrong.append(f"unexplained after {trouble.recent}: {stop}")
     bench.clock.sleep_until_ns(bench.clock.now_ns() + round(LONGEST_S * NS_PER_S))
     held = bench.look(BACK_S)
+    if held.state != "HELD":  # in real time the next device has failed meanwhile
+        held = bench.look(BACK_S)
     if held.state != "HELD":
         seen.wrong.append(f"after {trouble.recent}: {held.state}: {held.why}")
 
@@ -185,14 +247,16 @@ def main() -> None:
     parser.add_argument("--minutes", type=float, default=10.0, help="virtual time in all")
     parser.add_argument("--stretch", type=float, default=2.0, help="minutes of one bench")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--leak", type=float, default=20.0, help="MB per virtual hour")
+    parser.add_argument("--real", action="store_true", help="in real time")
+    parser.add_argument("--leak", type=float, default=20.0, help="MB per hour")
     options = parser.parse_args()
     wrong, memory, handles, reasons = [], [], [], Counter()
     print("stretch  cycles  faults  stops      MB  files  threads  cpu s/s  left out  off grid")
     for k in range(max(1, round(options.minutes / options.stretch))):
         began_s = time.process_time()
         with tempfile.TemporaryDirectory(prefix="hil-soak-") as folder:
-            seen = stretch(options.seed + k, options.stretch, Path(folder))
+            kind = real_stretch if options.real else stretch
+            seen = kind(options.seed + k, options.stretch, Path(folder))
         cpu_s = (time.process_time() - began_s) / (options.stretch * MINUTE_S)
         memory.append(memory_mb())
         handles.append((len(os.listdir("/proc/self/fd")), threading.active_count()))
@@ -207,7 +271,7 @@ def main() -> None:
     later = memory[len(memory) // 2 :]
     if len(later) > 1 and len(later) * options.stretch >= LEAST_MINUTES:
         slope = float(np.polyfit(np.arange(len(later)) * options.stretch / 60.0, later, 1)[0])
-        print(f"memory grows by {slope:.1f} MB per virtual hour")
+        print(f"memory grows by {slope:.1f} MB per hour")
         wrong += [f"memory grows by {slope:.1f} MB an hour"] if slope > options.leak else []
     if any(a > b for a, b in zip(handles[-1], handles[0], strict=True)):
         wrong.append(f"files and threads were {handles[0]} and are {handles[-1]}")
