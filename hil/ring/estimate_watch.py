@@ -23,8 +23,8 @@ _SIGMAS, _SLACK_M, _TOLD_M, _QUIET_M = 3.0, 0.0043, 0.006, 0.002
 at so much beside, as robots as delivered come to 5.2 mm; until then it is quietly unsure by so much more."""
 _STOP_M = 0.015
 """So much beyond that, the robot must not go on: the path error by which every lie is to be found."""
-_KEPT_NS = 18_000_000
-"""Estimates are kept no closer than this: between two of them the way is straight to 0.01 mm."""
+_KEPT_NS = 38_000_000
+"""Estimates are kept no closer than this: between two of them the way is straight to 0.04 mm."""
 _LEANS = 0.5
 """Share of the estimate's error that a device must have to be the cause."""
 

@@ -6,30 +6,59 @@ Deterministic: depends on the states seen since `reset` and on nothing else.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 from hil.vocabulary.signals import Event, RobotState
-
-_SENSORS: Mapping[str, tuple[str, str]] = {
-    "wheels": ("servos", "what camera and IMU tell"), "tracker": ("tracker", "what servos and IMU tell"),
-}  # fmt: skip
-"""By what the filter calls samples: their device, and what they are held against."""
-
 
 _MOST, _CALM = 2.5, 1.5
 """Mean normalised innovation squared that is told, and below which it may be told again; honest sensors on
 both plants stay below 1.2."""
 
 
-class FilterWatch:
-    """Follows the estimate of one run."""
+class _Refusals:
+    """How often the filter has refused a sensor, and begun its frame anew.
 
-    def __init__(self) -> None:
+    Args:
+        name: what the filter calls its samples.
+        device: what they come from.
+        others: what they are held against.
+    """
+
+    def __init__(self, name: str, device: str, others: str) -> None:
+        self._began, self._refused = f"reanchored_{name}", f"rejected_{name}"
+        self._device, self._others = device, others
         self.reset()
 
     def reset(self) -> None:
         """Forget what was refused."""
-        self._before: dict[str, tuple[float, float]] = {}
+        self._before = (0.0, 0.0)
+
+    def news(self, state: RobotState, events: list[Event]) -> tuple[bool, bool]:
+        """Whether its frame began anew in this cycle, and whether a sample was refused."""
+        figures, before = state.diagnostics, self._before
+        counts = figures.get(self._began, 0.0), figures.get(self._refused, 0.0)
+        if counts == before:
+            return False, False
+        self._before = counts
+        anew, refused = counts[0] > before[0], counts[1] > before[1]
+        if anew and refused:
+            sigma_mm = 1e3 * math.sqrt(max(*state.covariance.diagonal()[:2].tolist(), 0.0))
+            said = f"did not fit {self._others} for long: the estimate is unsure by {sigma_mm:.1f} mm now"
+            events.append(Event(state.t_ns, "warning", self._device, said))
+        return anew, refused
+
+
+class FilterWatch:
+    """Follows the estimate of one run."""
+
+    def __init__(self) -> None:
+        self._wheels = _Refusals("wheels", "servos", "what camera and IMU tell")
+        self._camera = _Refusals("tracker", "tracker", "what servos and IMU tell")
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was refused."""
+        self._wheels.reset()
+        self._camera.reset()
         self._misfit, self._largest_m, self._mean = False, 0.0, 1.0
         self._off = (0.0, 0.0)
 
@@ -43,18 +72,8 @@ class FilterWatch:
 
         A camera's frame that began anew because a pose has leapt refused nothing, and its driver tells of it.
         """
-        figures = state.diagnostics
-        news = {}
-        for name, (device, others) in _SENSORS.items():
-            counts = figures.get(f"reanchored_{name}", 0.0), figures.get(f"rejected_{name}", 0.0)
-            before = self._before.get(name, (0.0, 0.0))
-            self._before[name] = counts
-            anew, refused = news[name] = counts[0] > before[0], counts[1] > before[1]
-            if anew and refused:
-                sigma_mm = 1e3 * math.sqrt(max(*state.covariance.diagonal()[:2].tolist(), 0.0))
-                said = f"did not fit {others} for long: the estimate is unsure by {sigma_mm:.1f} mm now"
-                events.append(Event(state.t_ns, "warning", device, said))
-        self._judge_fit(state, events, *news["tracker"])
+        self._wheels.news(state, events)
+        self._judge_fit(state, events, *self._camera.news(state, events))
 
     def _judge_fit(self, state: RobotState, events: list[Event], anew: bool, refused: bool) -> None:
         """Whether the camera's poses fit the rest: single ones may pass the gate while all of them do not.

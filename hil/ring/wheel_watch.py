@@ -20,7 +20,7 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import SERVOS, WHEELS, Event, WheelMeasurement
 
-_STEP_NS, _WINDOW_NS = 48_000_000, 400_000_000
+_STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
 _STEP_RAD, _FASTEST_RAD_S = 0.2, 6.5
 _APART_M, _APART_SHARE, _AGAIN = 0.0005, 0.02, 2
 """More than honest wheels contradict each other by (0.1 mm straight on, 0.4 mm where an arc begins or ends),

@@ -1,5 +1,7 @@
 """The wheel that rolls otherwise than the other three say is named, with its servo and ID."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -68,8 +70,14 @@ def test_without_known_ids_the_servo_is_named():
 
 def test_what_the_message_says_is_what_the_wheels_have_rolled():
     ride = Ride(TWISTS["up"]).go(1.0)
-    ride.go(0.12, (2.0, 1.0, 1.0, 1.0))
-    assert "rolled 27.0 mm in 0.4 s and the other three say 21.0 mm (129 %)" in ride.events[0].message
+    ride.go(0.18, (2.0, 1.0, 1.0, 1.0))
+    said = re.search(
+        r"rolled (.*) mm in 0.4 s and the other three say (.*) mm \((.*) %\)", ride.events[0].message
+    )
+    rolled_mm, others_mm, percent = map(float, said.groups())
+    assert others_mm == pytest.approx(0.4 * 50.0, abs=4.0), "0.05 m/s, in whole steps"
+    assert 4.0 < rolled_mm - others_mm < 9.0, "0.05 m/s more for as long as it took to be sure"
+    assert percent == pytest.approx(100.0 * rolled_mm / others_mm, abs=1.0)
 
 
 def test_the_estimate_is_unsure_by_more_the_farther_it_goes():
