@@ -141,13 +141,13 @@ def test_a_camera_is_believed_again_only_after_a_way_on_which_others_agree():
 def test_wheels_and_imu_alone_do_not_see_a_slide():
     """A seal that leaks does not show in the fan's speed; the robot slides, servos and gravity rest."""
     blind = ("mocap", "tracker", "load_cells")
-    held, *_ = left("plant:adhesion_loss@8.3,factor=0.42", without=blind, feedback="odometry")
+    held, *_ = left("plant:adhesion_loss@3.1,factor=0.42", without=blind, feedback="odometry", way=HOP)
     assert held.state == "NOT HELD"
-    held, _, moved_m, _ = left(without=blind, feedback="odometry")
+    held, _, moved_m, _ = left(without=blind, feedback="odometry", way=HOP)
     assert (held.state, held.moved_m) == ("NOT HELD", None)
     assert "that takes a camera, motion capture or load cells" in held.why
     assert moved_m < FAR_M
-    held, *_ = left(without=blind, feedback="odometry", **TETHER)
+    held, *_ = left(without=blind, feedback="odometry", way=HOP, **TETHER)
     assert held.state == "HELD", "a tether holds it"
 
 
@@ -169,7 +169,7 @@ def test_a_way_that_nobody_saw_is_not_told_as_nothing(faults, without):
 
 
 def test_held_names_everybody_and_what_presses():
-    held, *_ = left()
+    held, *_ = left(way=HOP)
     for who in (
         "servo positions",
         "IMU",
@@ -179,7 +179,7 @@ def test_held_names_everybody_and_what_presses():
         "N by the load cells",
     ):
         assert who in held.why
-    held, *_ = left("load_cells:off@3")
+    held, *_ = left("load_cells:off@1.5", way=HOP)
     assert held.state == "HELD"
     assert "nothing by the load cells" in held.why
 
@@ -188,10 +188,10 @@ def test_the_accelerometer_sees_a_robot_that_speeds_up(monkeypatch):
     """What it feels differs from its weight by more than a data sheet allows."""
     from hil.bench import holding
 
-    held, *_ = left()
+    held, *_ = left(way=HOP)
     assert held.state == "HELD"
     monkeypatch.setattr(holding, "_felt_m_s2", lambda sample: 7.0)
-    held, *_ = left()
+    held, *_ = left(way=HOP)
     assert held.state == "NOT HELD"
     assert "speeding up" in held.why
 
