@@ -45,11 +45,14 @@ _SERVOS = tuple(
     f"tests/servos/test_servo_{name}.py" for name in ("goals", "driver_cycle", "outage", "silence")
 )
 MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
-    "supervisor": ("hil/ring/supervisor.py", ("tests/core/test_supervisor_asks_everybody.py", _GUARDS[0])),
+    "supervisor": (
+        "hil/ring/supervisor.py",
+        ("tests/core/test_supervisor_asks_everybody.py", _GUARDS[0], _SENSES[1]),
+    ),
     "servo_watch": ("hil/ring/servo_watch.py", ("tests/core/test_servo_watch.py", _GUARDS[0])),
     "crosscheck": ("hil/ring/crosscheck.py", ("tests/core/test_encoder_crosscheck.py",)),
     "motion_check": ("hil/ring/motion_check.py", _SENSES),
-    "capture_check": ("hil/ring/capture_check.py", _SENSES),
+    "capture_check": ("hil/ring/capture_check.py", (*_SENSES, "tests/core/test_estimate_watch.py")),
     "estimate_watch": ("hil/ring/estimate_watch.py", ("tests/core/test_estimate_watch.py",)),
     "wheel_watch": ("hil/ring/wheel_watch.py", ("tests/core/test_wheel_watch.py",)),
     "doubts": ("hil/ring/doubts.py", _SENSES),
@@ -57,8 +60,11 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stream_watch": ("hil/ring/stream_watch.py", (_STREAMS,)),
     "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),
-    "outage": ("hil/drivers/servos/timeouts.py", _SERVOS),
-    "limits": ("hil/robot/motion_limits.py", ("tests/trajectories/test_trajectories.py",)),
+    "outage": ("hil/drivers/servos/timeouts.py", (*_SERVOS, "tests/servos/test_servo_latecomers.py")),
+    "limits": (
+        "hil/robot/motion_limits.py",
+        ("tests/trajectories/test_trajectories.py", "tests/trajectories/test_many_times_at_once.py"),
+    ),
     "alignment": ("hil/ring/alignment.py", (_GUARDS[0],)),
     "poses": ("hil/ring/poses.py", (_GUARDS[0],)),
 }

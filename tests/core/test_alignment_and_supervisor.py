@@ -10,7 +10,7 @@ import pytest
 from hil.bench.settings import checks, geometry_of
 from hil.config.loading import load_bench
 from hil.ring.alignment import Alignment, AlignmentParameters
-from hil.ring.poses import Mount
+from hil.ring.poses import AT_ORIGIN, Mount, PoseAlignment
 from hil.ring.supervisor import Checks, SafetyLimits, Supervisor
 from hil.vocabulary.errors import ConfigError, SafetyStop
 from hil.vocabulary.geometry import (
@@ -421,3 +421,16 @@ def test_an_absurd_gravity_leaves_no_trace():
         )
         (gyro,) = alignment.measure(Inputs(cycle, cycle, imu=(sample,))).gyro
         assert math.isnan(gyro.gravity_heading_rad) == (cycle == 1)
+
+
+def test_a_camera_at_the_origin_tells_the_bodys_own_way_and_motion_capture_its_quality():
+    alignment = PoseAlignment(AT_ORIGIN, 1.0)
+    one, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
+    for x_m in (0.0, 0.2):
+        camera = TrackerSample(STAMP, np.array([x_m, -x_m, 0.0]), one, none, none, 3)
+        measured = alignment.measure(Inputs(0, 0, tracker=(camera,)))
+    np.testing.assert_allclose(measured["tracker"][0].pose, [0.2, -0.2, 0.0], atol=1e-12)
+    for tracked, quality in ((True, 3), (False, 0)):
+        seen = MocapSample(STAMP, np.array([0.1, 0.2, 0.0]), one, tracked, 0.0, 0.0)
+        (found,) = alignment.measure(Inputs(0, 0, mocap=(seen,)))["mocap"]
+        assert (found.valid, found.quality) == (tracked, quality)

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hil.ring.capture_check import Seen
+from hil.ring.capture_check import CaptureCheck, Seen
+from hil.ring.dead_reckoning import WheelTrack
 from hil.ring.doubts import CAMERA, WHEELS, Doubt, Relocalisation, Sum
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
@@ -319,3 +320,41 @@ def test_who_tells_of_a_way_as_somebody_else_does_agrees(seen, captured, mocap, 
     check.reset()
     assert check.agreed == set()
     assert Supervisor(SafetyLimits(stale_s={})).agreed == set()
+
+
+def test_a_camera_beside_motion_capture_is_grave_ten_millimetres_beyond_what_it_may_differ_by():
+    check, grave_s = MotionCheck(GEOMETRY), None
+    for k in range(3, 100):
+        given = replace(cycle(k, at(UP), at(0.5 * UP), at(UP)), wheels=())
+        if any(d.grave for d in check.update(given)):
+            grave_s = (k - 3) * PERIOD_NS * 1e-9
+            break
+    assert grave_s is not None
+    assert 0.009 < (0.05 - 0.004) * grave_s < 0.015
+
+
+def test_a_step_is_compared_once_and_only_where_somebody_else_looked_too():
+    check = CaptureCheck(WheelTrack(GEOMETRY), Seen(), creep=0.0)
+    compared = []
+    for k in range(100, 130):
+        t_ns = k * PERIOD_NS
+        one = (pose("mocap", t_ns, t_ns, (0.0, 0.0)),)
+        check.take(one if k >= 110 else (), one)
+        compared.append(check.compare())
+    assert not any(compared[:11]), "one pose of the camera is no way yet"
+    assert 2 <= sum(compared) <= 4, "20 cycles are four steps at most"
+    check.reset()
+    assert check.compare() is False
+
+
+@pytest.mark.parametrize(("slip", "left"), [(0.0, 0.0), (0.03, 0.0), (0.1, 0.04)])
+def test_what_wheels_are_off_counts_without_what_they_may_creep(slip, left):
+    """Climbing: 6 % of the way are creep, what is beyond is an error of the wheels."""
+    check = MotionCheck(GEOMETRY, seen=Seen(slipped_stop_m=1.0))
+    for k in range(3, 103):
+        check.update(cycle(k, at(UP), at((1.0 - slip) * UP), at((1.0 - slip) * UP)))
+    way_m = abs(check.capture.ways()[1])
+    camera, wheels = check.capture.errors()
+    assert way_m > 0.08
+    assert wheels.real == pytest.approx(left * way_m, abs=1e-6)
+    assert abs(wheels.imag) + abs(camera) < 1e-6

@@ -28,13 +28,14 @@ class Run:
     """Straight ahead at these speeds (2,), m/s; sigma of the estimate in m along both axes."""
 
     def __init__(
-        self, true, *, estimate=None, camera=None, wheels=None, sigma_m=0.0005, axes_rad=0.0, follows=True
-    ):
+        self, true, *, estimate=None, camera=None, wheels=None, sigma_m=0.0005, sigma_rad=1e-4, axes_rad=0.0,
+        follows=True
+    ):  # fmt: skip
         self.true = true
         self.estimate, self.camera, self.wheels = (
             true if speed is None else np.asarray(speed) for speed in (estimate, camera, wheels)
         )
-        self.sigma_m, self.axes_rad = sigma_m, axes_rad
+        self.sigma_m, self.sigma_rad, self.axes_rad = sigma_m, sigma_rad, axes_rad
         motion = MotionCheck(GEOMETRY)
         self.watch = EstimateWatch(motion.capture, follows=follows)
         self.supervisor = Supervisor(
@@ -61,7 +62,7 @@ class Run:
         self.events += self.supervisor.check(Inputs(k, k * PERIOD_NS), self.measured(k, **changed))
         self.off_m.append(self.supervisor.left_out.shaken[0])
         self.sigma_m = np.hypot(self.sigma_m, self.off_m[-1])
-        covariance = np.diag([self.sigma_m**2] * 2 + [1e-8] * 4)
+        covariance = np.diag([self.sigma_m**2] * 2 + [self.sigma_rad**2] + [1e-8] * 3)
         pose = np.array([*self.estimate * k * PERIOD_NS * 1e-9, 0.0])
         self.events += self.supervisor.guard(RobotState(k * PERIOD_NS, pose, np.zeros(3), covariance), None)
 
@@ -176,3 +177,30 @@ def test_a_turned_rigid_body_may_be_off_by_its_lever():
         covariance = np.diag([1e-8] * 6)
         watch.judge(RobotState(t_ns, np.array([0.0, 0.0, heading]), np.zeros(3), covariance), events, print)
     assert events == []
+
+
+@pytest.mark.parametrize("way", [UP, ACROSS, -UP, -ACROSS])
+@pytest.mark.parametrize(("sigma_rad", "told"), [(0.015, False), (1e-4, True)])
+def test_who_was_unsure_of_its_heading_at_the_start_may_go_aside(way, sigma_rad, told):
+    aside = turned(way, 0.035)
+    run = Run(way, estimate=aside, camera=aside, sigma_rad=sigma_rad).go(600)
+    assert bool(run.told) is told
+
+
+def test_a_lie_is_found_as_late_in_every_direction():
+    stopped = set()
+    for way in (UP, -UP):
+        run = Run(way, estimate=0.96 * way, camera=0.96 * way, sigma_m=0.001)
+        with pytest.raises(SafetyStop, match="the camera may be wrong"):
+            run.go(1500)
+        stopped.add(len(run.off_m))
+    assert len(stopped) == 1
+
+
+def test_what_is_told_makes_the_estimate_unsure_of_all_that_may_come_until_it_stops():
+    run = Run(UP, estimate=0.96 * UP, camera=0.96 * UP, sigma_m=1e-5)
+    while not run.told:
+        run.go(len(run.off_m) + 4, len(run.off_m) + 3)
+    at_k = len(run.off_m) + 3
+    run.go(at_k + 1, at_k)
+    assert 3.0 * run.off_m[-1] > 0.006 + 0.0145

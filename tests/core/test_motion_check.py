@@ -273,3 +273,16 @@ def test_the_gyros_angle_ends_at_a_gap():
     assert not track.covers(20_000_000)
     assert track.covers(200_000_000)
     assert track.at(205_000_000)[0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize(("drift_rad_s", "honest"), [(0.0025, True), (-0.0025, True), (0.006, False)])
+def test_the_heading_of_a_camera_may_drift_slowly_while_nothing_moves(drift_rad_s, honest):
+    assert (doubts(Robot((0, 0, 0), camera=(0, 0, drift_rad_s), gyro=0.0), 2200) == []) is honest
+
+
+@pytest.mark.parametrize("rate", [0.5, -0.5])
+@pytest.mark.parametrize(("scale", "honest"), [(1.025, True), (1.06, False)])
+def test_the_scale_of_a_gyro_may_be_off_by_as_much_in_either_direction(rate, scale, honest):
+    """A gyro without bias: its scale alone counts."""
+    check = MotionCheck(GEOMETRY, Honest(gyro_rad_s=0.0, turn=0.0))
+    assert (doubts(Robot((0, 0, rate), gyro=scale * rate), 600, check) == []) is honest

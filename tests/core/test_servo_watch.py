@@ -160,3 +160,27 @@ def test_a_wheel_that_is_asked_to_turn_must_turn(rate, angle, last):
     if last < 69:
         assert stop.reason == "blocked"
         assert f"wheel BR is asked for {rate:.2f} rad/s and has not turned for 0.5 s" in str(stop)
+
+
+@pytest.mark.parametrize("angle", [2.0, -30.0])
+def test_a_wheel_is_blocked_at_whatever_angle_it_stands(angle):
+    watch = supervisor()
+
+    def driven():
+        for k in range(70):
+            yield cycle(k, np.full(8, angle))
+            asked(watch, [0.0, 2.0, 0.0, 0.0])
+
+    stop, _ = stopped(watch, driven())
+    assert stop.reason == "blocked"
+    assert "wheel BL" in str(stop)
+
+
+@pytest.mark.parametrize("joint", [0, 5])
+def test_a_leap_behind_a_short_silence_is_told_against_the_last_angle_known(joint):
+    watch = supervisor()
+    watch.check(cycle(0))
+    for k in (1, 2):
+        assert watch.check(cycle(k, wrong={joint: Status.TIMEOUT})) == ()
+    (event,) = watch.check(cycle(3, np.where(np.arange(8) == joint, 0.6, 0.0)))
+    assert f"(ID {IDS[joint]}) tells a step of +0.60 rad in 30 ms" in event.message

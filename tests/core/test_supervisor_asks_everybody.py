@@ -229,3 +229,30 @@ def test_a_steering_angle_beyond_the_limit_is_refused_on_both_sides(angle_rad):
         limited.limit(WheelSetpoint(np.zeros(4), np.array([0.0, 0.0, angle_rad, 0.0])))
     assert stop.value.reason == "steering_limit"
     limited.limit(WheelSetpoint(np.zeros(4), np.full(4, 2.0)))
+
+
+class Unsure(Asked):
+    """A watch that makes the estimate unsure, and can be told that wheels slip."""
+
+    def __init__(self, off_m, off_rad):
+        super().__init__()
+        self.off = off_m, off_rad
+
+    def take_off(self):
+        return self.off
+
+    def doubt(self):
+        self.calls.append("doubt")
+
+
+def test_the_estimate_is_as_unsure_as_the_watch_says_that_doubts_it_most():
+    watched = supervisor(estimate=Unsure(0.003, 0.0), wheels=Unsure(0.001, 0.2))
+    cycle(watched)
+    assert watched.left_out.shaken == (0.003, 0.2)
+
+
+@pytest.mark.parametrize(("source", "told"), [("servos", True), ("tracker", False)])
+def test_who_watches_the_wheels_hears_from_others_that_they_may_slip(source, told):
+    wheels = Unsure(0.0, 0.0)
+    cycle(supervisor(motion=Asked(doubt(source, grave=False)), wheels=wheels))
+    assert ("doubt" in wheels.calls) is told

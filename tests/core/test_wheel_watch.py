@@ -131,3 +131,36 @@ def test_a_reset_forgets_who_slipped():
     assert not any(ride.off_m)
     ride.go(0.5, (0.5, 1.0, 1.0, 1.0))
     assert len(ride.events) == 1
+
+
+def rolled(watch, angles, first=0, period_ns=100_000_000, valid=True):
+    """What is told of wheels that stand straight and tell these angles (4,), one after the other."""
+    events = []
+    for k, angle in enumerate(angles, first):
+        stamp = Stamp(k * period_ns, k * period_ns, k)
+        sample = WheelMeasurement(stamp, np.array(angle), np.zeros(4), np.zeros(4), (True, True, valid, True))
+        watch.judge(k * period_ns, (sample,), events)
+    return events
+
+
+@pytest.mark.parametrize(("alone_m", "told"), [(0.0003, False), (0.0008, True), (-0.0008, True)])
+def test_a_wheel_that_rolls_alone_by_half_a_millimetre_is_named(alone_m, told):
+    alone = [0.0, 0.0, alone_m / GEOMETRY.radius_m[2], 0.0]
+    events = rolled(WheelWatch(GEOMETRY), [[0.0] * 4, alone, alone, alone])
+    assert bool(events) is told
+
+
+def test_what_an_incomplete_read_says_of_its_wheel_does_not_count():
+    watch = WheelWatch(GEOMETRY)
+    ahead = [[0.05 * k] * 4 for k in range(10)]
+    events = rolled(watch, ahead[:5])
+    for k in range(5, 8):
+        events += rolled(watch, [[ahead[k][0], ahead[k][1], 0.0, ahead[k][3]]], k, valid=False)
+    assert events + rolled(watch, ahead[8:], 8) == []
+
+
+def test_what_was_seen_before_a_leap_of_an_encoder_does_not_count_behind_it():
+    """A wheel seen once to roll otherwise is named when it is seen again; a leap begins anew."""
+    apart = [0.0, 0.0, 0.1, 0.0]
+    assert rolled(WheelWatch(GEOMETRY), [[0.0] * 4, apart, apart])
+    assert rolled(WheelWatch(GEOMETRY), [[0.0] * 4, apart, [0.0, 0.0, 2.1, 0.0]]) == []

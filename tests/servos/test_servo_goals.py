@@ -85,3 +85,12 @@ def test_goals_that_are_no_numbers_leave_the_old_ones(bad):
     with pytest.raises(UsageError, match="not finite"):
         one.follow(ServoSetpoint(rates, np.zeros(4)), np.zeros(8, dtype=np.int64))
     assert one.packet() == write.packet(np.array([0, 0, 0, 0, 2048, 2048, 2048, 2048]))
+
+
+def test_a_goal_over_many_turns_ends_where_the_servo_takes_no_more():
+    """Extended position mode takes 256 turns to either side, less than the counter may have lost."""
+    one, write = goals(steer_mode="extended")
+    most = 1_048_575
+    lost = np.array([0, 0, 0, 0, 2048 - most, 2047 - most, 2048 + most, 2049 + most])
+    one.follow(ServoSetpoint(np.zeros(4), np.zeros(4)), lost)
+    assert one.packet() == write.packet(np.array([0, 0, 0, 0, most, most, -most, -most]))

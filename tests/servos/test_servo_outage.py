@@ -3,6 +3,7 @@
 import pytest
 
 from hil.config.servos import ServosConfig
+from hil.drivers.servos.cycle import ALL_OK
 from hil.drivers.servos.timeouts import OutageWatch
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.signals import Status
@@ -46,3 +47,23 @@ def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
     with pytest.raises(DeviceError, match=r"drive_FL \(ID 1\): timeout, drive_BL .*reboot") as error:
         watch.note(status, [0, 0x20, *[0] * 6], LIMIT_NS + 1)
     assert not isinstance(error.value, DeviceTimeoutError)
+
+
+@pytest.mark.parametrize(
+    ("status", "remedy", "other"),
+    [(Status.LATE, "return delay time", "power and IDs"), (Status.TIMEOUT, "power and IDs", "return delay")],
+)
+def test_one_that_is_late_is_mended_otherwise_than_one_that_is_silent(status, remedy, other):
+    with pytest.raises(DeviceTimeoutError, match=remedy) as error:
+        noted(status, LIMIT_NS + 1)
+    assert other not in str(error.value)
+
+
+def test_whether_all_were_usable_is_said_and_remembered():
+    watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
+    silent = (Status.TIMEOUT, *[Status.OK] * 7)
+    assert watch.saw(ALL_OK, LIMIT_NS)
+    assert not watch.saw(silent, 2 * LIMIT_NS)
+    watch.note(silent, [0] * 8, 2 * LIMIT_NS)
+    with pytest.raises(DeviceTimeoutError):
+        watch.note(silent, [0] * 8, 2 * LIMIT_NS + 1)

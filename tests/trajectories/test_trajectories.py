@@ -265,3 +265,20 @@ def test_limits_hold_at_their_very_value():
             check(way, CAD, MotionLimits(**{**tight, key: 0.999 * tight[key]}))
     with pytest.raises(TrajectoryError, match="-x on the wall"):
         check(way, CAD, MotionLimits(x_range_m=(1e-6, 1.0)))
+
+
+def test_a_range_that_begins_beyond_zero_holds_at_its_very_beginning():
+    way = tr.line([0.5, 0.25, 0.0], [1.0, 0.25, 0.0], duration_s=20.0)
+    check(way, CAD, MotionLimits(x_range_m=(0.5, 1.0), y_range_m=(0.25, 0.25)))
+    with pytest.raises(TrajectoryError, match="-x on the wall"):
+        check(way, CAD, MotionLimits(x_range_m=(0.5 + 1e-5, 1.0)))
+
+
+@pytest.mark.parametrize(("pull", "held"), [(0.19, True), (0.21, False)])
+def test_who_names_no_limit_has_wheels_that_gain_a_fifth_of_a_metre_per_second_in_a_second(pull, held):
+    reference = Turning(0.0, [pull, 0.0, 0.0])
+    if held:
+        check(reference, CAD, MotionLimits())
+    else:
+        with pytest.raises(TrajectoryError, match="wheel acceleration"):
+            check(reference, CAD, MotionLimits())
