@@ -427,10 +427,21 @@ def test_a_camera_at_the_origin_tells_the_bodys_own_way_and_motion_capture_its_q
     alignment = PoseAlignment(AT_ORIGIN, 1.0)
     one, none = np.array([1.0, 0.0, 0.0, 0.0]), np.zeros(3)
     for x_m in (0.0, 0.2):
-        camera = TrackerSample(STAMP, np.array([x_m, -x_m, 0.0]), one, none, none, 3)
+        turn = np.array(quat_from_yaw(2.0 * x_m))
+        camera = TrackerSample(STAMP, np.array([x_m, -x_m, 0.0]), turn, none, none, 3)
         measured = alignment.measure(Inputs(0, 0, tracker=(camera,)))
-    np.testing.assert_allclose(measured["tracker"][0].pose, [0.2, -0.2, 0.0], atol=1e-12)
+    np.testing.assert_allclose(measured["tracker"][0].pose, [0.2, -0.2, 0.4], atol=1e-12)
     for tracked, quality in ((True, 3), (False, 0)):
         seen = MocapSample(STAMP, np.array([0.1, 0.2, 0.0]), one, tracked, 0.0, 0.0)
         (found,) = alignment.measure(Inputs(0, 0, mocap=(seen,)))["mocap"]
         assert (found.valid, found.quality) == (tracked, quality)
+
+
+def test_a_camera_of_which_only_the_place_is_named_looks_along_the_bodys_axes():
+    """It goes round with a body that turns in place."""
+    alignment, none = PoseAlignment(Mount((0.1, 0.05, 0.0)), 1.0), np.zeros(3)
+    for yaw in (0.0, 0.4, 0.8):
+        turn = np.array(quat_from_yaw(yaw))
+        camera = TrackerSample(STAMP, quat_rotate(turn, (0.1, 0.05, 0.0)), turn, none, none, 3)
+        (measured,) = alignment.measure(Inputs(0, 0, tracker=(camera,)))["tracker"]
+        np.testing.assert_allclose(measured.pose, [0.0, 0.0, yaw], atol=1e-12)

@@ -282,3 +282,15 @@ def test_who_names_no_limit_has_wheels_that_gain_a_fifth_of_a_metre_per_second_i
     else:
         with pytest.raises(TrajectoryError, match="wheel acceleration"):
             check(reference, CAD, MotionLimits())
+
+
+def test_only_the_segments_that_a_known_trajectory_ends_with_are_not_looked_at_again():
+    """One that is too fast is refused wherever it is new, and not where it was accepted before."""
+    slow, fast = (tr.line(ORIGIN, [0.5, 0, 0], duration_s=t_s).segments[0] for t_s in (20.0, 2.0))
+    end, other_end = (tr.line(ORIGIN, [0.3, 0, 0]).segments[0] for _ in range(2))
+    known = tr.Trajectory("known", (slow, slow, end))
+    for parts in ((fast, end), (slow, fast, end), (slow, fast, slow, end), (slow, fast), (fast, other_end)):
+        with pytest.raises(TrajectoryError, match="wheel acceleration"):
+            check(tr.Trajectory("new", parts), CAD, MotionLimits(), known=known)
+    accepted = tr.Trajectory("accepted", (fast, end))
+    check(tr.Trajectory("new", (slow, fast, end)), CAD, MotionLimits(), known=accepted)
