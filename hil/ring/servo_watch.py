@@ -96,11 +96,9 @@ class ServoWatch:
         One that is silent takes others of its chain along for a read or two, one that is late all of them.
         """
         most = max((count for count, _ in self._missed.values()), default=0)
-        late = {j for j, (_, status) in self._missed.items() if status is Status.LATE}
-        named = {j for j, (count, _) in self._missed.items() if 2 * count > most} | late
-        if late and len(named) == len(SERVOS):
-            named = late
-        missed = {j: self._missed[j][1] for j in sorted(named)}
+        missed = {j: status for j, (count, status) in sorted(self._missed.items()) if 2 * count > most}
+        late = {j: status for j, (_, status) in sorted(self._missed.items()) if status is Status.LATE}
+        missed = late if late and len(missed | late) == len(SERVOS) else missed | late
         kinds = set(missed.values())
         if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
             return (
