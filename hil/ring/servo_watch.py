@@ -23,7 +23,6 @@ _REMEDIES = {
     Status.RESET: "it has restarted: check its supply",
     Status.CRC: "what it sends arrives damaged: check cable, ground and baud rate",
     Status.PROTOCOL: "check that no two servos have the same ID",
-    Status.LATE: "it holds up the others: check its return delay time, its cable and its supply",
     Status.TIMEOUT: "check its cable, its supply and its ID",
 }
 """What tells most comes first: one that is damaged takes along, as silent, those behind it in the chain."""
@@ -93,12 +92,10 @@ class ServoWatch:
     def _who(self) -> str:
         """Servos that missed most reads since the last complete one, with status and what to do.
 
-        One that is silent takes others of its chain along for a read or two, one that is late all of them.
+        One that is silent takes others of its chain along for a read or two.
         """
         most = max((count for count, _ in self._missed.values()), default=0)
         missed = {j: status for j, (count, status) in sorted(self._missed.items()) if 2 * count > most}
-        late = {j: status for j, (_, status) in sorted(self._missed.items()) if status is Status.LATE}
-        missed = late if late and len(missed | late) == len(SERVOS) else missed | late
         kinds = set(missed.values())
         if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
             return (

@@ -68,17 +68,6 @@ def test_who_is_silent_once_with_its_chain_is_not_blamed():
     assert "steer" not in str(stop)
 
 
-def test_one_that_answers_late_is_named_and_not_those_whom_it_holds_up():
-    held_up = [cycle(k, wrong=ALL_SILENT) for k in range(1, 10)]
-    late = [cycle(k, wrong={**ALL_SILENT, 2: Status.LATE}) for k in range(10, 20)]
-    stop, _ = stopped(supervisor(), [cycle(0), *held_up, *late])
-    assert "drive_BR (ID 13): answers late; it holds up the others" in str(stop)
-    assert str(stop).count("(ID ") == 1
-    dead = {2: Status.LATE, 7: Status.TIMEOUT}
-    stop, _ = stopped(supervisor(), [cycle(0), *(cycle(k, wrong=dead) for k in range(1, 20))])
-    assert "drive_BR (ID 13): answers late, steer_FR (ID 18): timeout; it holds up" in str(stop)
-
-
 def test_servos_that_take_turns_in_being_silent_are_all_named():
     turns = [cycle(k, wrong={2 + k % 2: Status.TIMEOUT}) for k in range(1, 20)]
     stop, _ = stopped(supervisor(), [cycle(0), *turns])
