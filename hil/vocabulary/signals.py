@@ -41,7 +41,6 @@ class Status(str, enum.Enum):
     PARITY = "parity"
     MAGNET = "magnet"
     RESET = "reset"
-    LATE = "answers late"
 
 
 @quickly_made

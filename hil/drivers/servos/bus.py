@@ -13,7 +13,6 @@ from dynamixel_sdk import (
 )
 
 from hil.drivers.servos import packets
-from hil.drivers.servos.owed import Owed
 from hil.drivers.servos.packets import ALERT, ERROR_NUMBER, ERROR_TEXT, Answer, GroupRead
 from hil.drivers.servos.port import PortLost, ServoPort
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
@@ -25,7 +24,6 @@ T = TypeVar("T")
 _ATTEMPTS = 3
 _OLDEST_NS = 50_000_000
 _LONGEST_ROUND_TRIP_NS = 100_000_000
-_SLICE_NS = 10_000_000
 _RESULTS = {COMM_RX_TIMEOUT: Status.TIMEOUT, COMM_RX_CORRUPT: Status.CRC}
 
 
@@ -62,19 +60,15 @@ class Bus:
         port: opened by the caller.
         clock: the bench clock.
         device: name in errors.
-
-    Attributes:
-        owed: answers that have not come in time.
     """
 
     def __init__(self, port: ServoPort, clock: Clock, device: str) -> None:
-        self.port, self._clock, self.device = port, clock, device
+        self.port, self._clock, self._device = port, clock, device
         self._sdk = PacketHandler(2.0)
         self.traffic_ns = clock.now_ns()
         self._asked: _Asked | None = None
         self._ahead: Exchange | None = None
         self._round_trip_ns = _LONGEST_ROUND_TRIP_NS
-        self.owed = Owed()
 
     def close(self) -> None:
         """Let go of the port; never raises."""
@@ -86,7 +80,7 @@ class Bus:
             self.port.setBaudRate(baud)
         except PortLost as error:
             raise DeviceError(
-                self.device,
+                self._device,
                 f"the port is gone ({error})",
                 port=self.port.port_name,
                 expected="an adapter that stays plugged in",
@@ -176,36 +170,6 @@ class Bus:
         assert found is not None
         return found
 
-    def patiently(self, group: GroupRead, patience_ns: int, keep: bytes) -> Exchange:
-        """One group read whose answer may come late.
-
-        Args:
-            group: what to ask.
-            patience_ns: how long to wait.
-            keep: a packet that nobody answers, sent meanwhile so that no watchdog trips.
-        """
-        self._settle()
-        asked = self._ask(group, patience_ns / NS_PER_S)
-        data = b""
-        try:
-            while not group.complete(data) and (left_ns := asked.deadline_ns - self._clock.now_ns()) > 0:
-                if data or left_ns < patience_ns - _SLICE_NS:
-                    self.port.writePort(keep)
-                wanted = max(1, group.expected - len(data))
-                data += self.port.receive(wanted, min(left_ns, _SLICE_NS) / NS_PER_S)
-        except PortLost:
-            self._clock.sleep_until_ns(asked.deadline_ns)
-        return self._judged(asked, data, whole=group.complete(data))
-
-    def listen(self) -> None:
-        """See whether what has arrived between two requests is an answer that is owed."""
-        if self.owed and self._asked is None:
-            try:
-                data = self.port.arrived()
-            except PortLost:
-                return
-            self.owed.heard(data, self._clock.now_ns())
-
     def _settle(self) -> None:
         """Fetch what is still under way."""
         if self._asked is not None:
@@ -226,29 +190,14 @@ class Bus:
 
     def _fetch(self, asked: _Asked) -> Exchange:
         clock, group = self._clock, asked.group
-        data, whole = b"", False
+        data = b""
         try:
             data = self.port.receive(group.expected, (asked.deadline_ns - clock.now_ns()) / NS_PER_S)
-            whole = group.plausible(data)
-            if not whole:
+            if not group.plausible(data):
                 data = self._more(group, data, asked.deadline_ns)
-                whole = group.complete(data)
         except PortLost:
             clock.sleep_until_ns(asked.deadline_ns)
-        return self._judged(asked, data, whole=whole)
-
-    def _judged(self, asked: _Asked, data: bytes, *, whole: bool) -> Exchange:
-        """What an exchange has brought; nothing where a late answer came first: the rest may be as old."""
-        received_ns, group, owed = self._clock.now_ns(), asked.group, self.owed
-        if not owed:
-            if not whole:
-                owed.missed(group, asked.sent_ns, data)
-        elif group.plausible(data):
-            owed.answered(group)
-        elif owed.heard(data, received_ns, group):
-            data = b""
-        elif not whole:
-            owed.missed(group, asked.sent_ns, data)
+        received_ns = clock.now_ns()
         return Exchange(data, asked.sent_ns, received_ns, self._taken_ns(asked, len(data), received_ns))
 
     def _taken_ns(self, asked: _Asked, count: int, received_ns: int) -> int:
@@ -290,7 +239,7 @@ class Bus:
         number = answer.error & ERROR_NUMBER
         reason = f"the servo {ERROR_TEXT.get(number, f'reports error {number}')}" if number else ""
         return kind(
-            self.device,
+            self._device,
             f"{what} ({reason or answer.status.value})",
             port=self.port.port_name,
             expected=f"an acknowledgement at {self.port.baudrate} baud",

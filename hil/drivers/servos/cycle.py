@@ -3,8 +3,10 @@
 Now and then it is a full look: the same exchange shows torque, watchdog, voltage and temperature too, a
 fifth of a millisecond more on the wire instead of two exchanges of their own.
 
-Who is asked together and who alone is in `chain`. One that answers late would block the others: it is asked
-alone, too, and waited for where there is time (`latecomers`).
+A servo that misses a read moves to the end of the list, so that a chain that stops at it loses nobody
+else; missing three times, it leaves the list and is asked alone every now and then. So a dead servo costs one
+short time-out at a time, never the whole group. When nobody answers it is either the bus or the first of
+the chain: somebody else leads the next read, and the guilty one is then known.
 """
 
 from __future__ import annotations
@@ -15,15 +17,16 @@ import numpy as np
 
 from hil.config.servos import ServosConfig
 from hil.drivers.servos.bus import Bus, Exchange
-from hil.drivers.servos.chain import ALL, Chain, with_last
-from hil.drivers.servos.latecomers import Latecomers
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, RegisterMap
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import Status
 
+_DEAD_AFTER = 3
 _AGE_NS = 2_500_000
+_ALL = tuple(range(8))
+_NONE_MISSED = [0] * 8
 ALL_OK = (Status.OK,) * 8
 
 
@@ -63,6 +66,10 @@ class _Kind:
 _NO_ALERT = (False,) * 8
 
 
+def _with_last(order: tuple[int, ...], joint: int) -> tuple[int, ...]:
+    return (*(j for j in order if j != joint), joint)
+
+
 class CycleReader:
     """Reads current, velocity and position of the eight servos.
 
@@ -88,9 +95,10 @@ class CycleReader:
         self._bus, self._ids, self._clock, self.fast = bus, config.ids, clock, fast
         self._budget_ns = nanoseconds(config.retry_budget_s)
         self._slack_ns = nanoseconds(config.reply_slack_s)
-        self._chain = Chain(nanoseconds(config.dead_poll_s))
-        self._late = Latecomers(bus, config.ids, clock, fast=fast)
-        self._held_up = False
+        self._poll_ns = nanoseconds(config.dead_poll_s)
+        self._order = list(_ALL)
+        self._missed = list(_NONE_MISSED)
+        self._dead: dict[int, int] = {}
         self._cycle = _Kind(registers.cycle_address, registers.cycle_length, CYCLE_FIELDS)
         self._full = (
             _Kind(registers.audit_data, FULL_FIELDS.itemsize, FULL_FIELDS)
@@ -98,55 +106,39 @@ class CycleReader:
             else _Kind(registers.torque, registers.direct_full_length, registers.direct_full_fields)
         )
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
-        self._kind = self._cycle
-        self._asked: tuple[int, ...] = ()
-        self._patient_with = b""
+        self._kind, self._asked = self._cycle, _ALL[:0]
+        self._thorough = False
 
     @property
     def live_ids(self) -> tuple[int, ...]:
         """IDs that the group read asks, in its order."""
-        return tuple(self._ids[j] for j in self._chain.order)
+        return tuple(self._ids[j] for j in self._order)
 
     def asked(self) -> bool:
-        """Whether a request is out whose answer `read` will fetch, or must not be sent for now."""
-        return self._held_up or self._bus.asked()
+        """Whether a request is out whose answer `read` will fetch."""
+        return self._bus.asked()
 
     def ask(self, *, full: bool, after: bytes = b"") -> None:
         """Send the request of the next `read`, behind a packet that nobody answers."""
-        self._ask(self._full if full else self._cycle, tuple(self._chain.order), after)
+        self._ask(self._full if full else self._cycle, tuple(self._order), after)
 
-    def look(self, goals: bytes) -> Reading:
-        """A full look at everybody, those that have been given up too, in the time that it takes.
-
-        Args:
-            goals: packet that is sent again and again while a late one is waited for.
-        """
+    def look(self) -> Reading:
+        """A full look at everybody, those that have been given up too, in the time that it takes."""
         if self.asked():
             self.read()
-        self._ask(self._full, tuple(self._chain.order))
-        self._patient_with = goals
+        self._ask(self._full, tuple(self._order))
+        self._thorough = True
         try:
             return self.read()
         finally:
-            self._patient_with = b""
+            self._thorough = False
 
     def _ask(self, kind: _Kind, joints: tuple[int, ...], after: bytes = b"") -> None:
-        self._leave_out_late()
-        self._held_up = self._late.hold_up()
-        joints = () if self._held_up else tuple(j for j in joints if j not in self._late)
         self._kind, self._asked = kind, joints
         if joints:
             self._bus.ask(*self._group(kind, joints), after)
         elif after:
             self._bus.send(after)
-
-    def _leave_out_late(self) -> None:
-        """Whose answer has come too late is asked alone from now on."""
-        if self._bus.owed:
-            _, expected_s = self._group(self._cycle, ALL[:1])
-            joint = self._late.found(expected_s)
-            if joint is not None:
-                self._chain.late(joint, self._clock.now_ns(), self._late.pause_ns(joint))
 
     def read(self) -> Reading:
         """The answer to what was asked; a second exchange for what is missing where the budget allows it.
@@ -157,7 +149,7 @@ class CycleReader:
         kind, order, began_ns = self._kind, self._asked, self._clock.now_ns()
         if not order:
             nothing = Exchange(b"", began_ns, began_ns, began_ns)
-            return self._ask_alone(kind, nothing, dict.fromkeys(ALL, NO_ANSWER))
+            return self._poll_dead(kind, nothing, dict.fromkeys(_ALL, NO_ANSWER))
         group, timeout_s = self._group(kind, order)
         exchange = self._bus.answered(self._slack_ns)
         reading = self._quick(kind, group, exchange, order)
@@ -167,28 +159,26 @@ class CycleReader:
         missing = [j for j in order if answers[j].status is not Status.OK]
         if missing and began_ns - exchange.sent_ns > _AGE_NS:
             silent = [j for j in missing if answers[j].status is Status.TIMEOUT]
-            if silent:
-                self._chain.broke_at(silent[0])
-                order = with_last(order, silent[0])
-            self._ask(kind, order)
+            self._ask(kind, _with_last(order, silent[0]) if silent else order)
             return self.read()
         if missing:
             deadline_ns = exchange.sent_ns + nanoseconds(timeout_s) - self._slack_ns + self._budget_ns
             answers |= self._again(kind, order, missing, answers, deadline_ns)
-        self._chain.keep_book(order, answers, self._clock.now_ns())
-        return self._ask_alone(kind, exchange, answers)
+        self._keep_book(order, answers)
+        return self._poll_dead(kind, exchange, answers)
 
     def _quick(
         self, kind: _Kind, group: GroupRead, exchange: Exchange, order: tuple[int, ...]
     ) -> Reading | None:
         """The reading of a clean answer of all eight."""
         rows = group.quick(exchange.data, kind.fields)
-        if rows is None or order != ALL:
+        if rows is None or order != _ALL:
             return None
         full = kind is not self._cycle
         if full and (rows["level"] != FULL_LEVEL).any():
             return None
-        self._chain.all_answered()
+        if self._missed != _NONE_MISSED:
+            self._missed = list(_NONE_MISSED)
         return Reading(rows, ALL_OK, _NO_ALERT, exchange.taken_ns, exchange.received_ns, full)
 
     def _group(self, kind: _Kind, joints: tuple[int, ...]) -> tuple[GroupRead, float]:
@@ -215,7 +205,7 @@ class CycleReader:
     ) -> dict[int, Answer]:
         """Ask once more, without the servo at which the answer broke off, if there is time."""
         if len(missing) == len(order):
-            joints = with_last(order, order[0])
+            joints = _with_last(order, order[0])
         else:
             suspect = missing[0]
             joints = tuple(j for j in missing if j != suspect or answers[j].status is not Status.TIMEOUT)
@@ -227,43 +217,46 @@ class CycleReader:
             return {}
         return self._by_joint(group, self._bus.exchange(group, min(timeout_s, left_ns / NS_PER_S)), joints)
 
-    def _ask_alone(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
-        """Ask one of those who are asked alone if its time has come (all in a look), then make a reading."""
-        held_up, self._held_up = self._held_up, False
-        revived = []
-        patient = bool(self._patient_with)
-        due = [] if held_up else self._chain.due(self._clock.now_ns(), everybody=patient)
-        for j in due if patient else due[:1]:
-            answer, in_time = self._alone(kind, j)
-            if answer.status is Status.OK:
-                answers[j] = answer
-            if in_time:
-                self._late.in_time(j)
-                self._chain.revived(j)
-                revived.append(j)
-            else:
-                pause_ns = self._late.pause_ns(j) if j in self._late else 0
-                self._chain.not_revived(j, self._clock.now_ns(), pause_ns)
-        return self._reading(kind, exchange, answers, tuple(revived))
-
-    def _alone(self, kind: _Kind, joint: int) -> tuple[Answer, bool]:
-        """The answer of one servo, and whether it came in its time; in a look a late one is waited for."""
-        group, timeout_s = self._group(kind, (joint,))
-        late = joint in self._late
-        if late and self._patient_with:
-            exchange = self._bus.patiently(group, self._late.patience_ns(joint), self._patient_with)
+    def _keep_book(self, order: tuple[int, ...], answers: dict[int, Answer]) -> None:
+        """Count misses; the first silent servo goes to the end of the list, and then out of it."""
+        silent = [j for j in order if answers[j].status is Status.TIMEOUT]
+        for j in order:
+            if j not in silent:
+                self._missed[j] = 0
+        if not silent:
+            if not self._dead and self._order != list(_ALL):
+                self._order = list(_ALL)
+            return
+        if len(silent) == len(order) > 1:
+            self._order = list(_with_last(order, order[0]))
+            return
+        suspect = silent[0]
+        self._missed[suspect] += 1
+        self._order.remove(suspect)
+        if self._missed[suspect] >= _DEAD_AFTER:
+            self._dead[suspect] = self._clock.now_ns() + self._poll_ns
         else:
-            exchange = self._bus.exchange(group, timeout_s)
-        answer = self._by_joint(group, exchange, (joint,))[joint]
-        answered = answer.status is Status.OK
-        if late and answered:
-            self._late.heard(joint, exchange.received_ns - exchange.sent_ns)
-        elif late:
-            self._late.unheard(joint, exchange.received_ns - exchange.sent_ns)
-        quick_ns = (
-            nanoseconds(timeout_s) - self._slack_ns * 7 // 8
-        )  # eight of them share the slack of a group
-        return answer, answered and (not late or exchange.received_ns - exchange.sent_ns <= quick_ns)
+            self._order.append(suspect)
+
+    def _poll_dead(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
+        """Ask one of the dead if its time has come (all of them in a look), then make a reading."""
+        revived = []
+        now_ns = self._clock.now_ns()
+        for j, due_ns in self._dead.items():
+            if self._thorough or now_ns >= due_ns:
+                group, timeout_s = self._group(kind, (j,))
+                answer = self._by_joint(group, self._bus.exchange(group, timeout_s), (j,))[j]
+                self._dead[j] = now_ns + self._poll_ns
+                if answer.status is Status.OK:
+                    answers[j] = answer
+                    revived.append(j)
+                if not self._thorough:
+                    break
+        for j in revived:
+            del self._dead[j]
+            self._missed[j] = 0
+            self._order = sorted([*self._order, j])
+        return self._reading(kind, exchange, answers, tuple(revived))
 
     def _reading(
         self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer], revived: tuple[int, ...]
@@ -282,9 +275,6 @@ class CycleReader:
             for name in registers.dtype.names or ():
                 registers[name][j] = row[name]
             alert[j] = bool(answer.error & 0x80)
-        for j in self._late:
-            if status[j] is Status.TIMEOUT:
-                status[j] = Status.LATE
         return Reading(
             registers, tuple(status), tuple(alert), exchange.taken_ns, exchange.received_ns, full, revived
         )

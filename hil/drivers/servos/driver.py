@@ -32,7 +32,7 @@ from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.registers import RegisterMap
 from hil.drivers.servos.restoring import Upkeep, acknowledge_all
 from hil.drivers.servos.samples import Samples
-from hil.drivers.servos.timeouts import OutageWatch, silence_remedy
+from hil.drivers.servos.timeouts import OutageWatch
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, DeviceTimeoutError
 from hil.vocabulary.finding import Finding
@@ -260,7 +260,7 @@ class DynamixelServos(Actuators):
             + ", ".join(f"{SERVOS[j]} {s.value}" for j, s in enumerate(sample.status) if s is not Status.OK),
             port=self._config.port,
             expected="an answer from all eight servos",
-            remedy=silence_remedy(sample.status),
+            remedy="check cable, power and IDs",
         )
 
     def command(self, setpoint: ServoSetpoint) -> None:
@@ -306,9 +306,8 @@ class DynamixelServos(Actuators):
     def _look(self, bus: Bus) -> ServoHold:
         self._paused = self._tripped_by(self._clock.now_ns() - bus.traffic_ns)
         self._goals.rest()
-        goals = self._goals.packet()
-        bus.send(goals)
-        reading = self._cycle.look(goals)
+        bus.send(self._goals.packet())
+        reading = self._cycle.look()
         self._health.note(reading)
         self._audit(reading)
         position = self._samples.position(reading)

@@ -28,7 +28,7 @@ ERROR_TEXT = {
     6: "has a limit below this value",
     7: "does not let the register be written now",
 }
-HEADER = b"\xff\xff\xfd\x00"
+_HEADER = b"\xff\xff\xfd\x00"
 _STATUS = 0x55
 _SYNC_READ, _SYNC_WRITE, _FAST_SYNC_READ = 0x82, 0x83, 0x8A
 _BULK_WRITE = 0x93
@@ -53,7 +53,7 @@ BAD_CHECKSUM = Answer(Status.CRC)
 def instruction(servo_id: int, code: int, parameters: bytes = b"") -> bytes:
     """An instruction packet."""
     body = (bytes((code,)) + parameters).replace(b"\xff\xff\xfd", b"\xff\xff\xfd\xfd")
-    data = HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
+    data = _HEADER + bytes((servo_id,)) + (len(body) + 2).to_bytes(2, "little") + body
     crc: int = crc16.umts(data)
     return data + crc.to_bytes(2, "little")
 
@@ -74,7 +74,7 @@ def sync_write(address: int, length: int, parts: Sequence[tuple[int, bytes]]) ->
 def find_statuses(data: bytes) -> list[tuple[int, Answer]]:
     """Status packets in a stream that may hold noise, echoes and pieces, as (ID, answer) in order."""
     found, start = [], 0
-    while (start := data.find(HEADER, start)) >= 0:
+    while (start := data.find(_HEADER, start)) >= 0:
         if start + _STATUS_OVERHEAD > len(data):
             break
         length = data[start + 5] | data[start + 6] << 8
@@ -120,14 +120,10 @@ class GroupRead:
         overhead = _FAST_OVERHEAD if fast else _STATUS_OVERHEAD
         self.expected = count * (length + overhead) + (_FAST_HEAD if fast else 0)
         declared = (self.expected - 7).to_bytes(2, "little")
-        self._head = HEADER + bytes((BROADCAST,)) + declared + bytes((_STATUS,))
+        self._head = _HEADER + bytes((BROADCAST,)) + declared + bytes((_STATUS,))
         self._ids, self._no_errors = bytes(self.ids), bytes(count)
         tail = (length + 4).to_bytes(2, "little") + bytes((_STATUS,))
-        self._heads = [HEADER + bytes((i,)) + tail for i in self.ids]
-
-    def begins(self, servo_id: int) -> bytes:
-        """How an answer begins in which one of those who were asked comes first."""
-        return self._head if self.fast else self._heads[self.ids.index(servo_id)]
+        self._heads = [_HEADER + bytes((i,)) + tail for i in self.ids]
 
     def plausible(self, data: bytes) -> bool:
         """Whether the bytes have the length and the heads of a complete answer without stuffing."""

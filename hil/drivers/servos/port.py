@@ -129,14 +129,6 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         except PORT_ERRORS as error:
             raise PortLost(str(error)) from None
 
-    def arrived(self) -> bytes:
-        """What has arrived and nobody has read; raises `PortLost`."""
-        try:
-            data: bytes = self.ser.read(waiting) if (waiting := self.ser.in_waiting) else b""
-        except PORT_ERRORS as error:
-            raise PortLost(str(error)) from None
-        return data
-
     def writePort(self, packet: bytes | list[int]) -> int:
         """Send; raises `PortLost`."""
         now_ns = self._clock.now_ns()

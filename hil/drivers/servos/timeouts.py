@@ -70,12 +70,5 @@ class OutageWatch:
             f"nothing usable for {self._limit_ns / NS_PER_S:g} s from {found}",
             port=self._config.port,
             expected="an answer in every cycle",
-            remedy="remove the cause, then reboot the servo" if broken else silence_remedy(status),
+            remedy="remove the cause, then reboot the servo" if broken else "check cable, power and IDs",
         )
-
-
-def silence_remedy(status: Sequence[Status]) -> str:
-    """What to do about servos that do not answer, or not in time."""
-    if Status.LATE in status:
-        return "check the return delay time, the cable and the supply of the late one: it holds up the others"
-    return "check cable, power and IDs"
