@@ -60,7 +60,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "stream_watch": ("hil/ring/stream_watch.py", (_STREAMS,)),
     "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),
-    "outage": ("hil/drivers/servos/timeouts.py", (*_SERVOS, "tests/servos/test_servo_latecomers.py")),
+    "outage": ("hil/drivers/servos/timeouts.py", _SERVOS),
     "limits": (
         "hil/robot/motion_limits.py",
         ("tests/trajectories/test_trajectories.py", "tests/trajectories/test_many_times_at_once.py"),

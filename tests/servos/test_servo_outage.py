@@ -49,16 +49,6 @@ def test_a_broken_servo_among_silent_ones_is_what_has_to_be_mended():
     assert not isinstance(error.value, DeviceTimeoutError)
 
 
-@pytest.mark.parametrize(
-    ("status", "remedy", "other"),
-    [(Status.LATE, "return delay time", "power and IDs"), (Status.TIMEOUT, "power and IDs", "return delay")],
-)
-def test_one_that_is_late_is_mended_otherwise_than_one_that_is_silent(status, remedy, other):
-    with pytest.raises(DeviceTimeoutError, match=remedy) as error:
-        noted(status, LIMIT_NS + 1)
-    assert other not in str(error.value)
-
-
 def test_whether_all_were_usable_is_said_and_remembered():
     watch = OutageWatch(ServosConfig(fail_after_s=LIMIT_NS * 1e-9), "servos", 0)
     silent = (Status.TIMEOUT, *[Status.OK] * 7)
