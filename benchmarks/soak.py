@@ -162,7 +162,8 @@ def _words(device: str) -> set[str]:
     kind = next(
         k for k in kinds().values() if head in (k.name.rstrip("s"), k.shown_as.rstrip("s"), *k.aliases)
     )
-    return {kind.name, kind.noun.lower().rstrip("s"), head}
+    moved = {"wheels"} if kind.actuates else set()
+    return {kind.name, kind.noun.lower().rstrip("s"), head, *moved}
 
 
 def stretch(seed: int, minutes: float, folder: Path) -> Stretch:
