@@ -118,14 +118,15 @@ class HoldWatch(Sink):
             hold = servos.look_after()
             self._see(hold, trails)
             seen = [name for name, trail in trails.items() if trail.full(hold.t_ns)]
-            unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(self._places(seen)))
-            doubt = self._doubt(hold, trails, seen) or unpressed
+            places = self._places(seen)
+            unpressed = self._press.doubt(self._clock.now_ns(), sees_slide=bool(places))
+            doubt = self._doubt(hold, trails, seen, places) or unpressed
             if hold.t_ns - began_ns < _ALL_NS and any(trail.fills(hold.t_ns) for trail in trails.values()):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
             if not hold.wanted:
                 return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
             if not doubt:
-                by = {*self._believed(seen), *self._places(seen)}
+                by = {*self._believed(seen), *places}
                 rests = ", ".join(kinds()[name].noun for name in seen if name in by)
                 pressed = self._press.in_words(hold.t_ns)
                 return self._verdict("HELD", f"torque on, at rest by {rests}{pressed}", seen)
@@ -196,8 +197,17 @@ class HoldWatch(Sink):
         values = (self._witnesses[name].value(sample) for sample in samples)
         return [value for value in values if value is not None]
 
-    def _doubt(self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str]) -> str:
-        """What speaks against calling the robot held; empty when nothing does."""
+    def _doubt(
+        self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]
+    ) -> str:
+        """What speaks against calling the robot held; empty when nothing does.
+
+        Args:
+            hold: what the servos say.
+            trails: by witness.
+            seen: those who have seen the robot for long enough.
+            places: those of them who would see a slide, and are believed.
+        """
         felt = self._doubt_of_weight()
         if hold.trouble or felt:
             servos = _in_words(hold) if hold.trouble else "torque is on"
@@ -210,7 +220,9 @@ class HoldWatch(Sink):
                 return f"torque is on, but the robot still moves by its {kinds()[name].noun}"
         if len(seen) == 1 and len(self._witnesses) > 1:
             return "torque is on, but no camera, motion capture or IMU confirms that it stands still"
-        return self._doubt_of_sliding(seen, hold.t_ns)
+        if not self._can_fall or places or self._press.feels(hold.t_ns):
+            return ""
+        return self._nobody_sees_a_slide(seen)
 
     def _doubt_of_weight(self) -> str:
         """What the accelerometer says against a robot at rest."""
@@ -223,10 +235,8 @@ class HoldWatch(Sink):
             )
         return ""
 
-    def _doubt_of_sliding(self, seen: Collection[str], now_ns: int) -> str:
-        """Wheels and IMU do not see a slide: somebody has to who sees places, or measures the force."""
-        if not self._can_fall or self._press.feels(now_ns) or self._places(seen):
-            return ""
+    def _nobody_sees_a_slide(self, seen: Collection[str]) -> str:
+        """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
         doubted = [kinds()[name].noun for name in seen if self._witnesses[name].is_place]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
         return (

@@ -116,13 +116,11 @@ class PressWatch:
         if not limits.reports_thrust:
             if sees_slide:
                 return limits.nominal_thrust_n, ""
-            return (
-                0.0,
-                " without the propellers: they report nothing, and nobody sees whether it slides",
-            )
+            return 0.0, " without the propellers: they report nothing, and nobody sees whether it slides"
         for sample in self._samples("thrust"):
-            if sample.status is Status.OK and math.isfinite(sample.throttle):
-                self._push = sample.stamp.t_ns, limits.full_thrust_n * sample.throttle**2
+            push_n = limits.push_n(sample)
+            if math.isfinite(push_n):
+                self._push = sample.stamp.t_ns, push_n
         if self._push is None or now_ns - self._push[0] > self._stale_ns:
             return 0.0, " without the propellers: their controllers are silent and may have let go"
         return self._push[1], f" with the {self._push[1]:.1f} N that the propellers report"

@@ -176,10 +176,8 @@ class CanLink:
         """
         if self._reader is None:
             return self._drain(self._bus, wait_s) if self._bus is not None else []
-        end_ns = self._clock.now_ns() + nanoseconds(wait_s)
-        while not self._read and self._clock.now_ns() < end_ns:
-            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
         read = self._read
+        self._await(read, nanoseconds(wait_s))
         return [read.popleft() for _ in range(len(read))]
 
     def listen_for(self, meaning: Meaning) -> None:
@@ -202,10 +200,14 @@ class CanLink:
             return self._meant(self._drain(self._bus, 0.0), self._meaning)
         asked_ns, self._asked_ns = self._asked_ns, self._clock.now_ns()
         if self._asked_ns - asked_ns > _HELD_UP_NS:
-            end_ns = self._asked_ns + _CATCH_UP_NS
-            while not said and self._clock.now_ns() < end_ns:
-                self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
+            self._await(said, _CATCH_UP_NS)
         return [said.popleft() for _ in range(len(said))] if said else []
+
+    def _await(self, queue: deque[Any], wait_ns: int) -> None:
+        """Wait until the thread has brought something, for this long at the most."""
+        end_ns = self._clock.now_ns() + wait_ns
+        while not queue and self._clock.now_ns() < end_ns:
+            self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
 
     def _meant(self, arrived: list[Arrived], meaning: Meaning) -> list[Any]:
         """What frames say, without those that say nothing."""

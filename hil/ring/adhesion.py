@@ -14,7 +14,7 @@ from hil.ring.force_trend import ForceTrend
 from hil.robot.holding import Statics
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Blame
-from hil.vocabulary.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status
+from hil.vocabulary.signals import WHEELS, AdhesionSample, Event, Inputs, LoadCellSample, Status, ThrustSample
 
 _FALLING_N_S = -3.0
 _AHEAD_S = 0.5
@@ -79,6 +79,12 @@ class AdhesionLimits:
     def speed_n(self, sample: AdhesionSample) -> float:
         """Force by the fan's speed."""
         return self.rated_n * (sample.speed_rpm / self.rated_rpm) ** 2
+
+    def push_n(self, sample: ThrustSample) -> float:
+        """Push by the propellers' speed; NaN where they do not tell it."""
+        if sample.status is not _OK:
+            return math.nan
+        return self.full_thrust_n * sample.throttle**2
 
     def power_n(self, sample: AdhesionSample) -> float:
         """Force by what the battery gives: power goes with the cube of the speed."""
@@ -165,9 +171,9 @@ class AdhesionWatch:
                 self._speed_n = self.limits.speed_n(fan)
                 self._speed_trend.follow(self._fan_ns, self._speed_n)
         for push in inputs.thrust:
-            if push.status is _OK and math.isfinite(push.throttle):
-                self._thrust_n = self.limits.full_thrust_n * push.throttle**2
-                self._thrust_ns = push.stamp.t_ns
+            push_n = self.limits.push_n(push)
+            if math.isfinite(push_n):
+                self._thrust_n, self._thrust_ns = push_n, push.stamp.t_ns
 
     def _fresh(self, t_ns: int, stop: Blame) -> bool:
         """Whether everybody who measures the force has been heard lately."""

@@ -18,7 +18,8 @@ from hil.vocabulary.signals import GyroMeasurement, WheelMeasurement
 _KEPT = 256
 _GYRO_GAP_NS = 100_000_000
 _WHEEL_NS = 28_000_000
-_WHEEL_STEP_RAD, _WHEEL_RATE_RAD_S = 0.2, 6.5
+STEP_RAD, FASTEST_RAD_S = 0.2, 6.5
+"""A wheel turns by no more than this and that rate in a step: beyond it an encoder has slipped."""
 
 Kept = tuple[complex, ...]
 
@@ -123,7 +124,7 @@ class WheelTrack(Track):
             return
         self._last = (t_ns, angles, steering)
         if last is not None:
-            possible = _WHEEL_RATE_RAD_S * (t_ns - last[0]) / NS_PER_S + _WHEEL_STEP_RAD
+            possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
             if max(abs(a - b) for a, b in zip(angles, last[1], strict=True)) > possible:
                 self.clear()
             else:

@@ -15,13 +15,13 @@ from collections import deque
 
 import numpy as np
 
+from hil.ring.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import SERVOS, WHEELS, Event, WheelMeasurement
 
 _STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
-_STEP_RAD, _FASTEST_RAD_S = 0.2, 6.5
 _APART_M, _APART_SHARE, _AGAIN = 0.0005, 0.02, 2
 """More than honest wheels contradict each other by (0.1 mm straight on, 0.4 mm where an arc begins or ends),
 per metre more, and how often in a row it is to be seen. Directions of wheels that are steered come late."""
@@ -89,7 +89,7 @@ class WheelWatch:
         if last is None:
             self._last = (t_ns, angles, steering)
             return False
-        possible = _FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + _STEP_RAD
+        possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
         turned = [a - b for a, b in zip(angles + steering, last[1] + last[2], strict=True)]
         if max(turned) > possible or min(turned) < -possible:
             self._forget()
