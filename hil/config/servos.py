@@ -47,7 +47,7 @@ class ServosConfig(DeviceConfig):
         fail_after_s: uninterrupted failure of a servo that raises instead of being reported as data.
         watchdog_s: bus watchdog, a multiple of 20 ms up to 2.54 s: when nobody talks to them for so long, the
             servos stop by themselves. On a wall at most 0.1 s; 0 leaves it off, on the floor only.
-        health_period_s: how often voltage, temperature, torque and watchdog are read.
+        health_period_s: how often voltage and temperature are read; torque and watchdog four times as often.
         model_number: of all eight servos: 1010 (XH430-W210), 1000 (XH430-W350), 1050 (XH430-V210), 1040
             (XH430-V350), 1030 (XM430-W210) or 1020 (XM430-W350). Where it is left out, the number that they
             tell decides, and all eight must agree; emulated ones are then XH430-W210.

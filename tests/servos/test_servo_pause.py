@@ -64,3 +64,32 @@ def test_a_bus_that_was_away_for_as_long_as_the_watchdog_waits_is_obeyed_again_a
         bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
     assert not any(s.tripped for s in bench.bus.servos)
     np.testing.assert_allclose(bench.plant.velocity[:4], 2.0, atol=0.3)
+
+
+@pytest.mark.parametrize("share", [0.55, 0.95])
+def test_a_pause_just_shorter_than_the_watchdog_waits_is_looked_into(servo_bench, share):
+    """The servos' clocks are not the host's: they may have tripped, and would refuse goals in silence."""
+    bench = servo_bench(config={"health_period_s": 60.0})
+    bench.driver.enable()
+    bench.driver.read()
+    bench.world.advance_to(bench.clock.now_ns() + round(share * 0.08 * SECOND))
+    for servo in bench.bus.servos:
+        servo.trip()
+    read_for(bench, 2)
+    assert not any(s.tripped for s in bench.bus.servos)
+
+
+def test_a_watchdog_that_trips_unnoticed_stops_a_wheel_for_less_than_makes_it_blocked(servo_bench):
+    bench = servo_bench()
+    bench.driver.enable()
+    for k in range(120):
+        bench.driver.read()
+        bench.driver.command(ServoSetpoint(np.full(4, 2.0), np.zeros(4)))
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 10_000_000)
+        if k == 60:
+            bench.bus.servos[1].trip()
+        if k == 61:
+            assert bench.bus.servos[1].tripped
+        if k == 61 + 30:
+            assert not bench.bus.servos[1].tripped
+    np.testing.assert_allclose(bench.plant.velocity[:4], 2.0, atol=0.3)

@@ -53,7 +53,8 @@ def test_health_and_audit_ride_along_with_the_read(servo_bench, fast):
     _, took_ns, health = cycles(bench, 400)
     assert len(health) == pytest.approx(10, abs=1)
     assert max(took_ns[2:]) - min(took_ns) < 800_000
-    assert sum(t > min(took_ns) + 100_000 for t in took_ns[2:]) == pytest.approx(10, abs=1)
+    looks = sum(t > min(took_ns) + 100_000 for t in took_ns[2:])
+    assert 3 * len(health) <= looks <= 4 * len(health)
 
 
 @pytest.mark.parametrize("prefetch", [False, True])

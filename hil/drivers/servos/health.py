@@ -1,4 +1,4 @@
-"""When voltage and temperature of the servos are due, and the sample made of them."""
+"""When a full look at the servos is due, and the sample made of their voltage and temperature."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ from hil.drivers.servos.cycle import Reading
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.signals import ServoHealth, Stamp, Status
 
+_LOOKS = 4
+"""In the time of one health sample: a watchdog that trips without anybody noticing stops its wheel, and the
+supervisor calls a wheel blocked after half a second."""
+
 
 class HealthWatch:
     """Keeps the health of a full look every `health_period_s` until it is asked for."""
@@ -18,16 +22,18 @@ class HealthWatch:
         self._clock, self._volt = clock, model.table["present_input_voltage"].scale
         self._period_ns = nanoseconds(config.health_period_s)
         self._due_ns = clock.now_ns() + self._period_ns
+        self._look_ns = clock.now_ns() + self._period_ns // _LOOKS
         self._sequence = 0
         self._kept: tuple[ServoHealth, ...] = ()
 
     def due(self) -> bool:
         """Whether the next read should be a full look."""
-        return self._clock.now_ns() >= self._due_ns
+        return self._clock.now_ns() >= self._look_ns
 
     def note(self, reading: Reading) -> None:
         """Take a full look; it becomes a sample when one is due and anybody has answered."""
         now_ns = self._clock.now_ns()
+        self._look_ns = now_ns + self._period_ns // _LOOKS
         if now_ns < self._due_ns:
             return
         self._due_ns = max(self._due_ns + self._period_ns, now_ns)
