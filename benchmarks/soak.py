@@ -50,6 +50,8 @@ LASTING = ("jump", "unplug")
 """Faults that leave a device another one than before, or one that somebody has to open again."""
 LETS_GO = ("plant", "adhesion", "thrust", "load_cells")
 """Devices whose faults may truly let the robot go, or leave nobody who knows how it is held."""
+_REFUSALS = 3
+"""So many drives in a row that end before their first cycle are no device that fails just then."""
 _OPENS_S = 3.0
 """What a bench takes to open at the most, so long as nothing has to be waited for."""
 EVERY_S, LONGEST_S, BACK_S = (2.0, 6.0), 1.5, 3.5
@@ -187,6 +189,7 @@ def drive(bench: Any, trouble: Trouble, minutes: float, folder: Path, *, real: b
     home = here = np.array(bench.config.environment.start_pose, dtype=np.float64)
     period_ns = round(NS_PER_S / bench.config.loop.rate_hz)
     end_ns, up, last_ns = bench.clock.now_ns() + round(minutes * MINUTE_S * NS_PER_S), True, 0
+    refused = 0
 
     def look(record: Any) -> None:
         nonlocal last_ns, here
@@ -210,7 +213,8 @@ def drive(bench: Any, trouble: Trouble, minutes: float, folder: Path, *, real: b
             bench.drive(line(here, there), start_pose=here, hold_s=0.2, on_cycle=look)
         except HilError as stop:
             _stopped(bench, seen, trouble, stop)
-            if seen.cycles == before:
+            refused = refused + 1 if seen.cycles == before else 0
+            if refused == _REFUSALS:
                 seen.wrong.append(f"does not go on after {trouble.recent}: {stop}")
                 break
     seen.faults = trouble.count

@@ -125,13 +125,14 @@ class HoldWatch(Sink):
                 doubt = doubt or "not all that see the robot have seen it for long enough"
             if not hold.wanted:
                 return self._verdict("NOT HELD", "torque was never switched on", seen, wanted=False)
+            late = "".join(f"; {name} ({text})" for name, text in hold.late.items())
             if not doubt:
                 by = {*self._believed(seen), *places}
                 rests = ", ".join(kinds()[name].noun for name in seen if name in by)
                 pressed = self._press.in_words(hold.t_ns)
-                return self._verdict("HELD", f"torque on, at rest by {rests}{pressed}", seen)
+                return self._verdict("HELD", f"torque on, at rest by {rests}{pressed}{late}", seen)
             if self._clock.now_ns() >= end_ns:
-                return self._verdict("NOT HELD", doubt, seen)
+                return self._verdict("NOT HELD", doubt + late, seen)
             self._clock.sleep_until_ns(self._clock.now_ns() + _LOOK_NS)
 
     def _believed(self, seen: Collection[str]) -> list[str]:

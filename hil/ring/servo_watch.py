@@ -99,8 +99,8 @@ class ServoWatch:
         kinds = set(missed.values())
         if not missed or (len(missed) == len(SERVOS) and kinds == {Status.TIMEOUT}):
             return (
-                "none of the eight answers; check the servos' supply, the bus cable, the adapter and the "
-                "baud rate"
+                "none of the eight answers in time; check the servos' supply, the bus cable, the adapter and "
+                "the baud rate; one that answers late holds up all (a look after the stop names it)"
             )
         found = ", ".join(f"{self._names[j]}: {status.value}" for j, status in missed.items())
         known = [remedy for status, remedy in _REMEDIES.items() if status in kinds]

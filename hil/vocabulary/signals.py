@@ -105,12 +105,14 @@ class ServoHold:
         trouble: what keeps a servo from holding, by its name in `SERVOS`; empty when all eight have torque
             and a watchdog that waits.
         wanted: whether they are to hold at all: from `enable` until `release`.
+        late: what is known of servos that answer, but too late for a cycle, by name.
     """
 
     t_ns: int
     position_rad: Array
     wanted: bool
     trouble: Mapping[str, str] = field(default_factory=dict)
+    late: Mapping[str, str] = field(default_factory=dict)
 
 
 @quickly_made

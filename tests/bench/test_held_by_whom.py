@@ -243,3 +243,14 @@ def test_a_witness_that_did_not_see_the_stop_says_nothing_of_the_way():
     fresh = travel()
     fresh.saw("tracker", 1_300_000_000, np.array([0.5, 0.0, 0.0]))
     assert fresh.moved_m({"tracker"}, slides=True) == 0.0, "nothing was stopped: its way begins here"
+
+
+@pytest.mark.parametrize("servo_id", [1, 3, 8])
+@pytest.mark.parametrize("bench_values", [{}, {"servos.prefetch": True}], ids=["asked", "ahead"])
+def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(servo_id, bench_values):
+    held, stop, moved_m, speed_m_s = left(f"servo.{servo_id}:slow@2.5,answer_s=0.02", **bench_values)
+    assert stop.reason == "stale_servos"
+    assert held.state == "HELD"
+    assert f"(ID {servo_id}: answers after 2" in held.why
+    assert moved_m < FAR_M
+    assert speed_m_s < 1e-4

@@ -63,7 +63,7 @@ class Bus:
     """
 
     def __init__(self, port: ServoPort, clock: Clock, device: str) -> None:
-        self.port, self._clock, self._device = port, clock, device
+        self.port, self._clock, self.device = port, clock, device
         self._sdk = PacketHandler(2.0)
         self.traffic_ns = clock.now_ns()
         self._asked: _Asked | None = None
@@ -80,7 +80,7 @@ class Bus:
             self.port.setBaudRate(baud)
         except PortLost as error:
             raise DeviceError(
-                self._device,
+                self.device,
                 f"the port is gone ({error})",
                 port=self.port.port_name,
                 expected="an adapter that stays plugged in",
@@ -220,6 +220,13 @@ class Bus:
             data += self.port.receive(max(1, group.expected - len(data)), left_ns / NS_PER_S)
         return data
 
+    def unasked(self) -> int:
+        """How many bytes have arrived while nobody waits for an answer."""
+        try:
+            return 0 if self._asked is not None else self.port.waiting()
+        except PortLost:
+            return 0
+
     def gather(self, duration_s: float, limit: int) -> bytes:
         """Everything that arrives during `duration_s`."""
         try:
@@ -239,7 +246,7 @@ class Bus:
         number = answer.error & ERROR_NUMBER
         reason = f"the servo {ERROR_TEXT.get(number, f'reports error {number}')}" if number else ""
         return kind(
-            self._device,
+            self.device,
             f"{what} ({reason or answer.status.value})",
             port=self.port.port_name,
             expected=f"an acknowledgement at {self.port.baudrate} baud",

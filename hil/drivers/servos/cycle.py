@@ -19,6 +19,7 @@ from hil.config.servos import ServosConfig
 from hil.drivers.servos.bus import Bus, Exchange
 from hil.drivers.servos.packets import NO_ANSWER, Answer, GroupRead
 from hil.drivers.servos.registers import CYCLE_FIELDS, FULL_FIELDS, FULL_LEVEL, RegisterMap
+from hil.drivers.servos.roll_call import RollCall
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import Status
@@ -107,7 +108,8 @@ class CycleReader:
         )
         self._groups: dict[tuple[_Kind, tuple[int, ...]], tuple[GroupRead, float]] = {}
         self._kind, self._asked = self._cycle, _ALL[:0]
-        self._thorough = False
+        self._thorough = self._incomplete = False
+        self._roll = RollCall(bus, config.ids, clock, watchdog_s=config.watchdog_s)
 
     @property
     def live_ids(self) -> tuple[int, ...]:
@@ -126,12 +128,21 @@ class CycleReader:
         """A full look at everybody, those that have been given up too, in the time that it takes."""
         if self.asked():
             self.read()
+        if self._incomplete and self._roll.is_due():
+            for joint in self._roll.call(lambda j: self._group(self._full, (j,))):
+                self._leave_out(joint)
         self._ask(self._full, tuple(self._order))
         self._thorough = True
         try:
-            return self.read()
+            reading = self.read()
         finally:
             self._thorough = False
+        self._incomplete = Status.TIMEOUT in reading.status
+        return reading
+
+    def late(self) -> dict[str, str]:
+        """Servos that were found to answer late, by name, with what to do about it."""
+        return self._roll.in_words()
 
     def _ask(self, kind: _Kind, joints: tuple[int, ...], after: bytes = b"") -> None:
         self._kind, self._asked = kind, joints
@@ -232,24 +243,34 @@ class CycleReader:
             return
         suspect = silent[0]
         self._missed[suspect] += 1
-        self._order.remove(suspect)
         if self._missed[suspect] >= _DEAD_AFTER:
-            self._dead[suspect] = self._clock.now_ns() + self._poll_ns
+            self._leave_out(suspect)
         else:
+            self._order.remove(suspect)
             self._order.append(suspect)
+
+    def _leave_out(self, joint: int) -> None:
+        """From now on it is asked alone, every now and then."""
+        self._dead[joint] = self._clock.now_ns() + self._poll_ns
+        if joint in self._order:
+            self._order.remove(joint)
 
     def _poll_dead(self, kind: _Kind, exchange: Exchange, answers: dict[int, Answer]) -> Reading:
         """Ask one of the dead if its time has come (all of them in a look), then make a reading."""
         revived = []
         now_ns = self._clock.now_ns()
         for j, due_ns in self._dead.items():
+            if self._roll.leaves_alone(j):
+                continue
             if self._thorough or now_ns >= due_ns:
                 group, timeout_s = self._group(kind, (j,))
-                answer = self._by_joint(group, self._bus.exchange(group, timeout_s), (j,))[j]
+                alone = self._roll.ask(j, group, timeout_s, patient=self._thorough)
+                answer = self._by_joint(group, alone, (j,))[j]
                 self._dead[j] = now_ns + self._poll_ns
                 if answer.status is Status.OK:
                     answers[j] = answer
-                    revived.append(j)
+                    if j not in self._roll.late_s:
+                        revived.append(j)
                 if not self._thorough:
                     break
         for j in revived:

@@ -153,17 +153,18 @@ class DynamixelServos(Actuators):
             self._ask(self._opened())
 
     def _ask(self, bus: Bus) -> None:
-        if self._cycle.asked():
-            return
         silence_ns = self._clock.now_ns() - bus.traffic_ns
+        self._paused = self._tripped_by(silence_ns)
+        if self._cycle.asked():
+            self._doubtful |= self._paused
+            return
         if silence_ns > _PAUSE_NS:
             self._outage.excuse(silence_ns)
-        self._paused = self._tripped_by(silence_ns)
         self._cycle.ask(full=self._paused or self._look_closely())
 
     def _tripped_by(self, silence_ns: int) -> bool:
-        """Whether the watchdogs must have tripped because nobody talked to the servos."""
-        return self._upkeep.torque and silence_ns > self._watchdog_ns > 0
+        """Whether watchdogs may have tripped, as nobody talked to the servos; their clocks are not ours."""
+        return self._upkeep.torque and silence_ns > self._watchdog_ns // 2 > 0
 
     def read(self) -> tuple[ServoSample, ...]:
         """One group read as one sample.
@@ -314,7 +315,8 @@ class DynamixelServos(Actuators):
         now_ns = self._clock.now_ns()
         self._outage.saw(reading.status, now_ns)
         self._caretaker.attended(now_ns)
-        return ServoHold(now_ns, position, self._upkeep.torque, self._upkeep.trouble(reading))
+        trouble = self._upkeep.trouble(reading)
+        return ServoHold(now_ns, position, self._upkeep.torque, trouble, self._cycle.late())
 
     def release(self) -> None:
         """Torque off, checked: on a wall the robot slides.

@@ -122,6 +122,14 @@ class ServoPort(PortHandler):  # type: ignore[misc]
         left_ns = self._sent_ns - self._clock.now_ns()
         return left_ns if left_ns > 0 else 0
 
+    def waiting(self) -> int:
+        """How many bytes have arrived that nobody has read; raises `PortLost`."""
+        try:
+            count: int = self.ser.in_waiting
+        except PORT_ERRORS as error:
+            raise PortLost(str(error)) from None
+        return count
+
     def clearPort(self) -> None:
         """Throw away what has arrived; raises `PortLost`."""
         try:
