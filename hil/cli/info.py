@@ -23,28 +23,35 @@ _PACKAGES = (
 
 
 def _compile() -> None:
-    """Run everything that numba compiles for a moment, what fits recordings in a process beside the rest."""
-    from hil.calibration.passes import compile_pass
-
+    """Have numba compile everything: the filter here, all else in a process beside, as long as that."""
     with ProcessPoolExecutor(1, get_context("spawn")) as beside:
-        fitting = beside.submit(compile_pass)
-        _compile_benches()
-        fitting.result()
+        others = beside.submit(_compile_others)
+        _compile_filter()
+        others.result()
 
 
-def _compile_benches() -> None:
+def _compile_filter() -> None:
+    """One cycle without samples; EKF and UKF have their kernels in common."""
+    from hil.config.estimator import EstimatorConfig
+    from hil.estimator import make_estimator
+    from hil.robot.kinematics import WheelGeometry
+    from hil.vocabulary.signals import Measurements
+
+    estimator = make_estimator(EstimatorConfig(kind="ekf"), WheelGeometry.nominal(), surface="wall")
+    estimator.update(Measurements(0, 10_000_000))
+
+
+def _compile_others() -> None:
+    """Both plants, the pass of a calibration, and last what smooths: by then the filter has what both use."""
     from hil.bench import open_bench
-    from hil.replay.comparison import smoothed
+    from hil.calibration.passes import compile_pass
+    from hil.estimator.smoother import compile_backward
 
-    for profile in ("emulated", "emulated_floor"):
-        with open_bench(profile) as bench:
-            records = bench.observe(0.3, feedback="ekf").records
-            bench.observe(0.1, feedback="ukf")
-            start = records[0].state
-            smoothed(records, bench.config.estimator, bench.geometry, bench.config.environment.kind, start)
-    if not lacks("mujoco"):
-        with open_bench("emulated", overrides={"emulation.plant": "mujoco"}) as bench:
+    for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
+        with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
+    compile_pass()
+    compile_backward()
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:
@@ -63,7 +70,7 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Ends with 2 when an installed package adds a device that cannot be used.
 
-    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (about
+    With --compile the machine code of estimators, smoother, calibration and emulated wall is made now (half
     a minute, once for each version) instead of at the start of the first run.
 
     Example: hil info --json

@@ -30,7 +30,7 @@ from hil.estimator.sensors import (
 )
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
-from hil.estimator.small_matrices import seen
+from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.state import STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
@@ -99,7 +99,8 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
     count = observe(number, t_ns, m, row, par, z, var, aux)
     if count == 0:
         return
-    nis[:], before[:] = -1.0, x
+    nis[:] = -1.0
+    put(before, x)
     unsure = is_unsure(number, p, par)
     if unsure:
         spread = np.zeros((STATES, STATES))
@@ -108,20 +109,20 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         mean[:] = 0.0
         moments(number, x, p, aux, par, count, mean, cross, own)
         innovation(number, z, mean, var, count, nu)
-    shown[:] = nu
+    put(shown, nu)
     gate = par.filter.gate_row
     if GATED_TOGETHER[number]:
         gate = math.inf
         if joint_nis(nu, own, var, count, nis) > par.filter.gate_pose:
             gate = NONE_ACCEPTED
     if gate <= 0.0:
-        x[:] = before
+        put(x, before)
     elif unsure:
         point, toward = x.copy(), np.zeros(STATES)
-        p[:, :] = spread
+        put_rows(p, spread)
         condition(toward, p, nu, cross, own, var, count, gate, nis)
         lean(before, point, toward, -1.0)
-        x[:] = before + toward
+        put(x, before + toward)
         follow(before, x)
         carry(point, x, p)
     else:
@@ -161,8 +162,8 @@ def run(
     rolling = par.work.rolling[:]
     for k in range(start, count):
         i, j = (first + k) % capacity, (first + k - 1) % capacity
-        x[i] = x[j]
-        p[i] = p[j]
+        put(x[i], x[j])
+        put_rows(p[i], p[j])
         m[i] = m[j]
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
         nominal(stamp, x[i], m[i].wheels, par.wheels, rolling)
@@ -182,8 +183,8 @@ def run(
             remember(number, stamp, x[i], p[i], m[i], rows[i], par)
             m[i].guarded += guard(p[i])
     last = (first + count - 1) % capacity
-    now_x[:] = x[last]
-    now_p[:] = p[last]
+    put(now_x, x[last])
+    put_rows(now_p, p[last])
     now_m[0] = m[last]
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:

@@ -18,7 +18,7 @@ from hil.estimator.conditioning import condition
 from hil.estimator.layout import Parameters
 from hil.estimator.motion import sinc
 from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicted
-from hil.estimator.small_matrices import check_size, seen
+from hil.estimator.small_matrices import check_size, put, put_rows, seen
 from hil.estimator.state import CLONE_X, ROWS, STATES, THETA, X
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -112,9 +112,9 @@ def settle(
     """
     toward, mean, ignored = np.zeros(STATES), np.zeros(ROWS), np.zeros(ROWS)
     for _ in range(_TURNS):
-        point[:] = x + toward
+        put(point, x + toward)
         follow(x, point)
-        spread[:, :] = p
+        put_rows(spread, p)
         carry(x, point, spread)
         h[:, :] = 0.0
         predicted(number, point, aux, par, mean)

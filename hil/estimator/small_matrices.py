@@ -1,4 +1,4 @@
-"""The four matrix operations that cost the most, each in two forms of one arithmetic.
+"""The four matrix operations that cost the most, and copies, each in two forms of one arithmetic.
 
 `p` (20, 20) is a covariance, `root` (rows, 20) the first rows of the upper triangular U with U' U = P: row k
 is how far the state's numbers go in the k-th direction. `h` (8, 20) is a derivative of rows by the state,
@@ -8,7 +8,8 @@ Loops are quickest when compiled: a library call or a temporary array costs more
 matrix. All go along rows in memory, so that the compiler takes several numbers at once; each sum is added up
 in the same order as one by one. Where one matrix is read and written (`hil.estimator.process`), `check_size`
 tells the compiler how far its rows lie apart; without that it would not dare. Array expressions are quickest
-when interpreted. Tests hold both forms against each other.
+when interpreted. Tests hold both forms against each other. Copies are here because numba takes four seconds
+to compile the message of one that does not fit.
 """
 
 from __future__ import annotations
@@ -33,6 +34,29 @@ def check_size(p: Array) -> None:
     """
     if p.shape[0] != STATES or p.shape[1] != STATES:
         raise ValueError("a covariance of 20 states is needed")
+
+
+def put_loops(to: Array, of: Array) -> None:
+    """`to[:] = of` of two vectors of one length."""
+    for i in range(to.shape[0]):
+        to[i] = of[i]
+
+
+def put_arrays(to: Array, of: Array) -> None:
+    """As `put_loops`."""
+    to[:] = of
+
+
+def put_rows_loops(to: Array, of: Array) -> None:
+    """Fill one matrix with the upper left part of another."""
+    for i in range(to.shape[0]):
+        for j in range(to.shape[1]):
+            to[i, j] = of[i, j]
+
+
+def put_rows_arrays(to: Array, of: Array) -> None:
+    """As `put_rows_loops`."""
+    to[:, :] = of[: to.shape[0], : to.shape[1]]
 
 
 def downdate_loops(p: Array, roots: Array, count: int) -> None:
@@ -138,6 +162,8 @@ def spread_arrays(root: Array, odd: Array, count: int, weight: float, cross: Arr
     cross[:count] = odd[: len(root), :count].T @ (weight * root)
 
 
+put = compiled(put_loops) if AVAILABLE else put_arrays
+put_rows = compiled(put_rows_loops) if AVAILABLE else put_rows_arrays
 downdate = compiled(downdate_loops) if AVAILABLE else downdate_arrays
 square_root = compiled(square_root_loops) if AVAILABLE else square_root_arrays
 seen = compiled(seen_loops) if AVAILABLE else seen_arrays

@@ -17,6 +17,7 @@ from hil.estimator.events import run
 from hil.estimator.intake import Intake
 from hil.estimator.layout import (
     MEMORY,
+    PARAMETERS,
     ROW,
     ROW_FLOATS,
     EventRow,
@@ -33,7 +34,7 @@ from hil.estimator.retraction import is_unsure, pull_carry, settle
 from hil.estimator.sensors import GATED_TOGETHER, MARK, admit, innovation, jacobian, observe, predicted, undo
 from hil.estimator.sensors.sensor import NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
-from hil.estimator.small_matrices import seen
+from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.start import start_of
 from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
@@ -82,6 +83,16 @@ def smooth(
             pose, twist = xs[k, POSE].copy(), xs[k, TWIST].copy()
             states.append(RobotState(int(segment.t_ns[k]), pose, twist, ps[k].copy()))
     return tuple(reversed(states))
+
+
+def compile_backward() -> None:
+    """Compile `backward` now, by a pass over nothing: the first run that is smoothed finds it ready."""
+    one, row = np.zeros(1, dtype=np.int64), np.zeros((1, STATES))
+    square = np.zeros((1, STATES, STATES))
+    backward(
+        0, one, one, np.zeros(1, ROW), row, square, np.zeros(1, MEMORY), np.zeros(1, PARAMETERS),
+        row[0].copy(), square[0].copy(), row.copy(), np.zeros((1, MOTION, MOTION)),
+    )  # fmt: skip
 
 
 def _ordered(
@@ -177,18 +188,20 @@ def pull_update(
         for j in range(i + 1, count):
             gain = own[i, j] / size[i]
             nu[j] -= gain * nu[i]
-            cross[j] -= gain * cross[i]
+            for k in range(STATES):
+                cross[j, k] -= gain * cross[i, k]
             for k in range(i + 1, count):
                 own[k, j] -= gain * own[k, i]
     back, information = np.zeros((STATES, STATES)), np.zeros((STATES, STATES))
     for i in range(count - 1, -1, -1):
         if used[i] > 0.0:
             for j in range(STATES):
-                back[j] = -(cross[i, j] / size[i]) * h[i]
+                for k in range(STATES):
+                    back[j, k] = -(cross[i, j] / size[i]) * h[i, k]
+                    information[j, k] = h[i, j] * h[i, k] / size[i]
                 back[j, j] += 1.0
-                information[j] = h[i, j] * h[i] / size[i]
-            late[:] = back.T @ late - h[i] * (nu[i] / size[i])
-            spread[:, :] = back.T @ spread @ back + information
+            put(late, back.T @ late - h[i] * (nu[i] / size[i]))
+            put_rows(spread, back.T @ spread @ back + information)
     pull_carry(x, point, late, spread)
 
 
@@ -219,8 +232,8 @@ def backward(
         number, stamp = numbers[k], float(t_ns[k] - zero_ns)
         nominal(stamp, x[k - 1], m[k - 1].wheels, par.wheels, rolling)
         if number == MARK:
-            xs[k] = x[k] - p[k] @ late
-            ps[k] = (p[k] - p[k] @ spread @ p[k])[:MOTION, :MOTION]
+            put(xs[k], x[k] - p[k] @ late)
+            put_rows(ps[k], p[k] - p[k] @ spread @ p[k])
         else:
             use = admit(number, stamp, m[k - 1], rows[k], par)
             if use in (USED, NEW_FRAME):
@@ -232,5 +245,5 @@ def backward(
                 pull_update(number, stamp, before, spread_before, m[k - 1], rows[k], par, x[k], late, spread)
         if dt_s > 0.0:
             f = transition(x[k - 1], dt_s, par.process.slip_s, par.process.scaled, rolling)
-            late[:] = f.T @ late
-            spread[:, :] = f.T @ spread @ f
+            put(late, f.T @ late)
+            put_rows(spread, f.T @ spread @ f)

@@ -298,5 +298,11 @@ def test_both_forms_of_the_costly_operations_agree():
     small.spread_loops(loops[:10], odd, 3, 0.7, a)
     small.spread_arrays(loops[:10], odd, 3, 0.7, b)
     assert np.allclose(a, b, atol=1e-12)
+    for put, put_rows in ((small.put_loops, small.put_rows_loops), (small.put_arrays, small.put_rows_arrays)):
+        row, corner = np.full(STATES, np.nan), np.full((6, 6), np.nan)
+        put(row, p[0])
+        put_rows(corner, p)
+        assert np.array_equal(row, p[0])
+        assert np.array_equal(corner, p[:6, :6])
     with pytest.raises(ValueError, match="20 states"):
         small.check_size(p[:6, :6])

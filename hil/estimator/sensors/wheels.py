@@ -31,7 +31,7 @@ from hil.estimator.sensors.sensor import (
     no_frame,
     tally,
 )
-from hil.estimator.small_matrices import check_size
+from hil.estimator.small_matrices import check_size, put
 from hil.estimator.state import (
     CLONE_THETA,
     CLONE_X,
@@ -232,9 +232,9 @@ def body_rows(
     if friction:
         decay = math.exp(-dt_s / par.friction_window_s)
         window = np.zeros(ROWS)
-        window[:] = m.window_m
+        put(window, m.window_m)
         b = windowed_twist(u, window, decay, par.contacts, par.creeping > 0.0)
-        m.window_m[:] = window
+        put(m.window_m, window)
         for j in range(BODY_ROWS):
             z[j] = b[j]
     for j in range(BODY_ROWS):
@@ -307,8 +307,8 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     for i in range(BODY_ROWS):
         aux[2 + i] = m.mean[i] * dt
     if par.rows > BODY_ROWS:
-        z[:] = u
-        var[:] = noise
+        put(z, u)
+        put(var, noise)
         rows = ROWS
     else:
         rows = body_rows(u, noise, count, dt, m, par, z, var)
@@ -424,8 +424,10 @@ def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Arra
     for i in range(3):
         late[X + i] += late[CLONE_X + i]
         late[CLONE_X + i] = 0.0
-        spread[X + i] += spread[CLONE_X + i]
-        spread[CLONE_X + i] = 0.0
+        for k in range(STATES):
+            spread[X + i, k] += spread[CLONE_X + i, k]
+            spread[CLONE_X + i, k] = 0.0
     for i in range(3):
-        spread[:, X + i] += spread[:, CLONE_X + i]
-        spread[:, CLONE_X + i] = 0.0
+        for k in range(STATES):
+            spread[k, X + i] += spread[k, CLONE_X + i]
+            spread[k, CLONE_X + i] = 0.0
