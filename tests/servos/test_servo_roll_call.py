@@ -31,9 +31,21 @@ def looks(bench, count):
     return found
 
 
-@pytest.mark.parametrize("config", [{}, {"fast_sync_read": False}, {"prefetch": True}], ids=str)
-@pytest.mark.parametrize("answer_s", [0.01, 0.02, 0.05])
-@pytest.mark.parametrize("servo_id", range(1, 9))
+IN_TURN, AHEAD = {"fast_sync_read": False}, {"prefetch": True}
+
+
+@pytest.mark.parametrize(
+    ("servo_id", "answer_s", "config"),
+    [
+        *((servo_id, 0.02, {}) for servo_id in range(1, 9)),
+        *(
+            (servo_id, answer_s, how)
+            for how in (IN_TURN, AHEAD)
+            for servo_id, answer_s in ((1, 0.05), (3, 0.01), (8, 0.02))
+        ),
+    ],
+    ids=str,
+)
 def test_a_late_servo_is_named_waited_for_and_takes_nobody_with_it(servo_bench, servo_id, answer_s, config):
     bench = stopped(servo_bench(f"servo.{servo_id}:slow@1,answer_s={answer_s}", config={**LONG, **config}))
     last = looks(bench, 25)[-5:]
