@@ -245,6 +245,7 @@ class DeviceFaults:
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         self._plan, self._name, self._rng = plan, name, rng
         self._done: set[tuple[str, int]] = set()
+        self._off = False
 
     @property
     def none(self) -> bool:
@@ -262,6 +263,11 @@ class DeviceFaults:
             return None
         self._done.add((kind, fault.start_ns))
         return fault
+
+    def restarted(self, t_ns: int) -> bool:
+        """Whether it has just come back from a reset or from being off; to be asked all the time."""
+        was_off, self._off = self._off, self.find("off", t_ns) is not None
+        return self.news("reset", t_ns) is not None or (was_off and not self._off)
 
     def slowness(self, t_ns: int) -> float:
         """Factor on the period of output."""

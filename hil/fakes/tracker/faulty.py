@@ -45,22 +45,16 @@ class TrackerFaults(DeviceFaults):
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: PoseFrame | None = None
-        self._dead = False
         plan.declare(name, SUPPORTED_FAULTS)
 
     @property
     def idle(self) -> bool:
         """Whether there is nothing to ask for: no fault is planned, and none has left its mark."""
-        return self.none and not self._dead
-
-    def restarted(self, t_ns: int) -> bool:
-        """Whether the camera has just come back from a reset or from being off."""
-        was_dead, self._dead = self._dead, self.find("off", t_ns) is not None
-        return (was_dead and not self._dead) or self.news("reset", t_ns) is not None
+        return self.none and not self._off
 
     def silent(self, t_ns: int) -> bool:
         """Whether no pose is made now."""
-        if self._dead:
+        if self._off:
             return True
         fault = self.find("intermittent", t_ns)
         return fault is not None and fault.interrupts(t_ns)

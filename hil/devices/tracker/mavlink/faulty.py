@@ -45,13 +45,7 @@ class ComputerFaults(DeviceFaults):
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         super().__init__(plan, name, rng)
         self._frozen: Estimate | None = None
-        self._dead = False
         plan.declare(name, SUPPORTED_FAULTS)
-
-    def restarted(self, t_ns: int) -> bool:
-        """Whether the computer has just come back from a reset or from being off."""
-        was_dead, self._dead = self._dead, self.find("off", t_ns) is not None
-        return self.news("reset", t_ns) is not None or (was_dead and not self._dead)
 
     def silent(self, t_ns: int) -> bool:
         """Whether it says nothing now."""
