@@ -48,7 +48,8 @@ options = { }
 takes the first part of it, 0.44 s on the shipped profile: a fault at 0 meets devices that are being opened.
 In virtual time it is the bench's clock; `hil emulate --await-start` lets it stand still until the client is
 ready. Without a start a fault acts from the beginning, without a duration to the end. `reset`, and `jump`
-except of motion capture, act once, at the start.
+except of motion capture, act once, at the start. Of two faults of one kind on one device the one that
+began last counts.
 
 A fault that a device cannot produce, an unknown device or option is refused before anything opens. This page
 is written by `docs/make_fault_reference.py` from what the devices declare.

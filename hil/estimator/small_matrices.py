@@ -37,25 +37,25 @@ def check_size(p: Array) -> None:
 
 
 def put_loops(to: Array, of: Array) -> None:
-    """`to[:] = of` of two vectors of one length."""
+    """`to[:] = of` of two vectors (n,)."""
     for i in range(to.shape[0]):
         to[i] = of[i]
 
 
 def put_arrays(to: Array, of: Array) -> None:
-    """As `put_loops`."""
+    """As `put_loops`: two vectors (n,)."""
     to[:] = of
 
 
 def put_rows_loops(to: Array, of: Array) -> None:
-    """Fill one matrix with the upper left part of another."""
+    """Fill a matrix (n, m) with the upper left part of another that is no smaller."""
     for i in range(to.shape[0]):
         for j in range(to.shape[1]):
             to[i, j] = of[i, j]
 
 
 def put_rows_arrays(to: Array, of: Array) -> None:
-    """As `put_rows_loops`."""
+    """As `put_rows_loops`: (n, m) from one that is no smaller."""
     to[:, :] = of[: to.shape[0], : to.shape[1]]
 
 

@@ -179,6 +179,7 @@ class FaultPlan:
 
     def _keep(self, faults: list[Fault]) -> None:
         self._faults = faults
+        self._newest_first = sorted(reversed(faults), key=lambda fault: -fault.start_ns)
         self._kinds = frozenset(fault.kind for fault in faults)
         self.empty = not faults
 
@@ -220,10 +221,13 @@ class FaultPlan:
         return self._supported
 
     def find(self, device: str, kind: str, t_ns: int) -> Fault | None:
-        """The first active fault of that kind on that device, or None."""
+        """The active fault of that kind on that device that began last, or None.
+
+        One that acts once (a jump, a reset) is active for ever; it does not hide those that come later.
+        """
         if kind not in self._kinds:
             return None
-        for fault in self._faults:
+        for fault in self._newest_first:
             if fault.kind == kind and fault.device == device and fault.active(t_ns):
                 return fault
         return None

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from hil.bench import supported_faults
 from hil.config.loading import load_bench
 from hil.fakes.fault_options import FINITE, OPTIONS, option_of
-from hil.fakes.faults import VOCABULARY, FaultPlan, describe, make_fault, parse_fault
+from hil.fakes.faults import VOCABULARY, DeviceFaults, FaultPlan, describe, make_fault, parse_fault
 from hil.fakes.world import NEVER_NS, Scheduled, VirtualClock, World
 from hil.vocabulary.errors import FaultNotSupportedError, UsageError
 
@@ -97,6 +97,26 @@ def test_every_option_that_a_shipped_device_declares_has_a_range():
 def test_a_fault_acts_in_its_half_open_interval():
     fault = parse_fault("imu:stuck@2+3")
     assert [fault.active(t * 10**9) for t in (1, 2, 4, 5)] == [False, True, True, False]
+
+
+def test_a_fault_takes_over_from_one_of_its_kind_that_began_earlier():
+    plan = FaultPlan([parse_fault(f"camera:wrong@{span},scale={scale}") for span, scale in
+                      (("4+2", 0.5), ("2", 0.9), ("8", 0.3))])  # fmt: skip
+    found = {t: plan.find("camera", "wrong", t * 10**9) for t in (1, 3, 5, 7, 9)}
+    assert {t: fault and fault.option("scale", 1.0) for t, fault in found.items()} == {
+        1: None, 3: 0.9, 5: 0.5, 7: 0.9, 9: 0.3
+    }  # fmt: skip
+
+
+def test_what_acts_once_acts_each_time_that_it_is_planned():
+    """A jump is active for ever: the next one is not hidden by it."""
+    faults = DeviceFaults(
+        FaultPlan([parse_fault("camera:jump@2"), parse_fault("camera:jump@4")]),
+        "camera",
+        np.random.default_rng(0),
+    )
+    acted = [t for t in range(1, 8) if faults.news("jump", t * 10**9) is not None]
+    assert acted == [2, 4]
 
 
 def test_unsupported_faults_and_unknown_devices_are_refused():
