@@ -88,6 +88,21 @@ def test_a_late_and_a_dead_servo_are_told_apart(servo_bench, late, dead):
     assert set(last.trouble) == {SERVOS[dead - 1]}
 
 
+def test_many_dead_ones_do_not_make_a_roll_call_long(servo_bench):
+    """Who restarts meanwhile waits for its torque."""
+    dead = [f"servo.{i}:off@1" for i in (1, 2, 3, 5, 6)]
+    bench = stopped(servo_bench("servo.8:slow@1,answer_s=0.02", *dead, config=LONG))
+    found, took_ns = [], []
+    for _ in range(100):
+        began_ns = bench.clock.now_ns()
+        found.append(bench.driver.look_after())
+        took_ns.append(bench.clock.now_ns() - began_ns)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 20_000_000)
+    assert max(took_ns) < 800_000_000
+    assert set(found[-1].late) == {"steer_FR"}
+    assert set(found[-1].trouble) == {"drive_FL", "drive_BL", "drive_BR", "steer_FL", "steer_BL"}
+
+
 def test_what_a_late_servo_has_lost_is_put_right(servo_bench):
     bench = stopped(servo_bench("servo.3:slow@1,answer_s=0.03", config=LONG))
     looks(bench, 25)

@@ -18,6 +18,8 @@ from hil.vocabulary.signals import SERVOS, Status
 
 _LOG = logging.getLogger(__name__)
 _QUIET_S, _SETTLES_NS, _MOST_BYTES = 0.02, nanoseconds(0.3), 4096
+_WHOLE_NS = nanoseconds(0.4)
+"""After so long a roll call is broken off, and goes on there: one that restarts waits for its torque."""
 _LONGEST_S = 0.25
 """Who takes longer than that to answer is as good as dead."""
 _SPARE, _EDGE_S = 1.5, 0.001
@@ -41,7 +43,7 @@ class RollCall:
     def __init__(self, bus: Bus, ids: tuple[int, ...], clock: Clock, *, watchdog_s: float) -> None:
         self._longest_s = watchdog_s or _LONGEST_S
         self._bus, self._ids, self._clock = bus, ids, clock
-        self._next_ns = clock.now_ns()
+        self._next_ns, self._order = clock.now_ns(), list(range(len(ids)))
         self.late_s: dict[int, float] = {}
 
     def is_due(self) -> bool:
@@ -55,15 +57,18 @@ class RollCall:
         return _SPARE * self.late_s.get(joint, 0.0) > self._longest_s
 
     def call(self, request: Callable[[int], tuple[GroupRead, float]]) -> tuple[int, ...]:
-        """Ask all eight, each alone; the joints of those found late.
+        """Ask the eight, each alone; the joints of those found late.
 
         Args:
             request: of a joint: what to ask, and how long an answer in time may take, s.
         """
-        end_ns = self._clock.now_ns() + _SETTLES_NS
-        while self._bus.gather(_QUIET_S, _MOST_BYTES) and self._clock.now_ns() < end_ns:
+        began_ns = self._clock.now_ns()
+        while self._bus.gather(_QUIET_S, _MOST_BYTES) and self._clock.now_ns() - began_ns < _SETTLES_NS:
             pass
-        for joint in range(len(self._ids)):
+        for joint in tuple(self._order):
+            if self._clock.now_ns() - began_ns > _WHOLE_NS:
+                break
+            self._order.append(self._order.pop(0))
             group, in_time_s = request(joint)
             took_s = _took_s(group, self._bus.exchange(group, _LONGEST_S))
             if in_time_s + _EDGE_S < took_s < math.inf:  # once more: this computer may have been busy
