@@ -166,7 +166,7 @@ class HeldRig(Blueprint):
         """Whether gravity pulls along the surface: the robot has to be held."""
         return self.config.environment.on_wall
 
-    def look(self, limit_s: float = 0.5) -> Held:
+    def look(self, limit_s: float = 1.0) -> Held:
         """Look after a stopped robot until it is held, for `limit_s` at most; how it is then."""
         return self._hold.look(limit_s)
 

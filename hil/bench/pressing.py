@@ -26,6 +26,8 @@ from hil.vocabulary.signals import LoadCellSample, Status, worst
 
 RUN_DOWN_S = 1.0
 """A fan without current has lost more force than any reserve by then."""
+_WEAKENS_NS = nanoseconds(0.6)
+"""Propellers without current let a robot slide by then, and have not yet where one looks no longer."""
 MEASURES = ("adhesion", "load_cells")
 """Kinds whose samples tell a force."""
 _FAN, _CELLS = "the fan's speed", "the load cells"
@@ -62,6 +64,7 @@ class PressWatch:
         self._trends: dict[str, ForceTrend] = {}
         self._push: tuple[int, float] | None = None
         self._enough_since_ns: int | None = None
+        self._began_ns: int | None = None
         self.heading_rad = 0.0
 
     def begin(self) -> None:
@@ -69,7 +72,7 @@ class PressWatch:
         self._forces.clear()
         self._trends.clear()
         self._push = None
-        self._enough_since_ns = None
+        self._enough_since_ns = self._began_ns = None
 
     def doubt(self, now_ns: int, *, sees_slide: bool) -> str:
         """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
@@ -80,6 +83,8 @@ class PressWatch:
         """
         if self._limits is None:
             return ""
+        if self._began_ns is None:
+            self._began_ns = now_ns
         for name in MEASURES:
             for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
@@ -114,8 +119,13 @@ class PressWatch:
         if not limits.nominal_thrust_n:
             return 0.0, ""
         if not limits.reports_thrust:
-            if sees_slide:
+            if sees_slide and self._began_ns is not None and now_ns - self._began_ns >= _WEAKENS_NS:
                 return limits.nominal_thrust_n, ""
+            if sees_slide:
+                return (
+                    0.0,
+                    " without the propellers: they report nothing, and it has not been seen at rest for long",
+                )
             return 0.0, " without the propellers: they report nothing, and nobody sees whether it slides"
         for sample in self._samples("thrust"):
             push_n = limits.push_n(sample)

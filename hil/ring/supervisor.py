@@ -22,16 +22,14 @@ from hil.ring.fall_watch import FallWatch
 from hil.ring.filter_watch import FilterWatch
 from hil.ring.left_out import LeftOut
 from hil.ring.motion_check import MotionCheck
+from hil.ring.pace_watch import PaceWatch
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
 from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.ring.wheel_watch import WheelWatch
-from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import SafetyStop
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
-
-_HELD_UP_NS = 500_000_000
 
 
 @dataclass(frozen=True)
@@ -123,7 +121,7 @@ class Supervisor:
         self._streams = StreamWatch(self.checks.healthy)
         self.left_out = LeftOut(self.checks.estimated, on_wall=limits.on_wall)
         self.doubted: dict[str, bool] = {}
-        self._filter = FilterWatch()
+        self._filter, self._pace = FilterWatch(), PaceWatch()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
         self.reset()
 
@@ -138,8 +136,8 @@ class Supervisor:
                 check.reset()
         self._fall.reset()
         self._filter.reset()
+        self._pace.reset()
         self._causes: dict[str, str] = {}
-        self._last_ns: int | None = None
         self.left_out.reset()
         self.doubted.clear()
 
@@ -159,7 +157,8 @@ class Supervisor:
         """
         events = self._judge(inputs, measurements)
         if self._causes:
-            raise _stop_for(self._causes)
+            beside = "" if "held_up" in self._causes else self._pace.beside(inputs.t_ns)
+            raise _stop_for(self._causes, beside)
         return events
 
     def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
@@ -170,7 +169,7 @@ class Supervisor:
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
             self.checks.hold.judge(inputs, events, self._blame)
-        self._check_pace(inputs.t_ns)
+        self._pace.judge(inputs.t_ns, self._blame)
         self._servos.judge(inputs, events, self._blame)
         self._servos.check_silence(inputs, self._blame)
         self._samples.judge(inputs, events)
@@ -187,17 +186,6 @@ class Supervisor:
         offs = [watch.take_off() for watch in watches if watch is not None]
         off_m, off_rad = (max(parts) for parts in zip(*offs, strict=True))
         self.left_out.begin((off_m, off_rad))
-
-    def _check_pace(self, t_ns: int) -> None:
-        """Behind a pause the reference is far ahead of a robot that its servos' watchdogs have stopped."""
-        before_ns, self._last_ns = self._last_ns, t_ns
-        if before_ns is not None and t_ns - before_ns > _HELD_UP_NS:
-            self._blame(
-                "held_up",
-                f"the control loop stood still for {(t_ns - before_ns) / NS_PER_S:.1f} s: this program was "
-                "stopped, or the computer had no time for it. Look for what else ran, then start the motion "
-                "again",
-            )
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
@@ -299,7 +287,7 @@ class Supervisor:
         if watch is not None and watch.witness not in self.left_out:
             watch.judge(state, events, found.__setitem__)
         if found:
-            raise _stop_for(found)
+            raise _stop_for(found, self._pace.beside(state.t_ns))
         return tuple(events)
 
     @property
@@ -336,7 +324,7 @@ def _ignore(reason: str, message: str) -> None:
     """What is told as an event is enough."""
 
 
-def _stop_for(causes: dict[str, str]) -> SafetyStop:
+def _stop_for(causes: dict[str, str], beside: str = "") -> SafetyStop:
     """One stop for all conditions that came together; its reason is the first."""
     (reason, message), *others = causes.items()
-    return SafetyStop(reason, "; ".join([message, *(f"also {k}: {v}" for k, v in others)]))
+    return SafetyStop(reason, "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + beside)

@@ -193,6 +193,20 @@ def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():
     cycle(watching, 400)
 
 
+@pytest.mark.parametrize(("paused", "waited", "told"), [(12, 5, True), (12, 120, False), (4, 5, False)])
+def test_a_stop_soon_after_a_pause_says_so(paused, waited, told):
+    """Watchdogs have tripped and buffers run over meanwhile: devices that are well look broken."""
+    motion = Asked()
+    watching = supervisor(motion=motion, needs_camera=True)
+    for k in (0, 1, 2, 2 + paused, *range(3 + paused, 3 + paused + waited)):
+        cycle(watching, k)
+    motion.found = (doubt("tracker", confirmed=False),)
+    with pytest.raises(SafetyStop) as stop:
+        cycle(watching, 3 + paused + waited)
+    assert stop.value.reason == "sensors_disagree"
+    assert ("the control loop had stood still for 0.12 s just before" in str(stop.value)) == told
+
+
 def test_what_presses_the_robot_on_is_told_its_heading_and_shows_its_figures():
     hold = Asked()
     watched = supervisor(hold=hold)

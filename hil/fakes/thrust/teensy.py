@@ -35,7 +35,8 @@ STEPS = 180
 _LINE = re.compile(rb"THR(\d{1,3})\r?")
 _MOST_BYTES = 64
 _STEP_DOWN_NS = 100_000_000
-_TICK_NS, _QUICK_NS = 500_000_000, 5_000_000
+_TICK_NS, _AWAKE_NS, _QUICK_NS = 500_000_000, 20_000_000, 5_000_000
+"""While nothing changes; while a fault may begin at any time; while the force changes."""
 _WRONG, _DELAY_S = 0.5, 0.3
 _SETTLED = 1e-3
 
@@ -120,7 +121,8 @@ class TeensyChip(SerialChip):
             self.step = max(0, self.step - 1)
             self._step_down_ns += _STEP_DOWN_NS
         settled = abs(self._aim_n(t_ns) - self.force_n) < _SETTLED * self._config.full_force_n
-        self._tick_ns = t_ns + (_TICK_NS if settled else _QUICK_NS)
+        calm_ns = _TICK_NS if self._faults.none else _AWAKE_NS
+        self._tick_ns = t_ns + (calm_ns if settled else _QUICK_NS)
         self._push()
         return []
 
