@@ -54,6 +54,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "motion_check": ("hil/ring/motion_check.py", _SENSES),
     "capture_check": ("hil/ring/capture_check.py", (*_SENSES, "tests/core/test_estimate_watch.py")),
     "estimate_watch": ("hil/ring/estimate_watch.py", ("tests/core/test_estimate_watch.py",)),
+    "pace_watch": ("hil/ring/pace_watch.py", ("tests/core/test_supervisor_asks_everybody.py",)),
     "wheel_watch": ("hil/ring/wheel_watch.py", ("tests/core/test_wheel_watch.py",)),
     "doubts": ("hil/ring/doubts.py", _SENSES),
     "left_out": ("hil/ring/left_out.py", (_SENSES[1], "tests/core/test_supervisor_asks_everybody.py")),
@@ -61,6 +62,10 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     "sample_watch": ("hil/ring/sample_watch.py", ("tests/core/test_sample_watch.py", _STREAMS)),
     "goals": ("hil/drivers/servos/goals.py", _SERVOS),
     "outage": ("hil/drivers/servos/timeouts.py", _SERVOS),
+    "roll_call": (
+        "hil/drivers/servos/roll_call.py",
+        ("tests/servos/test_roll_call_by_itself.py", "tests/servos/test_servo_roll_call.py"),
+    ),
     "limits": (
         "hil/robot/motion_limits.py",
         ("tests/trajectories/test_trajectories.py", "tests/trajectories/test_many_times_at_once.py"),

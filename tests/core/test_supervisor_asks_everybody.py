@@ -193,18 +193,45 @@ def test_a_loop_that_stood_still_stops_the_robot_and_not_its_devices():
     cycle(watching, 400)
 
 
-@pytest.mark.parametrize(("paused", "waited", "told"), [(12, 5, True), (12, 120, False), (4, 5, False)])
-def test_a_stop_soon_after_a_pause_says_so(paused, waited, told):
+@pytest.mark.parametrize(
+    ("each", "paused", "waited", "told"),
+    [(1, 12, 5, True), (1, 12, 120, False), (1, 4, 5, False), (5, 12, 5, False), (3, 12, 5, True)],
+)
+def test_a_stop_soon_after_a_pause_says_so(each, paused, waited, told):
     """Watchdogs have tripped and buffers run over meanwhile: devices that are well look broken."""
     motion = Asked()
     watching = supervisor(motion=motion, needs_camera=True)
-    for k in (0, 1, 2, 2 + paused, *range(3 + paused, 3 + paused + waited)):
+    began, ended = 900, 900 + 2 * each + paused
+    for k in (began, began + each, began + 2 * each, ended, *(ended + n * each for n in range(1, waited))):
         cycle(watching, k)
     motion.found = (doubt("tracker", confirmed=False),)
     with pytest.raises(SafetyStop) as stop:
-        cycle(watching, 3 + paused + waited)
+        cycle(watching, ended + waited * each)
     assert stop.value.reason == "sensors_disagree"
     assert ("the control loop had stood still for 0.12 s just before" in str(stop.value)) == told
+
+
+def test_after_a_reset_nothing_of_the_last_run_counts():
+    """Servos that were heard long ago, and a camera that was found not to fit."""
+    watching = supervisor(SafetyLimits(stale_s={"servos": 0.1}, on_wall=False))
+    cycle(watching, 0, servos=(servos(0),))
+    misfit = RobotState(0, np.zeros(3), np.zeros(3), np.eye(6), {"nis_mean_tracker": 50.0})
+    assert watching.guard(misfit, None)
+    watching.reset()
+    cycle(watching, 400)
+    assert watching.left_out.shaken == (0.0, 0.0)
+    assert watching.guard(misfit, None), "it is told anew"
+
+
+@pytest.mark.parametrize("place", [(0.9, 0.0), (0.0, 0.9), (-0.9, -0.9)])
+def test_how_far_it_is_from_the_reference_counts_and_not_where(place):
+    pose = np.array([*place, 0.0])
+    state = RobotState(0, pose, np.zeros(3), np.eye(6))
+    watching = supervisor(SafetyLimits(stale_s={}, on_wall=False, tracking_error_limit_m=0.5))
+    watching.guard(state, Reference(0.0, pose, np.zeros(3), np.zeros(2)))
+    for way in ([0.6, 0.0, 0.0], [0.0, -0.6, 0.0]):
+        with pytest.raises(SafetyStop, match=r"0\.600 m from the reference"):
+            watching.guard(state, Reference(0.0, pose + way, np.zeros(3), np.zeros(2)))
 
 
 def test_what_presses_the_robot_on_is_told_its_heading_and_shows_its_figures():
