@@ -59,9 +59,9 @@ class SuggestingGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click's, with a suggestion for a command that does not exist."""
+        """As click's, with a suggestion for a command that does not exist; a shell completes without one."""
         name, known = args[0], self.list_commands(ctx)
-        if name not in known and not name.startswith("-"):
+        if name not in known and not (name.startswith("-") or ctx.resilient_parsing):
             from hil.cli.mistyped import hint_for_command
 
             ctx.fail(f"no such command {name!r}; {hint_for_command(name, known)}")

@@ -144,7 +144,7 @@ def test_while_the_servos_are_away_it_says_so_and_why():
 
 def test_one_dead_servo_is_named_with_its_id():
     with hil.open_bench(
-        "emulated", seed=1, faults=["servo.drive_BR:off@2.5"], overrides={"exit.look_after_s": 0.5}
+        "emulated", seed=1, faults=["servo.drive_BR:off@2.5"], overrides={"exit.look_after_s": 1.0}
     ) as bench:
         climb(bench)
     assert bench.held.state == "NOT HELD"
@@ -164,7 +164,7 @@ def test_a_robot_that_came_off_is_not_held_though_every_servo_has_torque():
 
 def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_both():
     faults = ["servos:off@2.5", "plant:adhesion_loss@3"]
-    with hil.open_bench("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 0.5}) as bench:
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 1.0}) as bench:
         climb(bench)
         wait(bench, 3.5 - bench.clock.now_ns() / SECOND)
     assert bench.held.state == "NOT HELD"
@@ -173,7 +173,7 @@ def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_bo
 
 
 def test_hardware_errors_are_told():
-    with hil.open_bench("emulated", seed=1, overrides={"exit.look_after_s": 0.5}) as bench:
+    with hil.open_bench("emulated", seed=1, overrides={"exit.look_after_s": 1.0}) as bench:
         climb(bench)
         servos = bench.world._parts[0].servos
         servos[SERVOS.index("steer_BL")].raise_error(0x20)

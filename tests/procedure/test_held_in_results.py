@@ -38,7 +38,7 @@ def climb(ctx):
     ],
 )
 def test_a_result_says_whether_the_robot_is_held(tmp_path, faults, state, verdict, said):
-    source = BenchSource("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 0.5})
+    source = BenchSource("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 1.0})
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))
     tree = json.loads((result.folder / "result.json").read_text())
     assert (tree["held"]["state"], tree["verdict"]) == (state, verdict)
