@@ -112,7 +112,7 @@ class HoldWatch(Sink):
         began_ns = self._clock.now_ns()
         end_ns = began_ns + nanoseconds(limit_s)
         trails = {name: Trail() for name in self._witnesses}
-        self._press.begin()
+        self._press.begin(began_ns)
         self._felt_m_s2.clear()
         while True:
             hold = servos.look_after()

@@ -64,15 +64,16 @@ class PressWatch:
         self._trends: dict[str, ForceTrend] = {}
         self._push: tuple[int, float] | None = None
         self._enough_since_ns: int | None = None
-        self._began_ns: int | None = None
+        self._began_ns = 0
         self.heading_rad = 0.0
 
-    def begin(self) -> None:
+    def begin(self, now_ns: int) -> None:
         """A look begins: what was heard before it is out of date."""
+        self._began_ns = now_ns
         self._forces.clear()
         self._trends.clear()
         self._push = None
-        self._enough_since_ns = self._began_ns = None
+        self._enough_since_ns = None
 
     def doubt(self, now_ns: int, *, sees_slide: bool) -> str:
         """What speaks against a robot that is pressed on its wall for good; empty when nothing does.
@@ -83,8 +84,6 @@ class PressWatch:
         """
         if self._limits is None:
             return ""
-        if self._began_ns is None:
-            self._began_ns = now_ns
         for name in MEASURES:
             for who, t_ns, force_n in measured_n(self._limits, self._samples(name)):
                 if math.isfinite(force_n):
@@ -119,14 +118,10 @@ class PressWatch:
         if not limits.nominal_thrust_n:
             return 0.0, ""
         if not limits.reports_thrust:
-            if sees_slide and self._began_ns is not None and now_ns - self._began_ns >= _WEAKENS_NS:
+            if sees_slide and now_ns - self._began_ns >= _WEAKENS_NS:
                 return limits.nominal_thrust_n, ""
-            if sees_slide:
-                return (
-                    0.0,
-                    " without the propellers: they report nothing, and it has not been seen at rest for long",
-                )
-            return 0.0, " without the propellers: they report nothing, and nobody sees whether it slides"
+            why = "it has not been seen at rest for long" if sees_slide else "nobody sees whether it slides"
+            return 0.0, f" without the propellers: they report nothing, and {why}"
         for sample in self._samples("thrust"):
             push_n = limits.push_n(sample)
             if math.isfinite(push_n):

@@ -19,7 +19,8 @@ _KEPT = 256
 _GYRO_GAP_NS = 100_000_000
 _WHEEL_NS = 28_000_000
 STEP_RAD, FASTEST_RAD_S = 0.2, 6.5
-"""A wheel turns by no more than this and that rate in a step: beyond it an encoder has slipped."""
+"""A joint turns by no more than this and that rate in a step: beyond it an encoder has slipped. The rate is
+faster than an XH430 without load at 12 V; the angle is that of a stamp that is 30 ms off at that rate."""
 
 Kept = tuple[complex, ...]
 

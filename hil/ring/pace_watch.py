@@ -37,16 +37,16 @@ class PaceWatch:
         if before_ns is None:
             return
         gap_ns = t_ns - before_ns
-        if self._cycle_ns and gap_ns > max(_PAUSE_NS, _PAUSE_CYCLES * self._cycle_ns):
-            self._ended_ns, self._lasted_ns = t_ns, gap_ns
-        if not self._cycle_ns or gap_ns < self._cycle_ns:
-            self._cycle_ns = gap_ns
         if gap_ns > _HELD_UP_NS:
+            self._lasted_ns = 0  # told by its own name
             stop(
                 "held_up",
                 f"the control loop stood still for {gap_ns / NS_PER_S:.1f} s: this program was stopped, or "
                 "the computer had no time for it. Look for what else ran, then start the motion again",
             )
+        elif self._cycle_ns and gap_ns > max(_PAUSE_NS, _PAUSE_CYCLES * self._cycle_ns):
+            self._ended_ns, self._lasted_ns = t_ns, gap_ns
+        self._cycle_ns = min(gap_ns, self._cycle_ns or gap_ns)
 
     def beside(self, t_ns: int) -> str:
         """What is to be said beside a stop for another reason; empty where no pause came before it."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 
 from hil.config.servo_models.codes import hardware_error_text
+from hil.ring.dead_reckoning import FASTEST_RAD_S, STEP_RAD
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.geometry import wrap
 from hil.vocabulary.interfaces import Blame
@@ -15,8 +16,8 @@ from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample, Event, Inputs,
 
 _BLOCKED_NS, _STANDING_NS = 500_000_000, 150_000_000
 _BLOCKED_RATE_RAD_S, _BLOCKED_RAD = 0.5, 0.05
-_FASTEST_RAD_S, _STEP_RAD, _TOLD_NS = 6.5, 0.2, 50_000_000
-"""Faster than an XH430 without load at 12 V; a stamp that is 30 ms off at that speed; from event to stop."""
+_TOLD_NS = 50_000_000
+"""From event to stop."""
 _ALL_OK = (Status.OK,) * 8
 _REMEDIES = {
     Status.HARDWARE_ERROR: "remove the cause, then reboot it",
@@ -139,14 +140,14 @@ class ServoWatch:
         """A servo that tells a step which no motor can make has an encoder that slips."""
         t_ns, angles = sample.stamp.t_ns, sample.position_rad.tolist()
         steps = [new - old for new, old in zip(angles, self._last_rad, strict=True)]
-        if sample.status == _ALL_OK and not (max(steps) > _STEP_RAD or min(steps) < -_STEP_RAD):
+        if sample.status == _ALL_OK and not (max(steps) > STEP_RAD or min(steps) < -STEP_RAD):
             self._last_rad, self._last_ns = angles, [t_ns] * 8
             return
         for j, step_rad in enumerate(steps):
             if sample.status[j] is Status.OK:
                 dt_s = max(t_ns - self._last_ns[j], 0) / NS_PER_S
                 self._last_rad[j], self._last_ns[j] = angles[j], t_ns
-                if abs(step_rad) > _STEP_RAD + _FASTEST_RAD_S * dt_s:
+                if abs(step_rad) > STEP_RAD + FASTEST_RAD_S * dt_s:
                     self._leapt(j, step_rad, dt_s, t_ns, outside, events)
 
     def _leapt(

@@ -157,8 +157,7 @@ class Supervisor:
         """
         events = self._judge(inputs, measurements)
         if self._causes:
-            beside = "" if "held_up" in self._causes else self._pace.beside(inputs.t_ns)
-            raise _stop_for(self._causes, beside)
+            raise _stop_for(self._causes, self._pace.beside(inputs.t_ns))
         return events
 
     def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
@@ -324,7 +323,7 @@ def _ignore(reason: str, message: str) -> None:
     """What is told as an event is enough."""
 
 
-def _stop_for(causes: dict[str, str], beside: str = "") -> SafetyStop:
-    """One stop for all conditions that came together; its reason is the first."""
+def _stop_for(causes: dict[str, str], beside: str) -> SafetyStop:
+    """One stop for all conditions that came together; its reason is the first, `beside` ends it."""
     (reason, message), *others = causes.items()
     return SafetyStop(reason, "; ".join([message, *(f"also {k}: {v}" for k, v in others)]) + beside)
