@@ -31,11 +31,11 @@ import threading
 import time
 from collections import Counter
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import theilslopes
 
 from hil.bench import open_bench
 from hil.fakes.faults import parse_fault
@@ -288,7 +288,9 @@ def main() -> None:
         )
     later = memory[len(memory) // 2 :]
     if len(later) > 1 and len(later) * options.stretch >= LEAST_MINUTES:
-        slope = float(theilslopes(later, np.arange(len(later)) * options.stretch / MINUTE_S).slope)
+        pairs = combinations(enumerate(later), 2)
+        per_stretch = float(np.median([(b - a) / (j - i) for (i, a), (j, b) in pairs]))
+        slope = per_stretch * MINUTE_S / options.stretch
         print(f"memory grows by {slope:.1f} MB per hour")
         wrong += [f"memory grows by {slope:.1f} MB an hour"] if slope > options.leak else []
     if any(a > b for a, b in zip(handles[-1], handles[0], strict=True)):
