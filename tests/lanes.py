@@ -1,10 +1,12 @@
 """Which tests run in real time, which alone, and of which like cases some are enough by default."""
 
 REAL_TIME = (
-    "adhesion/test_adhesion_command.py", "adhesion/test_keeper_process.py",
+    "adhesion/test_adhesion_command.py", "adhesion/test_keeper_of_an_emulated_fan.py",
+    "adhesion/test_keeper_process.py",
     "adhesion_dronecan/test_dronecan_node_at_the_wire.py",
     "devices/test_guide.py", "emulate/", "live/test_live_command.py",
     "bench/test_bench_assembly.py::test_servos_are_asked_ahead_in_real_time",
+    "bench/test_doctor_discover_setup.py::test_discover_without_an_answer",
     "bench/test_doctor_slow_adapter.py::test_an_adapter_as_delivered_is_recognised_at_the_wire",
     "mocap/test_mocap_udp.py", "monitor/test_monitor_listens.py",
     "monitor/test_monitor_sink.py::test_real_time_shows_the_same_through_its_own_process",

@@ -10,7 +10,7 @@ refused, and so is an option outside the range that `hil.fakes.fault_options` gi
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -237,6 +237,25 @@ class FaultPlan:
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
 
 
+class Once:
+    """Remembers which faults have acted that act once: a jump, a reset."""
+
+    def __init__(self) -> None:
+        self._done: set[tuple[Hashable, int]] = set()
+
+    def news(self, of: Hashable, fault: Fault | None) -> Fault | None:
+        """The fault, if there is one and it has not been asked about before.
+
+        Args:
+            of: tells it from others that begin at the same time.
+            fault: active now.
+        """
+        if fault is None or (of, fault.start_ns) in self._done:
+            return None
+        self._done.add((of, fault.start_ns))
+        return fault
+
+
 class DeviceFaults:
     """Asks the plan what is wrong now with a device that goes by one name.
 
@@ -248,7 +267,7 @@ class DeviceFaults:
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
         self._plan, self._name, self._rng = plan, name, rng
-        self._done: set[tuple[str, int]] = set()
+        self._once = Once()
         self._off = False
 
     @property
@@ -262,11 +281,7 @@ class DeviceFaults:
 
     def news(self, kind: str, t_ns: int) -> Fault | None:
         """A fault that acts once and has not been asked about before."""
-        fault = self.find(kind, t_ns)
-        if fault is None or (kind, fault.start_ns) in self._done:
-            return None
-        self._done.add((kind, fault.start_ns))
-        return fault
+        return self._once.news(kind, self.find(kind, t_ns))
 
     def restarted(self, t_ns: int) -> bool:
         """Whether it has just come back from a reset or from being off; to be asked all the time."""

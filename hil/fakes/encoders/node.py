@@ -18,7 +18,7 @@ from hil.fakes.encoders.as5045 import (
     EncoderTruthOptions,
     with_parity,
 )
-from hil.fakes.faults import PERIODIC, STRIKES, Fault, Supported
+from hil.fakes.faults import PERIODIC, STRIKES, Fault, Once, Supported
 from hil.fakes.world import Scheduled, World
 from hil.vocabulary.signals import WHEELS
 
@@ -97,7 +97,7 @@ class EncoderNode(Scheduled):
         self._rate_error = 1.0 - 1e-6 * clock_ppm
         self._jitter_ns = 1e9 * jitter_s
         self._noise: Iterator[list[float]] = iter(())
-        self._done: set[tuple[str, int]] = set()
+        self._once = Once()
         self._frozen: dict[str, int] = {}
         self._dead = self._first_set = False
         self._boot(0)
@@ -179,20 +179,13 @@ class EncoderNode(Scheduled):
         was_dead, self._dead = self._dead, any(find(self.name, k, t_ns) for k in ("off", "brownout"))
         if was_dead and not self._dead:
             self.reset(t_ns)
-        reset = find(self.name, "reset", t_ns)
-        if reset is not None and self._news(reset):
+        reset = self._once.news("reset", find(self.name, "reset", t_ns))
+        if reset is not None:
             self.reset(reset.start_ns)
         if self._dead or t_ns < self._boot_ns:
             return True
         fault = find(self.name, "intermittent", t_ns)
         return fault is not None and fault.interrupts(t_ns)
-
-    def _news(self, fault: Fault) -> bool:
-        key = (f"{fault.device}:{fault.kind}", fault.start_ns)
-        if key in self._done:
-            return False
-        self._done.add(key)
-        return True
 
     def _spoil(self, axis: int, word: int, t_ns: int) -> int:
         """One axis' word under the faults of that axis and of the whole device.
@@ -224,7 +217,7 @@ class EncoderNode(Scheduled):
             return _turned(word, fault.option("offset_rad", _SLIP_RAD))
         if kind == "corrupt" and fault.strikes(self._rng):
             return word ^ 1 << int(self._rng.integers(0, 18))
-        if kind == "jump" and self._news(Fault(name, kind, fault.start_ns)):
+        if kind == "jump" and self._once.news((name, kind), fault) is not None:
             self.chips[axis].offset_rad += fault.option("angle_rad", _SLIP_RAD)
         return word
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Supported
+from hil.fakes.faults import PERIODIC, STRIKES, Fault, FaultPlan, Once, Supported
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.signals import SERVOS
 
@@ -52,7 +52,7 @@ class ServoFaults:
     ) -> None:
         self._plan, self._rng, self._models = plan, rng, models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
-        self._done: set[tuple[int, str, int]] = set()
+        self._once = Once()
         self._frozen: dict[int, Measured] = {}
         self._slid: dict[int, tuple[int, float]] = {}
         for names in self._names:
@@ -84,11 +84,7 @@ class ServoFaults:
 
     def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """A fault that acts once (`reset`, `jump`) and has not acted yet."""
-        fault = self.find(joint, kind, t_ns)
-        if fault is None or (joint, kind, fault.start_ns) in self._done:
-            return None
-        self._done.add((joint, kind, fault.start_ns))
-        return fault
+        return self._once.news((joint, kind), self.find(joint, kind, t_ns))
 
     def jump_counts(self, joint: int, t_ns: int) -> int:
         """A slip of the encoder that is due now."""
