@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -41,6 +43,8 @@ def left_out(
 ) -> list[Track]:
     """Odometry of every recording by a fit without its group; none of a group that is all there is.
 
+    Folds are fitted side by side, each as it would be alone.
+
     Args:
         recordings: the runs, in the order of `blocks`.
         blocks: the same runs, reduced.
@@ -51,16 +55,25 @@ def left_out(
         progress: called with (done, total) folds.
     """
     labels = list(dict.fromkeys(groups))
-    found: dict[int, Track] = {}
-    for number, label in enumerate(labels, start=1):
+
+    def fold(label: object) -> dict[int, Track]:
         inside = [k for k, g in enumerate(groups) if g != label]
-        if inside:
-            geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
-            outside = [k for k, g in enumerate(groups) if g == label]
-            runs = track_all([recordings[k] for k in outside], geometry, setting.model, setting.signal)
-            found.update(zip(outside, runs, strict=True))
-        if progress is not None:
-            progress(number, len(labels))
+        if not inside:
+            return {}
+        geometry = fit(blocks.subset(inside), setting, nominal, start=start).geometry
+        outside = [k for k, g in enumerate(groups) if g == label]
+        runs = track_all([recordings[k] for k in outside], geometry, setting.model, setting.signal)
+        return dict(zip(outside, runs, strict=True))
+
+    found: dict[int, Track] = {}
+    pool = ThreadPoolExecutor(min(len(labels), os.cpu_count() or 1))
+    try:
+        for number, tracks in enumerate(pool.map(fold, labels), start=1):
+            found.update(tracks)
+            if progress is not None:
+                progress(number, len(labels))
+    finally:  # whoever interrupts does not wait for folds that have not begun
+        pool.shutdown(cancel_futures=True)
     return [found[k] for k in sorted(found)]
 
 

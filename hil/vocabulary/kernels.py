@@ -41,20 +41,25 @@ def compiled(function: F) -> F:
     Raises:
         TypeError: it uses something that has no fingerprint: see `fingerprint`.
     """
-    if numba is None:
-        return function
+    return function if numba is None else _jitted(function, "")
+
+
+def _jitted(function: F, kept_as: str, **options: bool) -> F:
+    """The function as numba makes it; the name of its code in the cache ends with `kept_as`."""
     name = function.__qualname__
     try:
-        function.__qualname__ = f"{name}_{fingerprint(function)}"
-        return cast(F, numba.njit(cache=True)(function))
+        function.__qualname__ = f"{name}_{fingerprint(function)}{kept_as}"
+        return cast(F, numba.njit(cache=True, **options)(function))
     except RuntimeError:  # nowhere to write the cache
-        return cast(F, numba.njit(function))
+        return cast(F, numba.njit(**options)(function))
     finally:
         function.__qualname__ = name
 
 
 def compiled_with_parts(function: F) -> F:
     """Compile a plain function with the plain functions that it calls; these stay plain for everyone else.
+
+    Other threads run while it does: for kernels that take milliseconds.
 
     Raises:
         ImportError: numba is not installed.
@@ -64,7 +69,7 @@ def compiled_with_parts(function: F) -> F:
 
     for part in parts(function):
         register_jitable(part)
-    return compiled(function)
+    return _jitted(function, "_nogil", nogil=True)
 
 
 def plain(function: F) -> F:
