@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
@@ -27,7 +28,11 @@ from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
 
+LOG = logging.getLogger(__name__)
+
 _SETTLE_S = 0.5
+_FRAME_MOVED_M = 0.005
+"""Motion capture whose frame has moved further does not tell where the robot stands."""
 _START_COVARIANCE = np.diag([1e-8, 1e-8, 1e-7, 1e-6, 1e-6, 1e-6])
 _RECORDED = ("t_ns", "pose_body_in_wall", "steering_true_rad", "normal_load_n", "slip_m_s", "fallen")
 """Of an emulated robot's truth, what its recordings keep (`PlantState`)."""
@@ -67,6 +72,7 @@ class Bench(HeldRig):
             seed=seed, sinks=sinks,
         )  # fmt: skip
         self.world = world
+        self._left: RobotState | None = None
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
 
@@ -142,7 +148,8 @@ class Bench(HeldRig):
             feedback: estimator in the loop: `odometry`, `ekf` or `ukf`.
             hold_s: how long to go on controlling at the end.
             observers: estimators that run beside it.
-            start_pose: where the robot stands, (3,); by default measured while settling.
+            start_pose: where the robot stands, (3,); by default measured while settling; where motion capture
+                does not tell, as the last drive left it.
             on_cycle: called with every record (progress).
 
         Raises:
@@ -155,15 +162,33 @@ class Bench(HeldRig):
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
         warm_up(brain, self.start_state(start_pose))
         self.rig.actuators().enable()
-        pose = self.settle() if start_pose is None else start_pose
         start = RunStart(
-            self.start_state(pose),
+            self._where_it_stands() if start_pose is None else self.start_state(start_pose),
             feedback,
             controller or self.config.control.law,
             observers,
             trajectory.to_mapping(),
         )
         return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
+
+    def _where_it_stands(self) -> RobotState:
+        """At rest where motion capture sees the robot.
+
+        Where it sees nothing, or its frame has moved, where the last drive left it.
+        """
+        left = None if self._left is None else self._hold.at_rest(self._left)
+        seen = self.observe(_SETTLE_S, feedback="odometry").mocap
+        moved_m = self._hold.frame_moved_m("mocap")
+        unseen = not np.isfinite(seen).all(axis=1).any()
+        if left is None or not (unseen or moved_m > _FRAME_MOVED_M):
+            return self.start_state(self.measured_pose(seen))
+        why = "does not see the robot" if unseen else f"has jumped by {1e3 * moved_m:.0f} mm"
+        if self.has("mocap"):
+            LOG.warning(
+                "motion capture %s: the robot is taken to stand where the last drive left it. Look at its "
+                "cameras and at mocap.body, or give the start pose", why,
+            )  # fmt: skip
+        return replace(left, t_ns=self.clock.now_ns())
 
     def start_state(self, pose: ArrayLike | None = None) -> RobotState:
         """State to start a run from: at rest at a pose (3,), by default the configured one."""
@@ -200,7 +225,7 @@ class Bench(HeldRig):
         with ExitStack() as stack:
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)
             if drop_old:
-                self.rig.read(0)
+                self._hold.passed_over(self.rig.read(0))
             loop = self.make_loop(brain, start)
             if self.real_time is not None:
                 loop.idle = self.real_time.idle
@@ -208,6 +233,8 @@ class Bench(HeldRig):
                 loop.run(until)
             finally:
                 self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
+                if start.trajectory is not None:
+                    self._left = self._hold.last_state
 
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.

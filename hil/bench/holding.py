@@ -12,10 +12,12 @@ import math
 from collections import deque
 from collections.abc import Collection, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from hil.bench.held import Held, State
+from hil.bench.leaps import Leaps
 from hil.bench.pressing import PressWatch
 from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
 from hil.ring.rig import Rig
@@ -25,7 +27,16 @@ from hil.vocabulary.errors import HilError
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import SERVOS, CycleRecord, ImuSample, ServoHold, Status, worst
+from hil.vocabulary.signals import (
+    SERVOS,
+    CycleRecord,
+    ImuSample,
+    Inputs,
+    RobotState,
+    ServoHold,
+    Status,
+    worst,
+)
 
 LOG = logging.getLogger(__name__)
 _LOOK_NS = nanoseconds(0.02)
@@ -34,6 +45,8 @@ _CALM_M_S2 = 2.0
 _ALL_NS = 2 * WINDOW_NS
 """So long at the most it is waited for all that have begun to see the robot."""
 _MOVED_M = 0.001
+_UNSEEN_M = 0.005
+"""What a robot that is held may move after its stop."""
 _FELT = 10
 """Samples of it that are averaged."""
 
@@ -49,6 +62,9 @@ class HoldWatch(Sink):
         on_wall: whether the robot has to be held at all.
         can_fall: whether nothing else holds it there: somebody then has to see that it does not slide.
         lightest_m_s2: specific force below which it is falling.
+
+    Attributes:
+        last_state: as the latest cycle estimated it; None before.
     """
 
     def __init__(
@@ -71,18 +87,31 @@ class HoldWatch(Sink):
         self._on_wall, self._can_fall = on_wall, can_fall
         self._travel = Travel(self._witnesses, radius_m)
         self._doubted: dict[str, bool] = {}
+        self._leaps = Leaps()
+        self.last_state: RobotState | None = None
 
     def write(self, record: CycleRecord) -> None:
         """Remember where the robot was seen last."""
         inputs = record.inputs
-        heading_rad = float(record.state.pose_body_in_wall[2])
+        pose = record.state.pose_body_in_wall
+        heading_rad, estimated = float(pose[2]), None
         if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
             self._press.heading_rad = heading_rad
+            self.last_state, estimated = record.state, pose[:2]
         for name in self._travel.names:
             for sample in inputs.of(name):
                 place = self._witnesses[name].value(sample)
                 if place is not None:
+                    self._leapt(name, sample, place, estimated)
                     self._travel.passed(name, inputs.t_ns, place)
+
+    def passed_over(self, inputs: Inputs) -> None:
+        """What has piled up before a run, which nobody else looks at."""
+        for name, witness in self._witnesses.items():
+            for sample in inputs.of(name):
+                place = witness.value(sample)
+                if place is not None:
+                    self._leapt(name, sample, place)
 
     def close(self) -> None:
         """Nothing to let go of."""
@@ -100,6 +129,18 @@ class HoldWatch(Sink):
         for name, sure in (doubted or {}).items():
             self._doubted[name] = sure or self._doubted.get(name, False)
         self._travel.stopped(self._clock.now_ns())
+        self._leaps.run_ended()
+
+    def at_rest(self, left: RobotState) -> RobotState:
+        """A robot that a run left there, unsure by what it moved since, or may have while nobody looked."""
+        moved_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
+        covariance = left.covariance.copy()
+        covariance[:2, :2] += max(moved_m or 0.0, _UNSEEN_M) ** 2 * np.eye(2)
+        return replace(left, twist_body=np.zeros(3), covariance=covariance, diagnostics={})
+
+    def frame_moved_m(self, name: str) -> float:
+        """How far the frame has moved in which a kind of device tells places, as far as that was seen."""
+        return self._leaps.size_m(name)
 
     def look(self, limit_s: float) -> Held:
         """Look after the robot until it is held, for `limit_s` at the most.
@@ -195,8 +236,18 @@ class HoldWatch(Sink):
                 self._felt_m_s2.append(_felt_m_s2(sample))
             if name in self._travel.names and worst(sample) is Status.RESET:
                 self._travel.begins_anew(name)
-        values = (self._witnesses[name].value(sample) for sample in samples)
-        return [value for value in values if value is not None]
+                self._leaps.begins_anew(name)
+        values = [(sample, self._witnesses[name].value(sample)) for sample in samples]
+        for sample, value in values:
+            if value is not None:
+                self._leapt(name, sample, value)
+        return [value for _, value in values if value is not None]
+
+    def _leapt(self, name: str, sample: Any, place: Array, estimated: Array | None = None) -> None:
+        """What is told in another frame from now on is no way that the robot has gone."""
+        if self._witnesses[name].is_place:
+            for moved in self._leaps.follow(name, sample.stamp.t_ns, place, estimated):
+                self._travel.begins_anew(moved)
 
     def _doubt(
         self, hold: ServoHold, trails: dict[str, Trail], seen: Collection[str], places: Collection[str]

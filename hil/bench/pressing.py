@@ -144,6 +144,8 @@ class PressWatch:
             f"{fresh[name]:.1f} N by {name}" if name in fresh else f"nothing by {name}"
             for name, there in measures.items() if there
         ]  # fmt: skip
+        if self._limits.nominal_thrust_n and not self._limits.reports_thrust:
+            told.append("the propellers report nothing")
         return f"; pressed on the wall: {', '.join(told)}"
 
     def _fresh(self, now_ns: int) -> dict[str, float]:

@@ -40,12 +40,13 @@ class TeensyConfig(ThrustConfig):
     Attributes:
         port: device path or any pyserial URL.
         baud: of its serial line.
-        repeat_s: the throttle is sent again so often: a line that got lost does not stay lost.
+        repeat_s: the throttle is sent again so often: a line that got lost does not stay lost, and after a
+            restart the propellers push again before the robot slides.
         write_timeout_s: after which a port that takes nothing counts as failed.
     """
 
     model: Literal["teensy"] = "teensy"
     port: str = Field("/dev/ttyACM0", min_length=1)
     baud: int = Field(115_200, gt=0, le=12_000_000)
-    repeat_s: Annotated[float, Within(0.02, 2.0, "a lost line lasts so long")] = 0.1
+    repeat_s: Annotated[float, Within(0.02, 2.0, "a lost line lasts so long")] = 0.05
     write_timeout_s: Patience = 0.1

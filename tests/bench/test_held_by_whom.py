@@ -257,7 +257,7 @@ def test_a_servo_that_answers_late_for_ever_is_held_with_the_others_and_named(se
 
 
 @pytest.mark.parametrize("plant", ["own", "mujoco"])
-@pytest.mark.parametrize("fault", ["thrust:off@4.9", "thrust:reset@5.1", "thrust:wrong@5.0,factor=0.5"])
+@pytest.mark.parametrize("fault", ["thrust:off@4.9", "thrust:off@5.1", "thrust:wrong@5.0,factor=0.5"])
 def test_propellers_that_fail_as_the_way_ends_are_not_called_holding(fault, plant):
     """They report nothing, and push for a moment longer: the look outlasts that."""
     way = line((0, 0, 0), (0.2, 0, 0), duration_s=4.0)

@@ -315,6 +315,7 @@ class DynamixelServos(Actuators):
         now_ns = self._clock.now_ns()
         self._outage.saw(reading.status, now_ns)
         self._caretaker.attended(now_ns)
+        self._upkeep.insist(reading.status)
         trouble = self._upkeep.trouble(reading)
         return ServoHold(now_ns, position, self._upkeep.torque, trouble, self._cycle.late())
 

@@ -220,6 +220,16 @@ class Upkeep:
             _LOG.warning("%s: restarted, set up again: %s", self._device, ", ".join(restarted))
         return tuple(repaired)
 
+    def insist(self, status: Sequence[Status]) -> None:
+        """Torque on for those that are not heard: who has restarted may hear, though its answers are lost.
+
+        It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
+        """
+        answers = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
+        unheard = [i for i, s in zip(self._ids, status, strict=True) if s not in answers]
+        if self.torque and unheard:
+            self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in unheard]))
+
     def trouble(self, reading: Reading) -> dict[str, str]:
         """What keeps a servo from holding, by name, from a full look that `judge` has seen."""
         armed, found = self._config.watchdog_count, {}

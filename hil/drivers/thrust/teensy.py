@@ -1,13 +1,16 @@
 """The propellers behind a Teensy: lines `THR<0..180>`, which nobody confirms.
 
 Opening the port changes nothing. Once a throttle was asked for it is sent again and again, so that a line
-that got lost, and the firmware's way down after one that got damaged, do not last.
+that got lost, the firmware's way down after one that got damaged, and a restart do not last. Whoever reads
+sends it; while nobody reads, after a stop or between motions, the driver does so by itself.
 """
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
+import threading
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from hil.config.thrust import TeensyConfig
@@ -17,8 +20,12 @@ from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.interfaces import Holding
 from hil.vocabulary.signals import Stamp, Status, ThrustSample
 
+_LOG = logging.getLogger(__name__)
+
 STEPS = 180
 _SLACK_NS = 1_000_000
+_ALONE = 1.2
+"""So many times the period after which a throttle is sent again, nobody reads."""
 
 
 class TeensyThrust(Holding[ThrustSample]):
@@ -36,8 +43,10 @@ class TeensyThrust(Holding[ThrustSample]):
         self._identity: dict[str, str] = {}
         self._repeat_ns = nanoseconds(config.repeat_s)
         self._step: int | None = None
-        self._next_ns = self._failing_ns = 0
+        self._next_ns = self._failing_ns = self._sent_ns = 0
         self._sequence = 0
+        self._talking = threading.Lock()
+        self._end: Callable[[], None] | None = None
 
     def open(self) -> None:
         """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
@@ -60,8 +69,12 @@ class TeensyThrust(Holding[ThrustSample]):
 
     def close(self) -> None:
         """Let go of the port; the propellers go on. Idempotent; never raises."""
+        if self._end is not None:
+            self._end()
+            self._end = None
         self._identity, self._next_ns = {}, 0
-        port, self._port = self._port, None
+        with self._talking:
+            port, self._port = self._port, None
         let_go(port)
 
     def identity(self) -> Mapping[str, str]:
@@ -104,11 +117,29 @@ class TeensyThrust(Holding[ThrustSample]):
         self._must_be_open()
         self._step = round(STEPS * duty)
         self._send(self._step)
+        if self._end is None:
+            self._end = self._clock.schedule(self._repeat, self._due_ns())
+
+    def _due_ns(self) -> int:
+        """When the throttle has been left alone for too long."""
+        return self._sent_ns + round(_ALONE * self._repeat_ns)
+
+    def _repeat(self, now_ns: int) -> int:
+        """Send the throttle again if nobody else has; when to look again."""
+        if now_ns >= self._due_ns() and self._step is not None:
+            try:
+                self._send(self._step)
+            except DeviceTimeoutError as error:
+                _LOG.warning("while nobody read: %s", error)
+        return max(self._due_ns(), now_ns + self._repeat_ns // 2)
 
     def _send(self, step: int) -> bool:
-        now_ns = self._clock.now_ns()
+        now_ns = self._sent_ns = self._clock.now_ns()
         try:
-            self._port.write(b"THR%d\n" % step)
+            with self._talking:
+                if self._port is None:
+                    return False
+                self._port.write(b"THR%d\n" % step)
         except PORT_ERRORS as error:
             self._failing_ns = self._failing_ns or now_ns
             if now_ns - self._failing_ns > nanoseconds(0.5):

@@ -1,0 +1,73 @@
+"""After the stop nobody runs the loop: propellers and servos that restart then are told again anyway."""
+
+import numpy as np
+import pytest
+
+import hil
+from hil.fakes.servos.bus import ServoBus
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.errors import SafetyStop
+
+WAY = line((0.0, 0.0, 0.0), (0.12, 0.0, 0.0), duration_s=3.0)
+ENDED_S = 4.5
+
+
+def place(bench):
+    return bench.truth().pose_body_in_wall[:2].copy()
+
+
+@pytest.mark.parametrize("fault", ["thrust:reset@{}", "thrust:brownout@{}+0.05"])
+@pytest.mark.parametrize("after_s", [0.1, 2.0])
+@pytest.mark.parametrize("looks", [True, False])
+def test_propellers_that_restart_after_the_stop_push_again(fault, after_s, looks):
+    with hil.open_bench("emulated", seed=1, faults=[fault.format(ENDED_S + after_s)]) as bench:
+        bench.drive(WAY, hold_s=0.5)
+        stood = place(bench)
+        for _ in range(4):
+            if looks:
+                bench.look()
+            bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(1.0))
+        assert not bench.truth().fallen
+        assert np.linalg.norm(place(bench) - stood) < 0.005
+        held = bench.look()
+    assert held.state == "HELD"
+    assert "the propellers report nothing" in held.why
+
+
+LATE = "servos:slow@{},answer_s=0.02"
+
+
+@pytest.mark.parametrize(
+    "faults",
+    [
+        [LATE.format(2), "servos:brownout@2.15+0.05"],
+        [LATE.format(2), "servos:brownout@2.15+0.3"],
+        [LATE.format(2.6), "servos:brownout@2.15+0.3"],
+        ["servos:corrupt@2,probability=0.8", "servos:brownout@2.3+0.1"],
+    ],
+)
+@pytest.mark.parametrize("plant", ["own", "mujoco"])
+def test_servos_that_hear_and_are_not_heard_have_their_torque_back(faults, plant):
+    """Supply and bus are there again, answers are late or lost: 28 to 61 mm of sliding before."""
+    if plant == "mujoco":
+        pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    over = {"emulation.plant": plant}
+    with hil.open_bench("emulated", seed=1, faults=faults, overrides=over) as bench:
+        with pytest.raises(SafetyStop, match="stale_servos"):
+            bench.drive(WAY)
+        stood = place(bench)
+        for _ in range(3):
+            bench.look()
+        assert np.linalg.norm(place(bench) - stood) < 0.005
+
+
+def test_released_servos_that_are_not_heard_stay_released():
+    with hil.open_bench("emulated_floor", seed=1, faults=["servos:slow@2.5,answer_s=0.02"]) as bench:
+        bench.drive(line((0.0, 0.0, 0.0), (0.02, 0.0, 0.0), duration_s=1.0), hold_s=0.2)
+        bench.release()
+        bench.clock.sleep_until_ns(nanoseconds(3.0))
+        for _ in range(3):
+            assert bench.look().state == "not needed"
+        bus = next(part for part in bench.world._parts if isinstance(part, ServoBus))
+        assert not any(servo.torque for servo in bus.servos)
