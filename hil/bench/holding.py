@@ -106,7 +106,7 @@ class HoldWatch(Sink):
                     self._travel.passed(name, inputs.t_ns, place)
 
     def passed_over(self, inputs: Inputs) -> None:
-        """What has piled up before a run, which nobody else looks at."""
+        """Take what has piled up before a run and goes to nobody else."""
         for name, witness in self._witnesses.items():
             for sample in inputs.of(name):
                 place = witness.value(sample)
@@ -132,14 +132,14 @@ class HoldWatch(Sink):
         self._leaps.run_ended()
 
     def at_rest(self, left: RobotState) -> RobotState:
-        """A robot that a run left there, unsure by what it moved since, or may have while nobody looked."""
+        """A robot that a run left there, unsure by what it moved since, or may have without being seen."""
         moved_m = self._travel.moved_m(self._believed(self._travel.names), slides=self._on_wall)
         covariance = left.covariance.copy()
         covariance[:2, :2] += max(moved_m or 0.0, _UNSEEN_M) ** 2 * np.eye(2)
         return replace(left, twist_body=np.zeros(3), covariance=covariance, diagnostics={})
 
     def frame_moved_m(self, name: str) -> float:
-        """How far the frame has moved in which a kind of device tells places, as far as that was seen."""
+        """How far the frame has moved in which a kind of device measures places, as far as that was seen."""
         return self._leaps.size_m(name)
 
     def look(self, limit_s: float) -> Held:

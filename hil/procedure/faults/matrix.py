@@ -26,9 +26,10 @@ can be read, and when a run that ends well is wrong by less than three of its si
 named anywhere, the run went on as if nothing had been; the last table says why. Of eight servos and four
 encoders one of each kind stands for the others.
 
-What the bench does not protect from: a fan whose power ends, a wall that gives way, a computer that dies
-while servos restart, and errors that look like an honest robot, such as a camera that drifts down the wall by
-3 mm/s ([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
+What the bench does not protect from: a fan whose power ends or whose controller restarts, a wall that gives
+way, a computer that dies while servos restart, propellers that report nothing and get weaker bit by bit, and
+errors that look like an honest robot, such as a camera that drifts down the wall by 3 mm/s
+([wall.md](wall.md#what-stops-the-robot)). Independent fall protection stays the lab's.
 
 {counts}
 """
