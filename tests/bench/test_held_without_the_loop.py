@@ -71,3 +71,13 @@ def test_released_servos_that_are_not_heard_stay_released():
             assert bench.look().state == "not needed"
         bus = next(part for part in bench.world._parts if isinstance(part, ServoBus))
         assert not any(servo.torque for servo in bus.servos)
+
+
+def test_a_port_of_the_propellers_that_takes_nothing_is_told_once(caplog):
+    with hil.open_bench("emulated", seed=1, faults=[f"thrust:unplug@{ENDED_S + 0.2}"]) as bench:
+        bench.drive(WAY, hold_s=0.5)
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + nanoseconds(3.0))
+        assert not bench.truth().fallen
+    told = [r.getMessage() for r in caplog.records if "while nobody read" in r.getMessage()]
+    assert len(told) == 1
+    assert "the propellers go on as told last" in told[0]

@@ -47,6 +47,7 @@ class TeensyThrust(Holding[ThrustSample]):
         self._sequence = 0
         self._talking = threading.Lock()
         self._end: Callable[[], None] | None = None
+        self._told = False
 
     def open(self) -> None:
         """Open the port; raises `DeviceError`. Nothing can tell whether a Teensy listens."""
@@ -128,9 +129,12 @@ class TeensyThrust(Holding[ThrustSample]):
         """Send the throttle again if nobody else has; when to look again."""
         if now_ns >= self._due_ns() and self._step is not None:
             try:
-                self._send(self._step)
+                if self._send(self._step):
+                    self._told = False
             except DeviceTimeoutError as error:
-                _LOG.warning("while nobody read: %s", error)
+                if not self._told:
+                    _LOG.warning("while nobody read: %s", error)
+                self._told = True
         return max(self._due_ns(), now_ns + self._repeat_ns // 2)
 
     def _send(self, step: int) -> bool:
