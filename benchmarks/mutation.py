@@ -72,6 +72,7 @@ MODULES: dict[str, tuple[str, tuple[str, ...]]] = {
     ),
     "alignment": ("hil/ring/alignment.py", (_GUARDS[0],)),
     "poses": ("hil/ring/poses.py", (_GUARDS[0],)),
+    "leaps": ("hil/bench/leaps.py", ("tests/bench/test_leaps.py",)),
 }
 """By name: the file, and the tests that belong to it."""
 _QUIET = ("-p", "no:faulthandler", "-W", "ignore::pytest.PytestAssertRewriteWarning")
