@@ -285,6 +285,8 @@ class Supervisor:
         watch = self.checks.estimate
         if watch is not None and watch.witness not in self.left_out:
             watch.judge(state, events, found.__setitem__)
+            if "sensors_disagree" in found:
+                found["sensors_disagree"] += self._look_at_holders("if it slides, look")
         if found:
             raise _stop_for(found, self._pace.beside(state.t_ns))
         return tuple(events)

@@ -9,6 +9,8 @@ import pytest
 import hil
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.loading import load_bench
+from hil.procedure.faults import cells_of
+from hil.procedure.faults.driving import run_cell
 from hil.robot.trajectories import line
 from hil.vocabulary.errors import DeviceError, SafetyStop, UsageError
 
@@ -289,3 +291,12 @@ def test_a_negative_push_is_refused_and_the_propellers_go_on():
             bench.rig.get("thrust").set_force_n(-3.0)
         bench.observe(0.5, feedback="odometry")
         assert bench.truth().thrust_n > 15.0
+
+
+def test_an_estimate_that_motion_capture_contradicts_while_it_slides_points_at_what_holds_it():
+    """In this world the slide is found by the estimate alone, slower than any other check sees."""
+    pytest.importorskip("mujoco", reason="the extra mujoco is not installed")
+    (cell,) = cells_of({"thrust": ("off",)}, seeds=(4,), plants=("mujoco",), moments=("stop",))
+    verdict = run_cell(cell)
+    assert verdict.why == ()
+    assert verdict.ended == "sensors_disagree"
