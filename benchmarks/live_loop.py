@@ -33,6 +33,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from host import stolen_s
 
 from hil.bench import open_bench
 from hil.live import LivePlan, LiveSession
@@ -126,12 +127,6 @@ def idle(seconds: float, rate_hz: float, fifo_priority: int | None) -> dict[str,
     clock = MonotonicClock()
     real_time = RealTime(clock, fifo_priority=fifo_priority)
     return _punctuality(idle_loop(clock, real_time, seconds=seconds, rate_hz=rate_hz).summary())
-
-
-def stolen_ms() -> float:
-    """Processor time that the host of a virtual machine has kept from it since it was started (Linux)."""
-    first = Path("/proc/stat").read_text().split("\n", 1)[0].split()
-    return 1e3 * int(first[8]) / os.sysconf("SC_CLK_TCK")
 
 
 def _punctuality(summary: dict[str, float]) -> dict[str, float]:
@@ -273,11 +268,11 @@ def main() -> None:
         "processors": os.cpu_count(), "load_before": os.getloadavg()[0],
     }  # fmt: skip
     with tempfile.TemporaryDirectory() as folder:
-        began_ms = stolen_ms()
+        began_s = stolen_s()
         out["idle"] = idle(options.idle_seconds or options.seconds, options.rate, options.fifo)
-        between_ms = stolen_ms()
+        between_s = stolen_s()
         out["live"] = live(options, Path(folder))
-        out["stolen_ms"] = {"idle": between_ms - began_ms, "live": stolen_ms() - between_ms}
+        out["stolen_ms"] = {"idle": 1e3 * (between_s - began_s), "live": 1e3 * (stolen_s() - between_s)}
     out["more_late_percent"] = out["live"]["late_percent"] - out["idle"]["late_percent"]
     out["checks"] = checks(out)
     out["load_after"] = os.getloadavg()[0]

@@ -36,6 +36,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from host import stolen_s
 
 from hil.bench import open_bench
 from hil.fakes.faults import parse_fault
@@ -245,15 +246,6 @@ def memory_mb() -> float:
         _LIBC.malloc_trim(0)
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
-
-
-def stolen_s() -> float:
-    """Processor time that a host gave to others since the computer started; zero where nobody tells."""
-    try:
-        ticks = int(Path("/proc/stat").read_text().split("\n", 1)[0].split()[8])
-    except (OSError, IndexError):
-        return 0.0
-    return ticks / os.sysconf("SC_CLK_TCK")
 
 
 def main() -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -98,20 +98,22 @@ class HoldWatch(Sink):
         if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
+        for name, sample, place in self._sightings(inputs):
+            self._leapt(name, sample, place, estimated)
+            self._travel.passed(name, inputs.t_ns, place)
+
+    def passed_over(self, inputs: Inputs) -> None:
+        """Take what has piled up before a run and goes to nobody else."""
+        for name, sample, place in self._sightings(inputs):
+            self._leapt(name, sample, place)
+
+    def _sightings(self, inputs: Inputs) -> Iterator[tuple[str, Any, Array]]:
+        """Samples that tell a place, or angles of joints, with what they tell."""
         for name in self._travel.names:
             for sample in inputs.of(name):
                 place = self._witnesses[name].value(sample)
                 if place is not None:
-                    self._leapt(name, sample, place, estimated)
-                    self._travel.passed(name, inputs.t_ns, place)
-
-    def passed_over(self, inputs: Inputs) -> None:
-        """Take what has piled up before a run and goes to nobody else."""
-        for name, witness in self._witnesses.items():
-            for sample in inputs.of(name):
-                place = witness.value(sample)
-                if place is not None:
-                    self._leapt(name, sample, place)
+                    yield name, sample, place
 
     def close(self) -> None:
         """Nothing to let go of."""

@@ -30,7 +30,7 @@ from hil.drivers.servos.goals import Goals
 from hil.drivers.servos.health import HealthWatch
 from hil.drivers.servos.port import ServoPort
 from hil.drivers.servos.registers import RegisterMap
-from hil.drivers.servos.restoring import Upkeep, acknowledge_all
+from hil.drivers.servos.restoring import ANSWERING, Upkeep, acknowledge_all
 from hil.drivers.servos.samples import Samples
 from hil.drivers.servos.timeouts import OutageWatch
 from hil.vocabulary.clock import Clock, nanoseconds
@@ -250,10 +250,9 @@ class DynamixelServos(Actuators):
         return True
 
     def _await_answers(self, bus: Bus) -> None:
-        answering = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
         for _ in range(_READ_ATTEMPTS):
             sample = self._read(bus)
-            if all(s in answering for s in sample.status):
+            if all(s in ANSWERING for s in sample.status):
                 return
         raise DeviceTimeoutError(
             self.name,

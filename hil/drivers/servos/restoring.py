@@ -23,6 +23,8 @@ from hil.vocabulary.signals import SERVOS, Status
 
 _LOG = logging.getLogger(__name__)
 
+ANSWERING = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
+"""Of a servo that is heard."""
 _ATTEMPTS = 3
 _ATTEMPTS_ON = 12
 """A computer that is busy starting programs may be deaf for a quarter of a second."""
@@ -225,8 +227,7 @@ class Upkeep:
 
         It holds by what it wakes up with, goals at which it stands still, until it can be set up again.
         """
-        answers = (Status.OK, Status.RESET, Status.HARDWARE_ERROR)
-        unheard = [i for i, s in zip(self._ids, status, strict=True) if s not in answers]
+        unheard = [i for i, s in zip(self._ids, status, strict=True) if s not in ANSWERING]
         if self.torque and unheard:
             self._bus.send(packets.sync_write(self._map.torque, 1, [(i, b"\x01") for i in unheard]))
 
