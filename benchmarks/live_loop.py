@@ -97,6 +97,10 @@ class Timed(Sink):
         self._sink.write(record)
         self.took_us.append((self._clock.now_ns() - before_ns) / 1e3)
 
+    def rest(self) -> None:
+        """Pass on."""
+        self._sink.rest()
+
     def close(self) -> None:
         """Pass on."""
         self._sink.close()

@@ -139,7 +139,11 @@ class RerunMonitor(Sink):
         if len(self._waiting) >= self._capacity:
             self._drop_oldest()
         self._waiting.append(record)
-        self._something.set()
+
+    def rest(self) -> None:
+        """Wake the thread that sends: it works while the loop sleeps."""
+        if self._waiting:
+            self._something.set()
 
     def show_path(self, points_m: Array) -> None:
         """Draw the path that the robot is going to follow.

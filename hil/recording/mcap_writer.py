@@ -11,6 +11,7 @@ import json
 import logging
 import queue
 import threading
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
@@ -64,6 +65,7 @@ class McapRecorder(Sink):
         self.failure = ""
         self._capacity = capacity
         self._closed = self._broken = self._malformed = False
+        self._waiting: deque[_Item] = deque()
         self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
         try:
             self._recording = RecordingFile(self.path, header)
@@ -110,14 +112,20 @@ class McapRecorder(Sink):
             data: JSON values; floats come back exactly.
         """
         self._put(("note", (t_ns, json.dumps({"kind": kind, "data": data}, default=str))))
+        self.rest()
+
+    def rest(self) -> None:
+        """Hand on what the last cycle left: the thread that writes works while the loop sleeps."""
+        while self._waiting:
+            self._queue.put(self._waiting.popleft())
 
     def _put(self, item: _Item) -> None:
         if self._closed:
             return
         if self._thread is None:
             self._take(item)
-        elif self._queue.qsize() < self._capacity:
-            self._queue.put(item)
+        elif self._queue.qsize() + len(self._waiting) < self._capacity:
+            self._waiting.append(item)
         elif item[0] == "cycle":
             self.dropped += 1
 
@@ -170,6 +178,7 @@ class McapRecorder(Sink):
             return
         self._closed = True
         if self._thread is not None:
+            self.rest()
             self._queue.put(("end", None))
             self._thread.join(_CLOSE_S)
             if self._thread.is_alive():

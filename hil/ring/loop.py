@@ -218,9 +218,11 @@ class ControlLoop:
                 deadline_ns = self._next_deadline(deadline_ns)
                 if self.idle is not None:
                     self.idle(deadline_ns)
+                self._rest()
         finally:
             if self.rig.servos is not None:
                 self.rig.servos.stop()
+            self._rest()
 
     def cycle(self, deadline_ns: int) -> CycleRecord:
         """One pass through the ring; `timing_ns["sinks"]` of a record is the previous cycle's."""
@@ -247,6 +249,11 @@ class ControlLoop:
         lap("sinks")
         self._count(start_ns, deadline_ns, lap)
         return record
+
+    def _rest(self) -> None:
+        """Let sinks' threads have the interpreter now: beside a cycle they would make it longer."""
+        for sink in self.sinks:
+            sink.rest()
 
     def _heed_sinks(self) -> None:
         """Stop and raise when a sink objects to a further cycle."""

@@ -172,6 +172,10 @@ class Sink(Protocol):
         """Why the loop must not go on; it asks before every cycle, stops the robot and raises this."""
         return None
 
+    def rest(self) -> None:
+        """Told that the loop sleeps until its next cycle: the moment for a thread of the sink to work."""
+        return
+
     @abstractmethod
     def close(self) -> None:
         """Flush and let go. Never raises."""

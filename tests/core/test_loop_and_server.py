@@ -170,6 +170,24 @@ def test_cycles_fall_on_the_grid_and_the_robot_is_held_at_the_end():
     assert motion.events == ()
 
 
+def test_sinks_are_told_when_the_loop_sleeps_after_every_cycle_and_at_the_end():
+    told = []
+
+    class Resting(Busy):
+        def rest(self):
+            told.append((len(self.seen), self.clock.now_ns()))
+
+    def until(record):
+        if record.cycle == 3:
+            raise RuntimeError("enough")
+        return False
+
+    _, loop = make(sinks=lambda clock: (Resting(clock, 1, nanoseconds(0.004)),))
+    with pytest.raises(RuntimeError, match="enough"):
+        loop.run(until)
+    assert told == [(1, 0), (2, 14_000_000), (3, 20_000_000), (4, 30_000_000)]
+
+
 def test_a_missed_deadline_is_counted_and_never_made_up_for():
     starts = []
     _, loop = make(sinks=lambda clock: (Busy(clock, 3, nanoseconds(0.037)),))

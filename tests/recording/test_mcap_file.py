@@ -182,6 +182,17 @@ def test_a_malformed_record_is_lost_and_named_and_the_rest_goes_on(tmp_path):
     assert [r.cycle for r in read_cycles(tmp_path / "r")] == [0, 1]
 
 
+def test_the_thread_of_a_recorder_works_while_the_loop_sleeps_and_not_beside_a_cycle(tmp_path):
+    recorder = McapRecorder(tmp_path / "r.mcap", {}, lossless=False)
+    recorder.write(driving_record(0))
+    recorder._thread.join(0.5)  # it waits for a whole half second in vain
+    assert recorder.written == 0
+    recorder.rest()
+    recorder.write(driving_record(1))
+    recorder.close()
+    assert [r.cycle for r in read_cycles(tmp_path / "r.mcap")] == [0, 1]
+
+
 def test_a_disk_that_stalls_costs_records_and_no_time(tmp_path):
     # A pipe that nobody empties is a disk that does not answer: the writer blocks inside the kernel.
     path = tmp_path / "stalled.mcap"
@@ -259,6 +270,7 @@ start = clock.now_ns()
 for k in range(10**6):
     clock.sleep_until_ns(start + k * PERIOD_NS)
     recorder.write(driving_record(k))
+    recorder.rest()
     print(k, flush=True)
 """
 

@@ -125,6 +125,7 @@ def test_a_recorder_objects_from_the_failure_on(tmp_path, full_disk, lossless):
     assert recorder.objection() is None
     for k in range(300):
         recorder.write(driving_record(k))
+    recorder.rest()
     if recorder._thread is not None:  # it ends with the item after the last
         recorder._queue.put(("end", None))
         recorder._thread.join(60.0)
