@@ -22,6 +22,8 @@ from pathlib import Path
 from host import stolen_s
 
 WANTED = 1.8
+FEW = 2
+"""Runs of a campaign that is mostly start."""
 LINE = ("wall_tracking", "--set", 'cases=["x_line"]', "--set", 'feedbacks=["ekf"]')
 
 
@@ -58,13 +60,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--runs", type=int, default=8, help="of each campaign")
+    parser.add_argument("--runs", type=int, default=8, help="of each campaign, more than two")
     runs = parser.parse_args().runs
+    if runs <= FEW:
+        parser.error(f"--runs {runs}: a rate needs more than the {FEW} runs that tell how long a start takes")
     before_s = stolen_s()
     alone_s = finished_s("run", ("--seed", "0"))
     at_once_s = finished_s("run", ("--seed", "0"), ("--seed", "1"))
-    few_s, one_s, two_s = campaign_s(2, 2), campaign_s(runs, 1), campaign_s(runs, 2)
-    a_run_s = (two_s - few_s) / (runs - 2)
+    few_s, one_s, two_s = campaign_s(FEW, 2), campaign_s(runs, 1), campaign_s(runs, 2)
+    a_run_s = (two_s - few_s) / (runs - FEW)
     result = {
         "run_alone_s": round(alone_s, 2),
         "two_runs_at_once_s": round(at_once_s, 2),
@@ -73,7 +77,7 @@ def main() -> None:
         "two_workers_s": round(two_s, 1),
         "two_workers": round(one_s / two_s, 3),
         "wanted": WANTED,
-        "thousand_min": round((few_s + 998 * a_run_s) / 60.0, 1),
+        "thousand_min": round((few_s + (1000 - FEW) * a_run_s) / 60.0, 1),
         "stolen_s": round(stolen_s() - before_s, 1),
     }
     print(json.dumps(result, indent=1))
