@@ -23,7 +23,7 @@ _PACKAGES = (
 
 
 def _compile() -> None:
-    """Have numba compile everything: the filter here, all else in a process beside, as long as that."""
+    """Have numba compile everything: most of the filter here, all else in a process beside."""
     with ProcessPoolExecutor(1, get_context("spawn")) as beside:
         others = beside.submit(_compile_others)
         _compile_filter()
@@ -42,11 +42,16 @@ def _compile_filter() -> None:
 
 
 def _compile_others() -> None:
-    """Both plants, the pass of a calibration, and last what smooths: by then the filter has what both use."""
+    """First what the filter comes to later, both plants, the pass of a calibration, and last what smooths.
+
+    By then the filter has what both use.
+    """
     from hil.bench import open_bench
     from hil.calibration.passes import compile_pass
+    from hil.estimator.events import compile_settle
     from hil.estimator.smoother import compile_backward
 
+    compile_settle()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
