@@ -46,10 +46,12 @@ endif
 
 demo: $(BIN)/.installed
 	rm -rf out/demo
-	$(BIN)/hil run wall_tracking --seed 1 --out out/demo --set bench.emulation.adhesion.start=tethered \
+	$(BIN)/hil run wall_tracking --seed 1 --out out/demo --set 'feedbacks=["odometry", "ekf"]' \
+	--set optimal=false --set processes=2 --set bench.emulation.adhesion.start=tethered \
 	--set bench.emulation.thrust.start=tethered
-	$(BIN)/hil replay $(CLIMB).mcap --verify
-	$(BIN)/hil replay $(CLIMB).mcap --page out/demo/replay.html --rerun $(CLIMB).rrd
+	@$(BIN)/hil replay $(CLIMB).mcap --verify & verified=$$!; \
+	$(BIN)/hil replay $(CLIMB).mcap --page out/demo/replay.html --rerun $(CLIMB).rrd; shown=$$?; \
+	wait $$verified && exit $$shown
 	@echo "report:           out/demo/report.html   (estimators on the same recording: out/demo/replay.html)"
 	@echo "recording:        $(CLIMB).mcap"
 	@echo "look at it:       $(BIN)/rerun $(CLIMB).rrd"

@@ -21,11 +21,12 @@ from hil.bench import Bench
 from hil.bench.settings import adhesion_limits, thrust_wanted_n
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
-from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.elsewhere import Errand
 from hil.procedure.fragment import write_fragment
 from hil.procedure.learning import leave_part
 from hil.procedure.tracking import stand
-from hil.procedure.workers import at_once, driven
+from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.surface_hold import hold_angle
 from hil.procedures.parts.surface_slip import downhill, draw, next_lines, rate, slip_of
@@ -162,15 +163,14 @@ def _driven(ctx: Context, p: Parameters, numbers: Sequence[int]) -> Generator[Sl
     overrides = {"encoders": None} if _filtered(ctx.source.config) else _WITHOUT
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
-        jobs = [(source, p, k, ways) for k in numbers for ways in _ALONE]
-        results = at_once(_elsewhere, jobs, p.processes)
-        for _ in numbers:
-            found: Slips = {}
-            for _ in _ALONE:
-                slips, driven_s = next(results)
-                ctx.count_bench_time(driven_s)
-                found |= slips
-            yield found
+        jobs = [Errand(source, partial(_alone, p=p, number=k, ways=ways)) for k in numbers for ways in _ALONE]
+        with Workers(p.processes) as workers:
+            results = ctx.at_once(jobs, workers)
+            for _ in numbers:
+                found: Slips = {}
+                for _ in _ALONE:
+                    found |= next(results)
+                yield found
         return
     for number in numbers:
         bench = ctx.reopen(f"lines {number}", overrides=overrides)
@@ -183,9 +183,8 @@ def _filtered(config: BenchConfig) -> bool:
     return all(name in config.devices() for name in _FOR_A_FILTER)
 
 
-def _elsewhere(job: tuple[BenchSource, Parameters, int, tuple[str, ...]]) -> tuple[Slips, float]:
-    source, p, number, ways = job
-    return driven(source, lambda bench: repetition(bench, p, number, lambda done, total: None, ways))
+def _alone(bench: Bench, p: Parameters, number: int, ways: tuple[str, ...]) -> Slips:
+    return repetition(bench, p, number, lambda done, total: None, ways)
 
 
 def repetition(

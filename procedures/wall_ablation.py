@@ -16,11 +16,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.config.record import PARTS
-from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
+from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.ablation import Setting, Table, settings_of
+from hil.procedure.elsewhere import Errand
 from hil.procedure.learning import known_parts
 from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
-from hil.procedure.workers import at_once
+from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
 from hil.robot.trajectories import Trajectory, line
@@ -126,7 +127,7 @@ def _without(config: BenchConfig, setting: Setting) -> dict[str, object]:
 
 
 def _here(ctx: Context, setting: Setting, case: str, number: int, total: int) -> dict[str, float]:
-    bench = ctx.reopen(f"{case} {setting.name}", overrides=_without(ctx.source.config, setting))
+    bench = ctx.reopen(_label(setting, case), overrides=_without(ctx.source.config, setting))
     found = drive(bench, case, ctx.parameters)
     ctx.progress("lines", number, total, (number, total))
     return found
@@ -135,18 +136,23 @@ def _here(ctx: Context, setting: Setting, case: str, number: int, total: int) ->
 def _at_once(ctx: Context, jobs: list[tuple[Setting, Case]]) -> list[dict[str, float]]:
     p: Parameters = ctx.parameters
     config = ctx.source.config
-    work = [(ctx.source.changed(overrides=_without(config, s)), case, p) for s, case in jobs]
+    work = [
+        Errand(
+            ctx.source.changed(overrides=_without(config, setting)), partial(drive, case=case, p=p),
+            _label(setting, case),
+        )
+        for setting, case in jobs
+    ]  # fmt: skip
     found = []
-    for number, one in enumerate(at_once(_elsewhere, work, p.processes), start=1):
-        found.append(one)
-        ctx.progress("lines", number, len(jobs), (number, len(jobs)))
+    with Workers(min(p.processes, len(jobs))) as workers:
+        for number, one in enumerate(ctx.at_once(work, workers), start=1):
+            found.append(one)
+            ctx.progress("lines", number, len(jobs), (number, len(jobs)))
     return found
 
 
-def _elsewhere(job: tuple[BenchSource, str, Parameters]) -> dict[str, float]:
-    source, case, p = job
-    with source.open() as bench:
-        return drive(bench, case, p)
+def _label(setting: Setting, case: str) -> str:
+    return f"{case} {setting.name}"
 
 
 def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[str, float]]) -> None:

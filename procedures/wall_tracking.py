@@ -17,7 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from hil.bench import Bench
 from hil.config.bench import BenchConfig
-from hil.procedure import BenchSource, Context, Measurement, PlannedStep, procedure
+from hil.procedure import Context, Measurement, PlannedStep, procedure
+from hil.procedure.elsewhere import Errand
 from hil.procedure.tracking import (
     belief_figure,
     error_figure,
@@ -27,7 +28,7 @@ from hil.procedure.tracking import (
     stand,
     tracking_errors,
 )
-from hil.procedure.workers import at_once
+from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, line, scan
 from hil.vocabulary.geometry import ArrayLike
@@ -69,9 +70,7 @@ class Parameters(BaseModel):
         le=100,
         description="How many emulated worlds are driven, the first with the seed of the run.",
     )
-    processes: int = Field(
-        1, ge=1, le=8, description="How many worlds are driven at once; in virtual time only."
-    )
+    processes: int = Field(1, ge=1, le=8, description="How many drives go on at once; in virtual time only.")
 
     @model_validator(mode="after")
     def _something(self) -> Parameters:
@@ -190,12 +189,6 @@ def drive(bench: Bench, one: Drive, p: Parameters) -> dict[str, Any]:
     return {"errors": tracking_errors(motion), "series": series(motion)}
 
 
-def _elsewhere(job: tuple[BenchSource, Drive, Parameters]) -> dict[str, Any]:
-    source, one, p = job
-    with source.open() as bench:
-        return drive(bench, one, p)
-
-
 @procedure(
     name="wall_tracking", needs=("servos", "imu", "tracker", "mocap"), parameters=Parameters,
     measurements=measurements, plan=plan, headline=headlines.wall_tracking,
@@ -216,19 +209,20 @@ def run(ctx: Context) -> None:
 
 
 def one_world(ctx: Context, seed: int) -> dict[str, Any]:
-    """All cases in worlds of one seed; only the first seed's are drawn. Several processes do not record."""
+    """All cases in worlds of one seed; only the first seed's are drawn."""
     p: Parameters = ctx.parameters
     jobs = drives(p)
     if p.processes > 1 and ctx.source.virtual:
-        sources = [(ctx.source.changed(seed=seed), one, p) for one in jobs]
-        results = []
-        for number, result in enumerate(at_once(_elsewhere, sources, p.processes), start=1):
-            results.append(result)
-            ctx.progress(f"seed {seed}", number, len(jobs))
+        source, results = ctx.source.changed(seed=seed), []
+        errands = [Errand(source, partial(drive, one=one, p=p), _label(one, seed)) for one in jobs]
+        with Workers(min(p.processes, len(jobs))) as workers:
+            for number, result in enumerate(ctx.at_once(errands, workers), start=1):
+                results.append(result)
+                ctx.progress(f"seed {seed}", number, len(jobs))
     else:
         results = []
         for number, one in enumerate(jobs, start=1):
-            bench = ctx.reopen(f"{one.label} seed {seed}", seed=seed)
+            bench = ctx.reopen(_label(one, seed), seed=seed)
             results.append(drive(bench, one, p))
             ctx.progress(f"seed {seed}", number, len(jobs))
     keep = seed == ctx.seed
@@ -236,6 +230,10 @@ def one_world(ctx: Context, seed: int) -> dict[str, Any]:
         one.label: result if keep else {"errors": result["errors"]}
         for one, result in zip(jobs, results, strict=True)
     }
+
+
+def _label(one: Drive, seed: int) -> str:
+    return f"{one.label} seed {seed}"
 
 
 def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hil.procedure import hold_history, path_history
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.elsewhere import Driven, Errand, Result, Sent, driven
 from hil.procedure.guard import LoopGuard, RunRecorder
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.operator import Operator
 from hil.procedure.outputs import Notebook, slug
+from hil.procedure.workers import Workers
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DataError, HilError, RecordingError, UsageError
@@ -48,7 +50,8 @@ class Context(Notebook):
         source: which bench, to open it again (`reopen`) or in another process.
         clock: for how long computing takes; the bench has its own.
         started: date and time at which the run began, ISO 8601.
-        held: how the bench that was closed last left the robot; None before that.
+        held: how the bench that was closed last left the robot; None before that. Of benches that were driven
+            at once it is that of the last one, or of the first that was not held.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class Context(Notebook):
         self._past = dict(past)
         self._on_recording_failure: OnFailure = on_recording_failure
         self._recorders: list[RunRecorder] = []
+        self._objections: list[RecordingError] = []
         self._recorder: RunRecorder | None = None
         self._hold_history = hold_history.HoldHistory()
         self._path_history = path_history.PathHistory()
@@ -157,6 +161,53 @@ class Context(Notebook):
                     name, why = self._recorder.path.name, self._recorder.shortfall
                     self._note_lost(f"{name} is not complete: {why}")
 
+    def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
+        """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
+
+        Args:
+            errands: what to drive.
+            workers: who drives it.
+
+        Yields:
+            What each drive returned, in the order of the errands.
+
+        Raises:
+            HilError: what ended one of the drives early.
+        """
+        sent: list[Sent[Result]] = []
+        for errand in errands:
+            path = self._recording_path(errand.label, [s.recording for s in sent]) if errand.label else None
+            sent.append(Sent(errand, path, self._on_recording_failure))
+        waiting = [one.recording for one in sent]
+        held: list[Held] = []
+        try:
+            for found in workers.at_once(driven, sent):
+                recording = waiting.pop(0)
+                if recording is not None and recording.exists():
+                    self._note_recording(recording)
+                self._take_over(found, held)
+                yield found.result
+        finally:
+            for left in waiting:
+                if left is not None and left.exists():
+                    self._note_recording(left)
+
+    def _take_over(self, found: Driven, held: list[Held]) -> None:
+        self.guard.driven_ns += nanoseconds(found.driven_s)
+        self._hold_history.follow(found.hold)
+        self._path_history.follow(found.path)
+        if found.pressed and self.held is None:
+            self.note(found.pressed)
+        if found.held is not None:
+            held.append(found.held)
+            self.held = next((h for h in held if h.state == "NOT HELD"), found.held)
+        if found.lost:
+            self._note_lost(found.lost)
+        if found.objection is not None:
+            self._objections.append(found.objection)
+        if found.error is not None:
+            raise found.error
+
     def show_histories(self) -> None:
         """Leave figures of the path, where the procedure left none at all, and of how the robot was held."""
         path = None if self.findings.figures else self._path_history.figure()
@@ -168,7 +219,7 @@ class Context(Notebook):
 
     def unrecorded(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing from its recordings; None if it need not."""
-        return next(filter(None, (r.objection() for r in self._recorders)), None)
+        return next(filter(None, (*self._objections, *(r.objection() for r in self._recorders))), None)
 
     def _note_lost(self, text: str) -> None:
         """A note that is left even where the journal does not take it."""
@@ -178,11 +229,7 @@ class Context(Notebook):
 
     def _record(self, bench: Bench, label: str, *, lossless: bool) -> None:
         """Have a bench recorded; one that cannot be is an error unless the run may go on without."""
-        stem = f"recording_{slug(label)}" if label else "recording"
-        path, number = self.folder / f"{stem}.mcap", 1
-        while path.exists():
-            number += 1
-            path = self.folder / f"{stem}-{number}.mcap"
+        path = self._recording_path(label)
         policy, self._recorder = self._on_recording_failure, None
         try:
             recorder = RunRecorder(
@@ -196,6 +243,17 @@ class Context(Notebook):
         bench.add_sink(recorder)
         self._recorder = recorder
         self._recorders.append(recorder)
+        self._note_recording(path)
+
+    def _recording_path(self, label: str, taken: Sequence[Path | None] = ()) -> Path:
+        stem = f"recording_{slug(label)}" if label else "recording"
+        path, number = self.folder / f"{stem}.mcap", 1
+        while path.exists() or path in taken:
+            number += 1
+            path = self.folder / f"{stem}-{number}.mcap"
+        return path
+
+    def _note_recording(self, path: Path) -> None:
         self.findings.recordings.append(path.name)
         self._journal.add("recording", {"path": path.name})
 
@@ -278,10 +336,6 @@ class Context(Notebook):
         answer = self._operator.ask(question)
         self._journal.add("answer", {"question": question, "answer": answer})
         return answer
-
-    def count_bench_time(self, driven_s: float) -> None:
-        """Add time that a bench of this run has driven in another process, s."""
-        self.guard.driven_ns += nanoseconds(driven_s)
 
     def progress(self, what: str, done: int, total: int, whole: tuple[int, int] | None = None) -> None:
         """Say how far the work is.

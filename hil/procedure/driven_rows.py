@@ -41,9 +41,19 @@ class DrivenRows:
         self._driven_s += min(max(t_ns - self._last_ns, 0), 2 * step_ns) / NS_PER_S
         self._last_ns, self._next_ns = t_ns, t_ns + step_ns
         self.interrupt(*figures)
-        if len(self.rows) > _MOST:
-            self.rows, self._thin = self.rows[::2], 2 * self._thin
+        self._thin_out()
+
+    def follow(self, later: DrivenRows) -> None:
+        """Put the rows of benches that were driven elsewhere after these."""
+        self.rows += [(self._driven_s + t_s, *figures) for t_s, *figures in later.rows]
+        self._driven_s += later._driven_s
+        self._last_ns = later._last_ns
+        self._thin_out()
 
     def interrupt(self, *figures: float) -> None:
         """Put a row between two benches, where no time is driven."""
         self.rows.append((self._driven_s, *figures))
+
+    def _thin_out(self) -> None:
+        while len(self.rows) > _MOST:
+            self.rows, self._thin = self.rows[::2], 2 * self._thin

@@ -35,6 +35,10 @@ class HoldHistory(Sink):
         used = max((v for k, v in figures.items() if k.startswith("utilisation_")), default=math.nan)
         self._driven.add(t_ns, figures["adhesion_n"], figures["adhesion_needed_n"], used)
 
+    def follow(self, later: HoldHistory) -> None:
+        """Take what was driven elsewhere as driven after all this."""
+        self._driven.follow(later._driven)
+
     def close(self) -> None:
         """Nothing to let go of; the next bench goes on."""
 

@@ -45,6 +45,11 @@ class PathHistory(Sink):
         estimate = _position(record.state.pose_body_in_wall)
         self._driven.add(t_ns, *reference, *estimate, *_true_position(record))
 
+    def follow(self, later: PathHistory) -> None:
+        """Take what was driven elsewhere as driven after all this."""
+        self._driven.interrupt(*_NOWHERE, *_NOWHERE, *_NOWHERE)
+        self._driven.follow(later._driven)
+
     def close(self) -> None:
         """Nothing to let go of; the next bench goes on."""
 

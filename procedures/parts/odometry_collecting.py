@@ -9,9 +9,10 @@ from functools import partial
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
-from hil.procedure import BenchSource, Context
+from hil.procedure import Context
+from hil.procedure.elsewhere import Errand
 from hil.procedure.odometry_motions import Repetition, drive_repetition, unused
-from hil.procedure.workers import Workers, driven
+from hil.procedure.workers import Workers
 from hil.recording.plain_csv import read_plain
 
 
@@ -74,16 +75,9 @@ def _driven(
 ) -> Generator[list[str], None, None]:
     if workers.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
-        jobs = [(source, r) for r in repetitions]
-        for names, driven_s in workers.at_once(_elsewhere, jobs):
-            ctx.count_bench_time(driven_s)
-            yield names
+        errands = [Errand(source, partial(drive_repetition, repetition=r)) for r in repetitions]
+        yield from ctx.at_once(errands, workers)
         return
     for repetition in repetitions:
         bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=unused())
         yield drive_repetition(bench, repetition)
-
-
-def _elsewhere(job: tuple[BenchSource, Repetition]) -> tuple[list[str], float]:
-    source, repetition = job
-    return driven(source, partial(drive_repetition, repetition=repetition))

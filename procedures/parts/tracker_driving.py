@@ -7,17 +7,18 @@ bench of its own.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hil.bench import Bench
-from hil.procedure import BenchSource, Context
+from hil.procedure import Context
+from hil.procedure.elsewhere import Errand
 from hil.procedure.samples import Series, camera, poses
 from hil.procedure.tracking import stand
-from hil.procedure.workers import at_once, driven
+from hil.procedure.workers import Workers
 from hil.ring.motion import Motion
 from hil.robot.trajectories import Trajectory, line
 from hil.vocabulary.clock import NS_PER_S
@@ -81,10 +82,12 @@ def drive_trips(
     done: list[list[Leg]] = []
     if p.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(overrides=overrides)
-        jobs = [(source, trip, p.speed_m_s, number) for number, trip in enumerate(trips)]
-        with closing(at_once(_alone, jobs, p.processes)) as found:
-            for legs, took_s in found:
-                ctx.count_bench_time(took_s)
+        errands = [
+            Errand(source, partial(_alone, trip=trip, speed_m_s=p.speed_m_s, number=number))
+            for number, trip in enumerate(trips)
+        ]
+        with Workers(min(p.processes, len(trips))) as workers:
+            for legs in ctx.at_once(errands, workers):
                 shift_s = done[-1][-1].end_s + _BETWEEN_S if done else 0.0
                 done.append([leg.later(shift_s) for leg in legs])
                 ctx.progress(ctx.where, sum(map(len, done)), total)
@@ -115,11 +118,6 @@ def _seen(motion: Motion) -> Leg:
     return Leg(0.0, float(motion.t_s[-1]), truth, camera(motion).since(0.0), aligned)
 
 
-_Job = tuple[BenchSource, Trip, float, int]
-
-
-def _alone(job: _Job) -> tuple[list[Leg], float]:
+def _alone(bench: Bench, trip: Trip, speed_m_s: float, number: int) -> list[Leg]:
     """A trip in another process, a little later than others, so that it does not repeat their noise."""
-    source, trip, speed_m_s, number = job
-    rest_s = _REST_S + _STAGGER_S * number
-    return driven(source, lambda bench: list(_legs(bench, [trip], speed_m_s, rest_s, lambda k: None)))
+    return list(_legs(bench, [trip], speed_m_s, _REST_S + _STAGGER_S * number, lambda k: None))

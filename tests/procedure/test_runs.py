@@ -309,14 +309,3 @@ def test_a_procedure_sees_its_verdict_so_far(run_small):
 
     run_small(looking)
     assert seen == [("PASS", True), ("MARGINAL", True), ("FAIL", False)]
-
-
-def test_time_driven_in_another_process_counts(run_small):
-    @procedure(name="elsewhere")
-    def elsewhere(ctx):
-        with ctx.step("far away"):
-            ctx.count_bench_time(12.5)
-
-    tree = result_of(run_small(elsewhere))
-    assert tree["bench_duration_s"] == 12.5
-    assert tree["steps"][0]["bench_s"] == 12.5

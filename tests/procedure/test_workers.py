@@ -6,7 +6,7 @@ import pytest
 
 from hil.bench.overdue import OverdueError
 from hil.config.loading import NoSuchDevice
-from hil.procedure.workers import at_once
+from hil.procedure.workers import Workers
 from hil.vocabulary.errors import (
     Aborted,
     ConfigError,
@@ -59,8 +59,9 @@ def refused(number):
 
 @pytest.mark.timeout(120)
 def test_an_error_of_a_worker_is_the_error_of_the_procedure():
-    results = at_once(refused, [0, 1, 2], 2)
-    assert [next(results), next(results)] == [0, 10]
-    with pytest.raises(TrajectoryError, match="too fast") as caught:
-        next(results)
+    with Workers(2) as workers:
+        results = workers.at_once(refused, [0, 1, 2])
+        assert [next(results), next(results)] == [0, 10]
+        with pytest.raises(TrajectoryError, match="too fast") as caught:
+            next(results)
     assert (caught.value.t_s, caught.value.limit) == (1.5, 3.5)

@@ -1,0 +1,109 @@
+"""Benches driven in worker processes: the same recordings, the same word on how the robot was left."""
+
+import json
+from functools import partial
+
+import pytest
+
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.driven_rows import DrivenRows
+from hil.procedure.elsewhere import Errand, Sent, driven
+from hil.procedure.measurements import Verdict
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.procedure.scripts import load_procedure
+from hil.procedure.tracking import stand
+from hil.recording.runs import read_runs
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError, TrajectoryError
+
+SHORT = {
+    "cases": ["y_line"], "feedbacks": ["odometry", "ekf"], "optimal": False, "length_m": 0.06,
+    "duration_s": 2.0, "hold_s": 0.5,
+}  # fmt: skip
+
+
+def run(folder, processes, *faults):
+    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {**SHORT, "processes": processes})
+    source = BenchSource("emulated", seed=3, faults=faults)
+    result = run_procedure(load_procedure("wall_tracking"), source, options)
+    return result, json.loads((folder / "result.json").read_text())
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory):
+    folders = [tmp_path_factory.mktemp("run") / str(processes) for processes in (1, 2)]
+    return [run(folder, processes)[1] for processes, folder in enumerate(folders, start=1)], folders
+
+
+def test_two_processes_leave_the_recordings_of_one(both):
+    (one, two), folders = both
+    names = ["recording_y_line_odometry_seed_3.mcap", "recording_y_line_ekf_seed_3.mcap"]
+    assert one["recordings"] == two["recordings"] == names
+    for name in names:
+        first, second = ((folder / name).read_bytes() for folder in folders)
+        assert first == second
+
+
+def test_two_processes_say_how_the_robot_was_left_and_for_how_long_it_drove(both):
+    one, two = both[0]
+    assert one["held"]["state"] == "HELD"
+    assert one["held"] == two["held"]
+    assert one["measurements"] == two["measurements"]
+    assert [n for n in one["notes"] if "pressed" in n] == [n for n in two["notes"] if "pressed" in n]
+    assert [f["title"] for f in one["figures"]] == [f["title"] for f in two["figures"]]
+    assert two["bench_duration_s"] == pytest.approx(one["bench_duration_s"], abs=0.05)
+
+
+def test_what_ends_a_drive_in_a_worker_ends_the_run_and_its_recording_is_kept(tmp_path):
+    result, told = run(tmp_path / "run", 2, "tracker:unplug@1")
+    assert result.verdict is Verdict.ERROR, result.error
+    assert "tracker" in result.error.message
+    assert told["recordings"][0] == "recording_y_line_odometry_seed_3.mcap"
+    assert told["held"]["state"] == "HELD"
+    assert sum(1 for _ in read_runs(tmp_path / "run" / told["recordings"][0])) > 0
+
+
+def sent(drive, recording=None, on_failure="stop"):
+    return Sent(Errand(BenchSource("emulated_floor"), drive, "line"), recording, on_failure)
+
+
+def asked_too_much(bench):
+    stand(bench, 0.1)
+    raise TrajectoryError("too fast", t_s=1.5, quantity="wheel speed (m/s)", value=9.0, limit=3.5)
+
+
+def stood(bench, for_s):
+    stand(bench, for_s)
+    return for_s
+
+
+def test_an_error_of_the_bench_comes_back_with_how_it_was_left(tmp_path):
+    found = driven(sent(asked_too_much, tmp_path / "recording.mcap"))
+    assert isinstance(found.error, TrajectoryError)
+    assert found.held.state == "not needed"
+    assert found.driven_s == pytest.approx(0.1, abs=0.02)
+    assert found.lost == ""
+    assert (tmp_path / "recording.mcap").stat().st_size > 0
+
+
+def test_a_recording_that_cannot_begin_ends_the_drive_unless_it_may_go_on(tmp_path):
+    nowhere = tmp_path / "missing" / "recording.mcap"
+    refused = driven(sent(partial(stood, for_s=0.1), nowhere))
+    assert isinstance(refused.error, DataError)
+    assert refused.result is None
+    gone_on = driven(sent(partial(stood, for_s=0.1), nowhere, "go-on"))
+    assert (gone_on.error, gone_on.result) == (None, 0.1)
+    assert "recording.mcap" in gone_on.lost
+
+
+def test_rows_of_another_bench_follow_in_time_and_stay_few():
+    first, second = DrivenRows(10**8), DrivenRows(10**8)
+    for k in range(3000):
+        first.add(k * 10**8, float(k))
+        second.add(k * 10**8, float(-k))
+    first.follow(second)
+    times = [row[0] for row in first.rows]
+    assert times == sorted(times)
+    assert times[-1] == pytest.approx(2 * 299.9, abs=0.25)
+    assert len(first.rows) <= 4096
+    assert first.begin_anew(0)
