@@ -47,6 +47,11 @@ def seen_in_words(held: Held) -> str:
     return f"{held.state}: {held.why}"
 
 
+def abandoned(why: str) -> Held:
+    """Of a robot whose bench ended before anybody could look."""
+    return Held("NOT HELD", None, f"nobody looked: {why}")
+
+
 def untouched(why: str) -> Held:
     """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
     return Held("not needed", None, why, wanted=False)

@@ -178,19 +178,26 @@ class Context(Notebook):
         for errand in errands:
             path = self._recording_path(errand.label, [s.recording for s in sent]) if errand.label else None
             sent.append(Sent(errand, path, self._on_recording_failure))
+        from hil.bench.held import abandoned
+
         waiting = [one.recording for one in sent]
         held: list[Held] = []
+        broken_off = True
         try:
             for found in workers.at_once(driven, sent):
                 recording = waiting.pop(0)
                 if recording is not None and recording.exists():
                     self._note_recording(recording)
+                broken_off = found.error is None
                 self._take_over(found, held)
                 yield found.result
+            broken_off = False
         finally:
             for left in waiting:
                 if left is not None and left.exists():
                     self._note_recording(left)
+            if broken_off:
+                self.held = abandoned("the process that drove it was ended with the run")
 
     def _take_over(self, found: Driven, held: list[Held]) -> None:
         self.guard.driven_ns += nanoseconds(found.driven_s)

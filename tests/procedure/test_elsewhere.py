@@ -5,6 +5,7 @@ from functools import partial
 
 import pytest
 
+from hil.procedure import procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.driven_rows import DrivenRows
 from hil.procedure.elsewhere import Errand, Sent, driven
@@ -14,7 +15,7 @@ from hil.procedure.scripts import load_procedure
 from hil.procedure.tracking import stand
 from hil.recording.runs import read_runs
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DataError, TrajectoryError
+from hil.vocabulary.errors import Aborted, DataError, TrajectoryError
 
 SHORT = {
     "cases": ["y_line"], "feedbacks": ["odometry", "ekf"], "optimal": False, "length_m": 0.06,
@@ -107,3 +108,29 @@ def test_rows_of_another_bench_follow_in_time_and_stay_few():
     assert times[-1] == pytest.approx(2 * 299.9, abs=0.25)
     assert len(first.rows) <= 4096
     assert first.begin_anew(0)
+
+
+class Struck:
+    """Workers of which the run hears once, and then gets a signal."""
+
+    def at_once(self, work, jobs):
+        yield work(jobs[0])
+        raise Aborted("stopped at once")
+
+
+def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tmp_path):
+    @procedure(name="two_errands")
+    def two_errands(ctx):
+        errands = [Errand(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        for for_s in ctx.at_once(errands, Struck()):
+            assert for_s == 0.1
+
+    folder = tmp_path / "run"
+    options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {})
+    result = run_procedure(two_errands, BenchSource("emulated"), options)
+    told = json.loads((folder / "result.json").read_text())
+    assert result.verdict is Verdict.ABORTED
+    assert told["held"]["state"] == "NOT HELD"
+    assert "the process that drove it" in told["held"]["why"]
+    assert told["recordings"] == ["recording_first.mcap"]
+    assert told["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
