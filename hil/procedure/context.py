@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Any
 from hil.procedure import hold_history, path_history
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.elsewhere import Driven, Errand, Result, Sent, driven
-from hil.procedure.guard import LoopGuard, RunRecorder
+from hil.procedure.guard import LoopGuard
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.operator import Operator
-from hil.procedure.outputs import Notebook, slug
+from hil.procedure.outputs import Notebook
+from hil.procedure.recordings import Recordings
 from hil.procedure.workers import Workers
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import DataError, HilError, RecordingError, UsageError
+from hil.vocabulary.errors import HilError, RecordingError, UsageError
 from hil.vocabulary.progress import WHOLE, Report
 
 if TYPE_CHECKING:
@@ -79,10 +80,9 @@ class Context(Notebook):
         self.clock, self.started = clock, started
         self._report, self._interrupts = report, interrupts
         self._past = dict(past)
-        self._on_recording_failure: OnFailure = on_recording_failure
-        self._recorders: list[RunRecorder] = []
-        self._objections: list[RecordingError] = []
-        self._recorder: RunRecorder | None = None
+        self._recordings = Recordings(
+            folder, self.findings.recordings, journal, interrupts, on_recording_failure, self._note_lost
+        )
         self._hold_history = hold_history.HoldHistory()
         self._path_history = path_history.PathHistory()
         self._seen: set[str] = set()
@@ -132,7 +132,7 @@ class Context(Notebook):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
         try:
-            self._record(bench, label, lossless=source.virtual)
+            self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
             bench.add_sink(self._hold_history)
             bench.add_sink(self._path_history)
@@ -157,9 +157,7 @@ class Context(Notebook):
                     bench.__exit__(None, None, None)
             finally:
                 self.held = bench.held
-                if self._recorder is not None and self._recorder.shortfall:
-                    name, why = self._recorder.path.name, self._recorder.shortfall
-                    self._note_lost(f"{name} is not complete: {why}")
+                self._recordings.finish()
 
     def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
@@ -176,8 +174,9 @@ class Context(Notebook):
         """
         sent: list[Sent[Result]] = []
         for errand in errands:
-            path = self._recording_path(errand.label, [s.recording for s in sent]) if errand.label else None
-            sent.append(Sent(errand, path, self._on_recording_failure))
+            taken = [s.recording for s in sent]
+            path = self._recordings.path(errand.label, taken) if errand.label else None
+            sent.append(Sent(errand, path, self._recordings.on_failure))
         from hil.bench.held import abandoned
 
         waiting = [one.recording for one in sent]
@@ -187,7 +186,7 @@ class Context(Notebook):
             for found in workers.at_once(driven, sent):
                 recording = waiting.pop(0)
                 if recording is not None and recording.exists():
-                    self._note_recording(recording)
+                    self._recordings.add(recording)
                 broken_off = found.error is None
                 self._take_over(found, held)
                 yield found.result
@@ -195,7 +194,7 @@ class Context(Notebook):
         finally:
             for left in waiting:
                 if left is not None and left.exists():
-                    self._note_recording(left)
+                    self._recordings.add(left)
             if broken_off:
                 self.held = abandoned("the process that drove it was ended with the run")
 
@@ -211,7 +210,7 @@ class Context(Notebook):
         if found.lost:
             self._note_lost(found.lost)
         if found.objection is not None:
-            self._objections.append(found.objection)
+            self._recordings.object(found.objection)
         if found.error is not None:
             raise found.error
 
@@ -226,43 +225,13 @@ class Context(Notebook):
 
     def unrecorded(self) -> RecordingError | None:
         """What the run has to end with when cycles are missing from its recordings; None if it need not."""
-        return next(filter(None, (*self._objections, *(r.objection() for r in self._recorders))), None)
+        return self._recordings.objection()
 
     def _note_lost(self, text: str) -> None:
         """A note that is left even where the journal does not take it."""
         with suppress(HilError):
             self._journal.add("note", {"text": text})
         self.findings.notes.append(text)
-
-    def _record(self, bench: Bench, label: str, *, lossless: bool) -> None:
-        """Have a bench recorded; one that cannot be is an error unless the run may go on without."""
-        path = self._recording_path(label)
-        policy, self._recorder = self._on_recording_failure, None
-        try:
-            recorder = RunRecorder(
-                str(path), bench.header(), self._interrupts, lossless=lossless, on_failure=policy
-            )
-        except DataError as error:
-            if policy == "stop":
-                raise
-            self._note_lost(str(error))
-            return
-        bench.add_sink(recorder)
-        self._recorder = recorder
-        self._recorders.append(recorder)
-        self._note_recording(path)
-
-    def _recording_path(self, label: str, taken: Sequence[Path | None] = ()) -> Path:
-        stem = f"recording_{slug(label)}" if label else "recording"
-        path, number = self.folder / f"{stem}.mcap", 1
-        while path.exists() or path in taken:
-            number += 1
-            path = self.folder / f"{stem}-{number}.mcap"
-        return path
-
-    def _note_recording(self, path: Path) -> None:
-        self.findings.recordings.append(path.name)
-        self._journal.add("recording", {"path": path.name})
 
     @contextmanager
     def step(self, title: str, timeout_s: float = STEP_LIMIT_S) -> Iterator[None]:
