@@ -181,21 +181,20 @@ class Context(Notebook):
 
         waiting = [one.recording for one in sent]
         held: list[Held] = []
-        broken_off = True
+        failed = False
         try:
             for found in workers.at_once(driven, sent):
                 recording = waiting.pop(0)
                 if recording is not None and recording.exists():
                     self._recordings.add(recording)
-                broken_off = found.error is None
+                failed = found.error is not None
                 self._take_over(found, held)
                 yield found.result
-            broken_off = False
         finally:
             for left in waiting:
                 if left is not None and left.exists():
                     self._recordings.add(left)
-            if broken_off:
+            if waiting and not failed:
                 self.held = abandoned("the process that drove it was ended with the run")
 
     def _take_over(self, found: Driven, held: list[Held]) -> None:

@@ -1,6 +1,7 @@
 """Benches driven in worker processes: the same recordings, the same word on how the robot was left."""
 
 import json
+from contextlib import closing
 from functools import partial
 
 import pytest
@@ -134,3 +135,27 @@ def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tm
     assert "the process that drove it" in told["held"]["why"]
     assert told["recordings"] == ["recording_first.mcap"]
     assert told["bench_duration_s"] == pytest.approx(0.1, abs=0.05)
+
+
+class InTurn:
+    """Workers that do one job after the other in this process."""
+
+    def at_once(self, work, jobs):
+        return map(work, jobs)
+
+
+@pytest.mark.parametrize(("asked_for", "verdict"), [(2, Verdict.PASS), (1, Verdict.ERROR)])
+def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(tmp_path, asked_for, verdict):
+    """The generator is closed after the last result: nothing was broken off then, but before it something was."""
+
+    @procedure(name="two_errands")
+    def two_errands(ctx):
+        errands = [Errand(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
+        with closing(ctx.at_once(errands, InTurn())) as results:
+            for _ in range(asked_for):
+                assert next(results) == 0.1
+
+    options = RunOptions(tmp_path / "run", MonotonicClock(), "2026-01-01T00:00:00", {})
+    result = run_procedure(two_errands, BenchSource("emulated"), options)
+    assert result.verdict is verdict, result.error
+    assert ("NotHeld" in {e.kind for e in result.teardown_errors}) is (verdict is Verdict.ERROR)
