@@ -146,7 +146,7 @@ class InTurn:
 
 @pytest.mark.parametrize(("asked_for", "verdict"), [(2, Verdict.PASS), (1, Verdict.ERROR)])
 def test_a_run_that_has_heard_of_all_drives_need_not_ask_for_more(tmp_path, asked_for, verdict):
-    """The generator is closed after the last result: nothing was broken off then; before it, something was."""
+    """Closed after the last result, the generator was not broken off; before it, it was."""
 
     @procedure(name="two_errands")
     def two_errands(ctx):
