@@ -3,10 +3,11 @@
     python benchmarks/workers.py --runs 8
 
 A campaign of so many wall lines with EKF (30 s each, recorded, with report) runs with one worker, then with
-two. Beside it stands what the computer itself gives: the same `hil run` alone, and two of them at once, which
-share nothing but the cores. Two cores that share caches, memory and the host's time give less than twice.
-`thousand_min` is what 1,000 runs would take at the rate of two workers. `stolen_s` is processor time that the
-host took meanwhile. Let nothing else run.
+two, then with two that keep the results alone. Beside it stands what the computer itself gives: the same
+`hil run` alone, and two of them at once, which share nothing but the cores. Two cores that share caches,
+memory and the host's time give less than twice. `thousand_min` is what 1,000 runs would take at the rate of
+two workers, `thousand_results_min` the same of the results alone. `stolen_s` is processor time that the host
+took meanwhile. Let nothing else run.
 """
 
 from __future__ import annotations
@@ -50,9 +51,14 @@ def finished_s(command: str, *several: tuple[str, ...]) -> float:
     return taken_s
 
 
-def campaign_s(runs: int, workers: int) -> float:
+def campaign_s(runs: int, workers: int, keep: str = "all") -> float:
     """How long a campaign takes, s."""
-    return finished_s("campaign", ("--seeds", f"0:{runs}", "--workers", str(workers)))
+    return finished_s("campaign", ("--seeds", f"0:{runs}", "--workers", str(workers), "--keep", keep))
+
+
+def thousand_min(few_s: float, many_s: float, runs: int) -> float:
+    """What 1,000 runs would take, min: a campaign of few runs, and the rate at which more are added."""
+    return round((few_s + (1000 - FEW) * (many_s - few_s) / (runs - FEW)) / 60.0, 1)
 
 
 def main() -> None:
@@ -68,7 +74,7 @@ def main() -> None:
     alone_s = finished_s("run", ("--seed", "0"))
     at_once_s = finished_s("run", ("--seed", "0"), ("--seed", "1"))
     few_s, one_s, two_s = campaign_s(FEW, 2), campaign_s(runs, 1), campaign_s(runs, 2)
-    a_run_s = (two_s - few_s) / (runs - FEW)
+    few_results_s, results_s = campaign_s(FEW, 2, "results"), campaign_s(runs, 2, "results")
     result = {
         "run_alone_s": round(alone_s, 2),
         "two_runs_at_once_s": round(at_once_s, 2),
@@ -77,7 +83,9 @@ def main() -> None:
         "two_workers_s": round(two_s, 1),
         "two_workers": round(one_s / two_s, 3),
         "wanted": WANTED,
-        "thousand_min": round((few_s + (1000 - FEW) * a_run_s) / 60.0, 1),
+        "two_workers_results_s": round(results_s, 1),
+        "thousand_min": thousand_min(few_s, two_s, runs),
+        "thousand_results_min": thousand_min(few_results_s, results_s, runs),
         "stolen_s": round(stolen_s() - before_s, 1),
     }
     print(json.dumps(result, indent=1))

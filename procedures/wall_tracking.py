@@ -254,12 +254,14 @@ def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
             if label.startswith(case + " ")
         }
         name = _NAMES[case]
-        ctx.figure(path_figure(shown), f"{name}: path", "Truth from motion capture, by feedback.")
+        ctx.figure(partial(path_figure, shown), f"{name}: path", "Truth from motion capture, by feedback.")
         ctx.figure(
-            error_figure(shown), f"{name}: errors", "Where the robot was, minus where it should have been."
+            partial(error_figure, shown),
+            f"{name}: errors",
+            "Where the robot was, minus where it should have been.",
         )
         ctx.figure(
-            belief_figure(shown), f"{name}: what was believed",
+            partial(belief_figure, shown), f"{name}: what was believed",
             "Estimate minus truth: odometry believes that it follows the reference.",
         )  # fmt: skip
     if "y_line optimal" in errors:

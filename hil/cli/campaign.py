@@ -33,6 +33,7 @@ from hil.vocabulary.reading import read_json
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
+    from hil.procedure.outputs import Keep
 
 SCHEMA = 1
 PLAN, CSV, PAGE, ROWS = "plan.json", "campaign.csv", "campaign.html", "rows"
@@ -53,12 +54,14 @@ PLAN, CSV, PAGE, ROWS = "plan.json", "campaign.csv", "campaign.html", "rows"
               help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
 @click.option("--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to use instead.")
 @click.option("--out", type=click.Path(path_type=Path), help="Results [default: out/campaign_NAME/TIME].")
+@click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
+              help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
     settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
-    workers: int, scheduler: str, out: Path | None, resume: bool, as_json: bool,
+    workers: int, scheduler: str, out: Path | None, keep: Keep, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table.
 
@@ -71,7 +74,7 @@ def command(
     cases = expand(parse_seeds(seeds), [parse_axis(text) for text in axes])
     setup = Setup(
         _absolute(script), _optional(bench), emulate, settings, faults, _optional(calibration),
-        _optional(answers),
+        _optional(answers), keep,
     )  # fmt: skip
     _check(setup, proc, cases)
     if out is None:
@@ -133,7 +136,7 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
 
 def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
     """Write the plan of a new campaign, or hold it against that of the one to go on with."""
-    shared = {key: value for key, value in vars(setup).items() if key not in ("answers", "places")}
+    shared = {key: value for key, value in vars(setup).items() if key not in ("answers", "keep", "places")}
     plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
     path = out / PLAN
     if not path.exists():

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.campaign import Case, Parcel, Row
     from hil.procedure.declaration import Procedure
+    from hil.procedure.outputs import Keep
 
 FINISHED = ("PASS", "MARGINAL", "FAIL", "ERROR")
 
@@ -25,6 +26,7 @@ class Setup:
     """What all cases share; texts as given on the command line.
 
     Attributes:
+        keep: `all` of a run, or its `results` without recordings and figures.
         places: text that names a file -> where the file lies for whoever runs the case; texts that are
             not in it name files by themselves.
     """
@@ -36,6 +38,7 @@ class Setup:
     faults: tuple[str, ...]
     calibration: str | None
     answers: str | None
+    keep: Keep = "all"
     places: Mapping[str, str] = field(default_factory=dict)
 
     def source(self, proc: Procedure, case: Case) -> tuple[BenchSource, dict[str, str]]:
@@ -205,7 +208,7 @@ def _result(job: Job) -> dict[str, Any]:
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
         started=datetime.now().astimezone().isoformat(timespec="seconds"),
-        resume=(folder / NAME).exists(),
+        resume=(folder / NAME).exists(), keep=setup.keep,
     )  # fmt: skip
     result = run_procedure(proc, source, options)
     write_run_page(folder)

@@ -16,7 +16,7 @@ from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.measurements import Measurement
 from hil.procedure.operator import Operator
-from hil.procedure.outputs import Notebook
+from hil.procedure.outputs import Keep, Notebook
 from hil.procedure.recordings import Recordings
 from hil.procedure.workers import Workers
 from hil.recording.mcap_writer import OnFailure
@@ -44,6 +44,7 @@ class Context(Notebook):
         interrupts: signals and time limits.
         past: what an earlier run finished, by title.
         on_recording_failure: what a disk that takes no more means for the run.
+        keep: what stays of it.
 
     Attributes:
         procedure: its name.
@@ -71,8 +72,9 @@ class Context(Notebook):
         interrupts: Interrupts,
         past: Mapping[str, list[Entry]],
         on_recording_failure: OnFailure = "stop",
+        keep: Keep = "all",
     ) -> None:
-        super().__init__(folder, declared, journal)
+        super().__init__(folder, declared, journal, keep)
         self.procedure = procedure
         self.parameters, self.source = parameters, source
         self.guard = LoopGuard(interrupts)
@@ -81,8 +83,9 @@ class Context(Notebook):
         self._report, self._interrupts = report, interrupts
         self._past = dict(past)
         self._recordings = Recordings(
-            folder, self.findings.recordings, journal, interrupts, on_recording_failure, self._note_lost
-        )
+            folder, self.findings.recordings, journal, interrupts, on_recording_failure, self._note_lost,
+            keep,
+        )  # fmt: skip
         self._hold_history = hold_history.HoldHistory()
         self._path_history = path_history.PathHistory()
         self._seen: set[str] = set()
@@ -134,8 +137,8 @@ class Context(Notebook):
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
-            bench.add_sink(self._hold_history)
-            bench.add_sink(self._path_history)
+            for history in (self._hold_history, self._path_history) if self.keep == "all" else ():
+                bench.add_sink(history)
             with self._interrupts.deferred():
                 bench.__enter__()
                 self._bench = bench
@@ -215,6 +218,8 @@ class Context(Notebook):
 
     def show_histories(self) -> None:
         """Leave figures of the path, where the procedure left none at all, and of how the robot was held."""
+        if self.keep == "results":
+            return
         path = None if self.findings.figures else self._path_history.figure()
         if path is not None:
             self.figure(path, "Path", path_history.CAPTION)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from hil.config.record import NewPart
 from hil.procedure.journal import Entry, Journal
@@ -19,6 +19,9 @@ from hil.vocabulary.errors import UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+Keep = Literal["all", "results"]
+"""What stays of a run: `all`, or `results` without recordings and figures."""
 
 
 @dataclass
@@ -44,14 +47,18 @@ class Notebook:
         folder: results folder of the run.
         declared: measurements that may be left.
         journal: where everything that is left is noted.
+        keep: as in the attribute.
 
     Attributes:
         folder: results folder of the run.
+        keep: whether there are figures.
         findings: what has been left so far.
     """
 
-    def __init__(self, folder: Path, declared: Sequence[Measurement], journal: Journal) -> None:
-        self.folder = folder
+    def __init__(
+        self, folder: Path, declared: Sequence[Measurement], journal: Journal, keep: Keep = "all"
+    ) -> None:
+        self.folder, self.keep = folder, keep
         self.findings = Findings()
         self._declared = {m.name: m for m in declared}
         self._journal = journal
@@ -104,23 +111,24 @@ class Notebook:
         self._journal.add("table", entry)
         self.findings.tables.append(entry)
 
-    def figure(self, figure: Figure, title: str, caption: str = "") -> Path:
-        """Leave a matplotlib figure as SVG; returns its path.
+    def figure(self, figure: Figure | Callable[[], Figure], title: str, caption: str = "") -> None:
+        """Leave a matplotlib figure as SVG, unless the run keeps its results alone.
 
         Args:
-            figure: to save.
+            figure: to save, or what draws it, which is called only where figures are kept.
             title: unique in the run.
             caption: what to see in it.
         """
+        if self.keep == "results":
+            return
         from hil.report.figures import save_figure
 
         path = self.folder / "figures" / f"{len(self.findings.figures) + 1:02d}_{slug(title)}.svg"
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_figure(figure, path)
+        save_figure(figure() if callable(figure) else figure, path)
         entry = {"title": title, "caption": caption, "path": str(path.relative_to(self.folder))}
         self._journal.add("figure", entry)
         self.findings.figures.append(entry)
-        return path
 
     def attach(self, name: str, path: Path) -> Path:
         """Keep a file with the results (copied unless it is already in the folder)."""

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from hil.procedure.guard import RunRecorder
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Journal
-from hil.procedure.outputs import slug
+from hil.procedure.outputs import Keep, slug
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.errors import DataError, RecordingError
 
@@ -25,26 +25,30 @@ class Recordings:
         names: file names; those that begin are added.
         journal: told the same.
         interrupts: held off while a record is written.
-        on_failure: as in the attribute.
+        on_failure, keep: as in the attributes.
         tell: called with what is missing from a recording, in words.
 
     Attributes:
         on_failure: what a disk that takes no more means for the run.
+        keep: whether anything is recorded.
     """
 
     def __init__(
         self, folder: Path, names: list[str], journal: Journal, interrupts: Interrupts, on_failure: OnFailure,
-        tell: Callable[[str], None],
+        tell: Callable[[str], None], keep: Keep = "all",
     ) -> None:  # fmt: skip
         self.on_failure: OnFailure = on_failure
+        self.keep: Keep = keep
         self._folder, self._names, self._journal, self._interrupts = folder, names, journal, interrupts
         self._tell = tell
         self._recorders: list[RunRecorder] = []
         self._newest: RunRecorder | None = None
         self._objections: list[RecordingError] = []
 
-    def path(self, label: str, taken: Sequence[Path | None] = ()) -> Path:
-        """Where the recording of this label goes: no file that exists, nor one of `taken`."""
+    def path(self, label: str, taken: Sequence[Path | None] = ()) -> Path | None:
+        """Where the recording of this label goes: no file that exists, nor one of `taken`; None for none."""
+        if self.keep == "results":
+            return None
         stem = f"recording_{slug(label)}" if label else "recording"
         path, number = self._folder / f"{stem}.mcap", 1
         while path.exists() or path in taken:
@@ -59,6 +63,8 @@ class Recordings:
             DataError: the file cannot be created.
         """
         path, self._newest = self.path(label), None
+        if path is None:
+            return
         try:
             recorder = RunRecorder(
                 str(path), bench.header(), self._interrupts, lossless=lossless, on_failure=self.on_failure

@@ -23,6 +23,7 @@ from hil.procedure.journal import NAME, SCHEMA, Entry, Journal, PastRun, drop_to
 from hil.procedure.learning import keep_parts
 from hil.procedure.measurements import Measurement, Verdict
 from hil.procedure.operator import Operator, Terminal
+from hil.procedure.outputs import Keep
 from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, RESULT, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
@@ -30,6 +31,8 @@ from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
 from hil.vocabulary.files import where_else
 from hil.vocabulary.progress import Report, silent
+
+_LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,7 @@ class RunOptions:
         on_recording_failure: whether the run has to `stop`, or may `go-on`, once what it does can no longer
             be kept in its recordings and its journal.
         interrupts: signals that the caller takes also before and after the run.
+        keep: `results` leaves out recordings and figures.
     """
 
     folder: Path
@@ -58,6 +62,7 @@ class RunOptions:
     resume: bool = False
     on_recording_failure: OnFailure = "stop"
     interrupts: Interrupts = field(default_factory=Interrupts)
+    keep: Keep = "all"
 
 
 def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> Result:
@@ -97,8 +102,10 @@ def _recorded_run(
             parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal,
             clock=options.clock, started=options.started, operator=options.operator, report=options.report,
             interrupts=interrupts, past=past.checkpoints if past else {},
-            on_recording_failure=options.on_recording_failure,
+            on_recording_failure=options.on_recording_failure, keep=options.keep,
         )  # fmt: skip
+        if options.keep == "results" and past is None:
+            context.note(_LEFT_OUT)
         begin_ns = options.clock.now_ns()
         error, late, statistics = _execute(proc, context, interrupts)
         wall_s = (options.clock.now_ns() - begin_ns) / NS_PER_S

@@ -67,6 +67,28 @@ def campaign(script, capsys):
     return go
 
 
+def test_results_alone_are_the_same_without_recordings_and_figures(campaign, tmp_path):
+    rows = {}
+    for keep in ("all", "results"):
+        code, tree, _ = campaign("--seeds", "3", "--workers", "0", "--keep", keep, "--out", keep)
+        assert code == 0
+        rows[keep] = tree["rows"][0]
+    assert rows["all"]["measurements"] == rows["results"]["measurements"]
+    assert "--keep" not in rows["results"]["command"]
+    left = {k: {p.suffix for p in (tmp_path / k).rglob("*") if p.is_file()} for k in rows}
+    assert left["all"] - left["results"] == {".mcap", ".svg"}
+    told = json.loads((tmp_path / "results/runs/seed=3/result.json").read_text())
+    assert told["recordings"] == []
+    assert "--keep results" in "".join(told["notes"])
+    assert "not kept" in (tmp_path / "results/runs/seed=3/report.html").read_text()
+
+
+def test_a_campaign_of_results_goes_on_with_recordings(campaign, tmp_path):
+    campaign("--seeds", "0", "--workers", "0", "--keep", "results", "--out", "o")
+    campaign("--seeds", "0:2", "--workers", "0", "--resume", "--out", "o")
+    assert [p.parent.name for p in (tmp_path / "o").rglob("*.mcap")] == ["seed=1"]
+
+
 def test_runs_table_and_page(campaign, tmp_path):
     code, tree, _ = campaign("--seeds", "0:3", "--vary", "gain=1,3", "--workers", "0", "--out", "o")
     assert (code, tree["verdict"], tree["verdicts"]) == (1, "FAIL", {"FAIL": 1, "PASS": 5})
