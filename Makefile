@@ -38,7 +38,7 @@ ifneq ($(OLDEST),)
 else ifeq ($(LOCK),)
 	$(PIP) -e '.[$(shell echo $(EXTRAS) | tr ' ' ,)]'
 else
-	$(PIP) --require-hashes --only-binary :all: -r $(LOCK)
+	$(PIP) --require-hashes --no-deps --only-binary :all: -r $(LOCK)
 	$(PIP) --no-deps --no-build-isolation -e .
 endif
 	$(BIN)/hil info --compile
