@@ -8,9 +8,9 @@ CDR, little endian, primitives aligned to their size counted from after the four
 from __future__ import annotations
 
 import struct
-from collections.abc import Sequence
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,6 +20,7 @@ from hil.vocabulary.geometry import Array
 _HEADER = b"\x00\x01\x00\x00"
 _U32, _F32, _TIME, _THREE = (struct.Struct(form) for form in ("<I", "<f", "<iI", "<3I"))
 _MAX_SECONDS = 2**31 - 1
+_LATEST_NS = (_MAX_SECONDS + 1) * NS_PER_S
 NO_COVARIANCE = (0.0,) * 9
 """Of three unknown variances."""
 
@@ -85,6 +86,10 @@ class CdrWriter:
     def octets(self, raw: bytes) -> None:
         """`uint8[]`."""
         self.u32(len(raw))
+        self.raw(raw)
+
+    def raw(self, raw: bytes) -> None:
+        """Bytes as they are."""
         self._out += raw
 
     def bytes(self) -> bytes:
@@ -107,21 +112,26 @@ class CdrForm:
 
     Args:
         parts: in order: `TIME`, a text, an unsigned number of four bytes, or `Doubles`.
+
+    Attributes:
+        pack: makes the message of its time on the bench clock (ns), wall-clock time at the zero of that clock
+            (ns), and a sequence of numbers for each `Doubles` that is not empty.
     """
 
     def __init__(self, *parts: str | int | Doubles | None) -> None:
         cdr, form = CdrWriter(), ["<"]
-        self._values: list[bytes | float] = []
-        self._times: list[int] = []
-        self._numbers: list[slice] = []
+        fixed: list[bytes] = []
+        values: list[str] = []
+        groups: list[str] = []
         begun = 0
 
-        def keep() -> None:
-            """What has been written since the last time or number stays as it is."""
+        def fill(code: str, value: tuple[str, ...], size: int) -> None:
+            """What has been written since the last time or number stays as it is, then comes a value."""
             nonlocal begun
-            fixed = cdr.bytes()[begun:]
-            self._values.append(fixed)
-            form.append(f"{len(fixed)}s")
+            fixed.append(cdr.bytes()[begun:])
+            form.append(f"{len(fixed[-1])}s{code}")
+            values.extend((f"fixed_{len(fixed)}", *value))
+            cdr.raw(bytes(size))
             begun = len(cdr.bytes())
 
         for part in parts:
@@ -131,44 +141,34 @@ class CdrForm:
                 cdr.u32(part)
             elif part is TIME:
                 cdr.align(4)
-                keep()
-                self._times.append(len(self._values))
-                self._values += (0, 0)
-                form.append("iI")
-                cdr.time(0)
-                begun = len(cdr.bytes())
+                fill("iI", ("*time",), _TIME.size)
             elif part.number:
                 cdr.align(8)
-                keep()
-                self._numbers.append(slice(len(self._values), len(self._values) + part.number))
-                self._values += (0.0,) * part.number
-                form.append(f"{part.number}d")
-                cdr.doubles(bytes(8 * part.number))
-                begun = len(cdr.bytes())
-        keep()
-        self._layout = struct.Struct("".join(form))
+                groups.append(f"numbers_{len(groups)}")
+                fill(f"{part.number}d", (f"*{groups[-1]}",), 8 * part.number)
+        fill("", (), 0)
+        source = (
+            f"def pack({', '.join(('t_ns', 'wall_ns', *groups))}):\n"
+            " time = seconds(t_ns + wall_ns)\n"
+            f" return pack_all({', '.join(values)})"
+        )
+        self.pack = _packing(source, struct.Struct("".join(form)), fixed)
 
-    def pack(self, t_ns: int, wall_ns: int, *numbers: Sequence[float]) -> bytes:
-        """The message.
 
-        Args:
-            t_ns: time on the bench clock.
-            wall_ns: wall-clock time at its zero.
-            numbers: one sequence for each `Doubles` that is not empty.
-        """
-        values = self._values.copy()
-        seconds, nanoseconds = _seconds(t_ns + wall_ns)
-        for at in self._times:
-            values[at], values[at + 1] = seconds, nanoseconds
-        for place, given in zip(self._numbers, numbers, strict=True):
-            values[place] = given
-        return self._layout.pack(*values)
+def _packing(source: str, layout: struct.Struct, fixed: list[bytes]) -> Callable[..., bytes]:
+    """The function `pack` of a form, from its source."""
+    scope: dict[str, Any] = {f"fixed_{number}": raw for number, raw in enumerate(fixed, start=1)}
+    scope |= {"seconds": _seconds, "pack_all": layout.pack}
+    exec(source, scope)  # as `dataclasses` does
+    pack: Callable[..., bytes] = scope["pack"]
+    return pack
 
 
 def _seconds(t_ns: int) -> tuple[int, int]:
     """Seconds and nanoseconds of a time; clipped to what 32-bit seconds can say."""
-    seconds, nanoseconds = divmod(max(0, t_ns), NS_PER_S)
-    return min(seconds, _MAX_SECONDS), nanoseconds
+    if 0 <= t_ns < _LATEST_NS:
+        return divmod(t_ns, NS_PER_S)
+    return (0, 0) if t_ns < 0 else (_MAX_SECONDS, t_ns % NS_PER_S)
 
 
 def xyzw(q_wxyz: Array) -> tuple[float, float, float, float]:
@@ -217,10 +217,13 @@ def text_of(message: bytes) -> str:
     return message[8 : 7 + length].decode("utf-8", "replace")
 
 
-def joints(t_ns: int, names: tuple[str, ...], values: tuple[Array, ...], wall_ns: int) -> bytes:
+def joints(
+    t_ns: int, names: tuple[str, ...], values: tuple[Array | tuple[float, ...], ...], wall_ns: int
+) -> bytes:
     """`sensor_msgs/JointState`; `values` are positions, velocities and efforts, (n,) each."""
     form = _joint_form(names, tuple([len(column) for column in values]))
-    return form.pack(t_ns, wall_ns, *[column.tolist() for column in values if len(column)])
+    given = [column if isinstance(column, tuple) else column.tolist() for column in values if len(column)]
+    return form.pack(t_ns, wall_ns, *given)
 
 
 @lru_cache(maxsize=64)

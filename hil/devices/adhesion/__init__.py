@@ -19,13 +19,12 @@ from hil.vocabulary.signals import AdhesionSample, Inputs, Status
 __all__ = ["KIND", "fan_state"]
 
 _RAD_S_PER_RPM = 2.0 * math.pi / 60.0
-_NOTHING = np.empty(0)
 
 
 def fan_state(sample: AdhesionSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/JointState` of the fan; effort holds the motor's current in A."""
-    speed = np.array([sample.speed_rpm * _RAD_S_PER_RPM])
-    return joints(sample.stamp.t_ns, ("fan",), (_NOTHING, speed, np.array([sample.motor_a])), wall_ns)
+    values = ((), (sample.speed_rpm * _RAD_S_PER_RPM,), (sample.motor_a,))
+    return joints(sample.stamp.t_ns, ("fan",), values, wall_ns)
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hil.devices.encoders.as5045 import AS5045
 from hil.devices.encoders.look import look
 from hil.recording.cdr import joints
@@ -12,12 +10,10 @@ from hil.vocabulary.signals import SERVOS, WHEELS, EncoderSample
 
 __all__ = ["KIND", "encoder_state"]
 
-_NOTHING = np.empty(0)
-
 
 def encoder_state(sample: EncoderSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/JointState` of the external encoders' own angles, NaN where one cannot be used."""
-    return joints(sample.stamp.t_ns, SERVOS[4:], (sample.angle_rad, _NOTHING, _NOTHING), wall_ns)
+    return joints(sample.stamp.t_ns, SERVOS[4:], (sample.angle_rad, (), ()), wall_ns)
 
 
 KIND = DeviceKind(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
 from hil.devices.load_cells.hx711 import HX711_CAN, HX711_LINE
 from hil.devices.load_cells.look import look
 from hil.recording.cdr import joints
@@ -15,12 +13,11 @@ from hil.vocabulary.signals import Inputs, LoadCellSample
 __all__ = ["CELLS", "KIND", "cell_state"]
 
 CELLS = ("cell_1", "cell_2")
-_NOTHING = np.empty(0)
 
 
 def cell_state(sample: LoadCellSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/JointState`; effort holds the cells' forces in N, with their zeros."""
-    return joints(sample.stamp.t_ns, CELLS, (_NOTHING, _NOTHING, sample.force_n), wall_ns)
+    return joints(sample.stamp.t_ns, CELLS, ((), (), sample.force_n), wall_ns)
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:

@@ -6,8 +6,6 @@ import itertools
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from hil.config.robot import RobotConfig
 from hil.config.thrust import ThrustConfig
 from hil.devices.looks import samples_look
@@ -19,13 +17,10 @@ from hil.vocabulary.signals import Inputs, Status, ThrustSample
 
 __all__ = ["KIND", "propeller_state"]
 
-_NOTHING = np.empty(0)
-
 
 def propeller_state(sample: ThrustSample, wall_ns: int = 0) -> bytes:
     """`sensor_msgs/JointState`; the position holds the throttle 0..1."""
-    values = (np.array([sample.throttle]), _NOTHING, _NOTHING)
-    return joints(sample.stamp.t_ns, ("propellers",), values, wall_ns)
+    return joints(sample.stamp.t_ns, ("propellers",), ((sample.throttle,), (), ()), wall_ns)
 
 
 def _figures(inputs: Inputs) -> Iterator[tuple[str, Figures]]:
