@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,7 +15,7 @@ from hil.recording.cdr import octet_array, string
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_layout import describe
 from hil.recording.frames import FrameTree, recorded_offset
-from hil.recording.ros_messages import messages, topics_with, transforms
+from hil.recording.ros_messages import Message, messages, topics_with, transforms
 from hil.recording.urdf import urdf
 from hil.vocabulary.clock import NS_PER_S, MonotonicClock, WallOffset
 from hil.vocabulary.errors import ConfigError
@@ -118,6 +118,15 @@ class _WholeWrites:
         os.close(self._fd)
 
 
+class _Channel:
+    """A topic in the file, by the library's number for it, and how many messages it has."""
+
+    __slots__ = ("id", "sent")
+
+    def __init__(self, number: int) -> None:
+        self.id, self.sent = number, 0
+
+
 class RecordingFile:
     """The MCAP file itself; single-threaded.
 
@@ -147,7 +156,6 @@ class RecordingFile:
         own = tuple(kind for kind in self._kinds if kind.name not in KINDS)
         self._encoder = CycleEncoder(own)
         topics = topics_with(self._kinds)
-        self._sequence = dict.fromkeys(topics, 0)
         self._flushed_ns: int | None = None
         self._safe_bytes = 0
         self.flushed = self.unflushed = 0
@@ -168,41 +176,50 @@ class RecordingFile:
             for kind in sorted(set(topics.values()))
         }
         self._channels = {
-            topic: self._mcap.register_channel(
-                topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
+            topic: _Channel(
+                self._mcap.register_channel(
+                    topic, "cdr", schemas[kind], {"offered_qos_profiles": _QOS.get(topic, "")}
+                )
             )
             for topic, kind in topics.items()
         }
         self._safe_bytes = self._file.tell()
 
-    def _add(self, topic: str, log_ns: int, t_ns: int, data: bytes) -> None:
-        log_ns, t_ns = max(0, log_ns + self._wall_ns), max(0, t_ns + self._wall_ns)
-        self._mcap.add_message(self._channels[topic], log_ns, data, t_ns, self._sequence[topic] & 0xFFFFFFFF)
-        self._sequence[topic] += 1
+    def _add(self, log_ns: int, items: Iterable[Message]) -> None:
+        """Add messages, all logged at one time."""
+        add_message, channels, wall_ns = self._mcap.add_message, self._channels, self._wall_ns
+        log_ns = max(0, log_ns + wall_ns)
+        for topic, t_ns, data in items:
+            channel, t_ns = channels[topic], t_ns + wall_ns
+            add_message(channel.id, log_ns, data, t_ns if t_ns > 0 else 0, channel.sent & 0xFFFFFFFF)
+            channel.sent += 1
 
     def add_cycle(self, record: CycleRecord) -> None:
         """Add one cycle; flushes by the records' own time."""
         now_ns = record.start_ns
         payload = octet_array(self._encoder.encode(record))
-        self._add("/hil/cycle", now_ns, record.inputs.t_ns, payload)
+        self._add(now_ns, [("/hil/cycle", record.inputs.t_ns, payload)])
         self.unflushed += 1
         if self._flushed_ns is None:
             self._flushed_ns = now_ns
-            self._add("/tf_static", now_ns, now_ns, transforms(now_ns, self._frames.fixed, self._wall_ns))
-            if self._description:
-                self._add("/robot_description", now_ns, now_ns, string(self._description))
+            self._add(now_ns, self._first(now_ns))
         moving, t_ns = self._frames.moving(record), record.state.t_ns
         if moving:
-            self._add("/tf", now_ns, t_ns, transforms(t_ns, moving, self._wall_ns))
-        for topic, t_ns, data in messages(record, self._kinds, self._wall_ns):
-            self._add(topic, now_ns, t_ns, data)
+            self._add(now_ns, [("/tf", t_ns, transforms(t_ns, moving, self._wall_ns))])
+        self._add(now_ns, messages(record, self._kinds, self._wall_ns))
         if not 0 <= now_ns - self._flushed_ns < _FLUSH_NS:
             self._flushed_ns = now_ns
             self.flush()
 
+    def _first(self, t_ns: int) -> Iterator[Message]:
+        """What never moves, once in a recording."""
+        yield "/tf_static", t_ns, transforms(t_ns, self._frames.fixed, self._wall_ns)
+        if self._description:
+            yield "/robot_description", t_ns, string(self._description)
+
     def add_note(self, t_ns: int, text: str) -> None:
         """Add one free note."""
-        self._add("/hil/notes", t_ns, t_ns, string(text))
+        self._add(t_ns, [("/hil/notes", t_ns, string(text))])
 
     def flush(self) -> None:
         """Close the chunk and hand everything to the operating system."""

@@ -13,6 +13,9 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import CycleRecord, Event, Reference, RobotState
 
+Message = tuple[str, int, bytes]
+"""Topic, time of measurement (bench clock, ns), CDR bytes."""
+
 TOPICS = {
     "/hil/cycle": "std_msgs/msg/UInt8MultiArray",
     "/hil/notes": "std_msgs/msg/String",
@@ -98,10 +101,8 @@ def log(event: Event, wall_ns: int = 0) -> bytes:
     return cdr.bytes()
 
 
-def messages(
-    record: CycleRecord, kinds: Sequence[DeviceKind], wall_ns: int = 0
-) -> Iterator[tuple[str, int, bytes]]:
-    """ROS 2 messages of one cycle: topic, time of measurement (bench clock, ns), CDR bytes.
+def messages(record: CycleRecord, kinds: Sequence[DeviceKind], wall_ns: int = 0) -> Iterator[Message]:
+    """ROS 2 messages of one cycle.
 
     Args:
         record: the cycle.
