@@ -6,6 +6,7 @@ do not follow their layout raise `ValueError`, or what `struct` and indexing rai
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -88,9 +89,14 @@ def decode_array(data: bytes, at: int) -> tuple[Any, int]:
 
 
 def array_of(shape: tuple[int, ...], name: str) -> Decode:
-    """Arrays that must have one shape; `name` is for the error."""
+    """Arrays that must have one shape, and are of doubles as a rule; `name` is for the error."""
+    double = DTYPES[b"d"]
+    head = ARRAY_HEADS[len(shape)].pack(b"d", len(shape), *shape)
+    skipped, size = len(head), len(head) + math.prod(shape) * double.itemsize
 
     def decode(data: bytes, at: int) -> tuple[Any, int]:
+        if data.startswith(head, at):
+            return np.ndarray(shape, double, data, at + skipped).copy(), at + size
         array, at = decode_array(data, at)
         if array.shape != shape:
             raise ValueError(f"{name} has the shape {array.shape} instead of {shape}")
