@@ -35,6 +35,7 @@ from hil.vocabulary.signals import (
     RobotState,
     ServoHold,
     Status,
+    samples_of,
     worst,
 )
 
@@ -86,6 +87,7 @@ class HoldWatch(Sink):
         self._witnesses = {k.name: k.witness for k in present if k.witness is not None}
         self._on_wall, self._can_fall = on_wall, can_fall
         self._travel = Travel(self._witnesses, radius_m)
+        self._tellers = [(name, samples_of(name), self._witnesses[name].value) for name in self._travel.names]
         self._doubted: dict[str, bool] = {}
         self._leaps = Leaps()
         self.last_state: RobotState | None = None
@@ -94,7 +96,7 @@ class HoldWatch(Sink):
         """Remember where the robot was seen last."""
         inputs = record.inputs
         pose = record.state.pose_body_in_wall
-        heading_rad, estimated = float(pose[2]), None
+        heading_rad, estimated = pose.item(2), None
         if math.isfinite(heading_rad):  # the last cycle before a stop has no estimate
             self._press.heading_rad = heading_rad
             self.last_state, estimated = record.state, pose[:2]
@@ -109,9 +111,9 @@ class HoldWatch(Sink):
 
     def _sightings(self, inputs: Inputs) -> Iterator[tuple[str, Any, Array]]:
         """Samples that tell a place, or angles of joints, with what they tell."""
-        for name in self._travel.names:
-            for sample in inputs.of(name):
-                place = self._witnesses[name].value(sample)
+        for name, among, told_by in self._tellers:
+            for sample in among(inputs):
+                place = told_by(sample)
                 if place is not None:
                     yield name, sample, place
 

@@ -27,6 +27,22 @@ _ESTIMATED = 0.1
 _KEPT = 64
 
 
+class _Told:
+    """What one of them has told.
+
+    Attributes:
+        seen: its newest places.
+        step, step_s: the latest step that was no leap, and how long it took.
+        estimated: (2,) m, where the estimate had the robot at its newest place; None where nothing did.
+    """
+
+    def __init__(self) -> None:
+        self.seen: deque[tuple[int, Place]] = deque(maxlen=_KEPT)
+        self.step: Place = []
+        self.step_s = 1.0
+        self.estimated: Array | None = None
+
+
 @dataclass(frozen=True)
 class _Gap:
     """`way`: to the first sample behind it; `seen`: where others saw the robot as it began."""
@@ -44,9 +60,7 @@ class Leaps:
     """
 
     def __init__(self) -> None:
-        self._seen: dict[str, deque[tuple[int, Place]]] = {}
-        self._speed: dict[str, Place] = {}
-        self._estimated: dict[str, Array] = {}
+        self._told: dict[str, _Told] = {}
         self._gaps: dict[str, _Gap] = {}
         self.off_m: dict[str, Place] = {}
 
@@ -56,12 +70,13 @@ class Leaps:
 
     def run_ended(self) -> None:
         """The next run may begin to estimate anywhere."""
-        self._estimated.clear()
+        for told in self._told.values():
+            told.estimated = None
 
     def begins_anew(self, name: str) -> None:
         """It says itself that it has begun anew: nothing follows from what it said before."""
-        for kept in (self._seen, self._gaps, self._estimated):
-            kept.pop(name, None)
+        self._told.pop(name, None)
+        self._gaps.pop(name, None)
 
     def follow(self, name: str, t_ns: int, place: Array, estimated: Array | None = None) -> tuple[str, ...]:
         """Take a sample; kinds whose frame has moved as it shows.
@@ -73,42 +88,45 @@ class Leaps:
             estimated: (2,) m, where the robot is by the estimate that is followed, if one is.
         """
         here: Place = place.tolist()
-        seen = self._seen.setdefault(name, deque(maxlen=_KEPT))
-        before_ns, before = seen[-1] if seen else (None, here)
+        told = self._told.get(name)
+        if told is None:
+            told = self._told[name] = _Told()
+        before_ns, before = told.seen[-1] if told.seen else (None, here)
         if before_ns is not None and t_ns <= before_ns:
             return ()
-        was = self._estimated.get(name)
+        was = told.estimated
         if estimated is not None:
-            self._estimated[name] = estimated
+            told.estimated = estimated
         step, leap = [a - b for a, b in zip(here, before, strict=True)], None
         if before_ns is not None and t_ns - before_ns <= _GAP_NS:
-            leap = self._step(name, step, (t_ns - before_ns) / NS_PER_S)
+            leap = self._step(told, step, (t_ns - before_ns) / NS_PER_S)
         else:
-            self._speed[name] = [0.0] * len(here)
+            told.step, told.step_s = [0.0] * len(here), 1.0
             if before_ns is not None and was is not None and estimated is not None:
                 leap = _beyond(step, math.dist(estimated, was))
             elif before_ns is not None:
                 self._gaps[name] = _Gap(t_ns, step, dict(self._others(name, before_ns)))
-        seen.append((t_ns, here))
+        told.seen.append((t_ns, here))
         if leap is None and not self._gaps:
             return ()
         moved = [] if leap is None else [self._moved(name, leap)]
         return (*moved, *self._behind_gaps(t_ns))
 
-    def _step(self, name: str, step: Place, dt_s: float) -> Place | None:
+    def _step(self, told: _Told, step: Place, dt_s: float) -> Place | None:
         """By how much it differs from the one before, where that is a leap."""
-        beside = [a - v * dt_s for a, v in zip(step, self._speed[name], strict=True)]
+        before_s = told.step_s
+        beside = [a - b / before_s * dt_s for a, b in zip(step, told.step, strict=True)]
         if math.hypot(*beside) > _SLACK_M + _PULL_M_S2 * dt_s**2:
             return beside
-        self._speed[name] = [a / dt_s for a in step]
+        told.step, told.step_s = step, dt_s
         return None
 
     def _others(self, name: str, at_ns: int) -> Iterator[tuple[str, Place]]:
         """Where others saw the robot about then."""
-        for other, seen in self._seen.items():
+        for other, told in self._told.items():
             if other == name:
                 continue
-            t_ns, place = min(seen, key=lambda one: abs(one[0] - at_ns))
+            t_ns, place = min(told.seen, key=lambda one: abs(one[0] - at_ns))
             if abs(t_ns - at_ns) <= _TOGETHER_NS:
                 yield other, place
 

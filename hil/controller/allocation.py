@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.robot.kinematics import WheelGeometry, inverse
+from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import WheelSetpoint
 
@@ -77,9 +77,10 @@ class ModuleLayer:
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
-        p = geometry.projection()
+        self._projection = p = geometry.projection()
         self._contradicting = np.eye(8) - p @ np.linalg.pinv(p)
         self._zeros = 2 * geometry.steering_zero_rad.tolist()
+        self._radius_m = geometry.radius_m.tolist()
         self.reset()
 
     def reset(self) -> None:
@@ -99,7 +100,8 @@ class ModuleLayer:
         """Setpoint for a twist (3,) given the measured steering angles (4,).
 
         Four values a step: plain floats are quicker than arrays, and give the same bits in sums and
-        products. Sine, cosine, angle, hypotenuse and matrix product stay numpy's, whose last bit may differ.
+        products. Sine, cosine, angle, hypotenuse and matrix product stay numpy's, whose last bit may differ;
+        `dot` is the product of `@` at a third of its cost.
         """
         measured: list[float] = measured_rad.tolist()
         asked, target = self._wanted(twist_body, measured)
@@ -109,27 +111,35 @@ class ModuleLayer:
         step = desaturate([goal - at for goal, at in zip(target, sent, strict=True)], reach)
         self._sent = sent = [at + more for at, more in zip(sent, step, strict=True)]
         widest = self.limits.steering_rad
-        bounded = [min(max(angle, -widest), widest) for angle in sent]
+        bounded = sent
+        if max(sent) > widest or min(sent) < -widest:
+            bounded = [min(max(angle, -widest), widest) for angle in sent]
         headings = [angle - zero for angle, zero in zip(measured + bounded, self._zeros, strict=True)]
         error = [wrap(goal - now) for goal, now in zip(target, measured, strict=True)]
-        cosines = np.cos(error + headings).tolist()
+        turned = np.array(error + headings)
+        cosines = np.cos(turned).tolist()
         speed = [v * max(0.0, part) for v, part in zip(asked, cosines[:4], strict=True)]
         speed = desaturate(speed, self.limits.speed_m_s)
-        speed = self._agreeing(speed, cosines[4:], np.sin(headings).tolist())
+        speed = self._agreeing(speed, cosines[4:], np.sin(turned[4:]).tolist())
         self.following = any(asked) and all(
             [abs(v) >= _FOLLOWING * abs(wanted) for v, wanted in zip(speed, asked, strict=True)]
         )
-        return WheelSetpoint(np.array(speed) / self.geometry.radius_m, np.array(bounded))
+        rates = [v / radius for v, radius in zip(speed, self._radius_m, strict=True)]
+        return WheelSetpoint(np.array(rates), np.array(bounded))
 
     def _wanted(self, twist_body: Array, measured: list[float]) -> tuple[list[float], list[float]]:
         """Signed speeds (4,) and angles (4,) of a twist (3,): those nearest to the measured angles."""
         goals = list(measured if self._held is None else self._held)
-        speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
+        u = self._projection.dot(twist_body)  # as `hil.robot.kinematics.inverse`
+        ux, uy = u[0::2], u[1::2]
+        speeds: list[float] = np.hypot(ux, uy).tolist()
+        angles: list[float] = np.arctan2(uy, ux).tolist()
         for i in range(4):
             if speeds[i] < self.limits.still_speed_m_s:
                 speeds[i] = 0.0
             else:
-                speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], self.limits)
+                angle = angles[i] + self._zeros[i]
+                speeds[i], goals[i] = optimize(speeds[i], angle, measured[i], self.limits)
         return speeds, goals
 
     def _agreeing(self, speed: list[float], cosines: list[float], sines: list[float]) -> list[float]:
@@ -146,7 +156,7 @@ class ModuleLayer:
         u: list[float] = []
         for v, cosine, sine in zip(speed + speed, cosines, sines, strict=True):
             u += (v * cosine, v * sine)
-        left = np.array(u).reshape(2, 8) @ self._contradicting
-        peak = max(np.hypot(left[:, 0::2], left[:, 1::2]).ravel().tolist())
+        left = np.array(u).reshape(2, 8).dot(self._contradicting).reshape(8, 2)
+        peak = max(np.hypot(left[:, 0], left[:, 1]).tolist())
         limit = self.limits.contradiction_m_s
         return speed if peak <= limit else [v * (limit / peak) for v in speed]

@@ -13,37 +13,37 @@ from typing import Protocol
 
 import numpy as np
 
-from hil.vocabulary.geometry import Array, rotation2, wrap
+from hil.vocabulary.geometry import Array, Three, rotation2, wrap
 from hil.vocabulary.signals import Reference, RobotState
 
 
-def pose_error(state: RobotState, reference: Reference) -> Array:
-    """Reference minus state, shape (3,), in the measured body frame, heading wrapped."""
+def pose_error(state: RobotState, reference: Reference) -> Three:
+    """Reference minus state (m, m, rad) in the measured body frame, heading wrapped."""
     (x, y, theta), (x_d, y_d, theta_d) = state.pose_body_in_wall.tolist(), reference.pose_in_wall.tolist()
-    ahead = rotation2(-theta) @ np.array([x_d - x, y_d - y])
-    return np.array([*ahead.tolist(), wrap(theta_d - theta)])
+    ahead_m, left_m = rotation2(-theta).dot((x_d - x, y_d - y)).tolist()
+    return ahead_m, left_m, wrap(theta_d - theta)
 
 
-def beyond(error: Array, dead_zone: Array) -> Array:
-    """The part of an error (3,) that exceeds a dead zone (3,); zero inside, continuous at its edge."""
-    pairs = zip(error.tolist(), dead_zone.tolist(), strict=True)
-    return np.array([e - min(max(e, -zone), zone) for e, zone in pairs])
+def beyond(error: Three, dead_zone: Three) -> Three:
+    """The part of an error that exceeds a dead zone; zero inside, continuous at its edge."""
+    ahead, left, turn = [e - min(max(e, -zone), zone) for e, zone in zip(error, dead_zone, strict=True)]
+    return ahead, left, turn
 
 
 class Law(Protocol):
-    """A tracking law; may keep state between calls."""
+    """A tracking law; may keep state between calls. Errors are (m, m, rad), body axes."""
 
     @abstractmethod
     def reset(self) -> None:
         """Forget all state."""
 
     @abstractmethod
-    def twist(self, error: Array, reference: Reference) -> Array:
-        """Commanded body twist (3,) for an error (3,)."""
+    def twist(self, error: Three, reference: Reference) -> Array:
+        """Commanded body twist (3,) for an error."""
 
     @abstractmethod
-    def learn(self, error: Array) -> None:
-        """Take an error (3,) into the integral, if there is one.
+    def learn(self, error: Three) -> None:
+        """Take an error into the integral, if there is one.
 
         Called after `twist`, in cycles whose command the wheels can follow: an integral that also grew at
         rest, at a limit or while modules steer would be let loose afterwards.
@@ -63,12 +63,12 @@ class NonlinearLaw(Law):
     def reset(self) -> None:
         """No state to forget."""
 
-    def twist(self, error: Array, reference: Reference) -> Array:
+    def twist(self, error: Three, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus proportional correction."""
         return np.asarray(reference.twist_body + self.gains * error, dtype=np.float64)
 
-    def learn(self, error: Array) -> None:
-        """Nothing: this law has no integral over the error (3,)."""
+    def learn(self, error: Three) -> None:
+        """Nothing: this law has no integral over the error."""
 
 
 @lru_cache(maxsize=4096)
@@ -159,19 +159,19 @@ class OptimalLaw(Law):
         """Empty integral and lag states."""
         self._integral, self._lagged = [0.0] * 3, [0.0] * 3
 
-    def twist(self, error: Array, reference: Reference) -> Array:
+    def twist(self, error: Three, reference: Reference) -> Array:
         """Body twist (3,): feed-forward plus optimal correction."""
         k = min(max(round(reference.t_s / self._dt_s), 0), len(self._gains) - 1)
-        correction = self._gains[k] @ np.array([*error.tolist(), *self._integral, *self._lagged])
+        correction: Array = self._gains[k].dot((*error, *self._integral, *self._lagged))
         keep, take = self._decay, 1.0 - self._decay
         pairs = zip(self._lagged, correction.tolist(), strict=True)
         self._lagged = [keep * lagged + take * new for lagged, new in pairs]
-        return np.asarray(reference.twist_body + correction, dtype=np.float64)
+        return reference.twist_body + correction
 
-    def learn(self, error: Array) -> None:
-        """One step of the integral over the error (3,), m, m, rad, body axes, within its clamp."""
+    def learn(self, error: Three) -> None:
+        """One step of the integral over the error, within its clamp."""
         if self._integrates:
-            grown = [i + e * self._dt_s for i, e in zip(self._integral, error.tolist(), strict=True)]
+            grown = [i + e * self._dt_s for i, e in zip(self._integral, error, strict=True)]
             self._integral = [min(max(i, -self._clamp), self._clamp) for i in grown]
 
 

@@ -37,7 +37,8 @@ class TrackingController(Controller):
         goal_heading_rad: float,
     ) -> None:
         self._law, self._modules = law, modules
-        self._dead_zone = np.array(dead_zone, dtype=np.float64)
+        ahead, left, turn = np.array(dead_zone, dtype=np.float64).tolist()
+        self._dead_zone = (ahead, left, turn)
         self._goal_position_m, self._goal_heading_rad = goal_position_m, goal_heading_rad
 
     def reset(self) -> None:
@@ -59,8 +60,7 @@ class TrackingController(Controller):
         error = pose_error(state, reference)
         outside = beyond(error, self._dead_zone)
         twist = self._law.twist(outside, reference)
-        figures = (*error.tolist(), *twist.tolist(), *reference.pose_in_wall.tolist())
-        if not all(map(math.isfinite, figures)):
+        if not all(map(math.isfinite, (*error, *twist.tolist()))):  # of what is not finite, no error is
             raise SafetyStop("not_finite", "state, reference or gains are not finite")
         at_goal = (
             reference.done

@@ -28,6 +28,7 @@ from hil.vocabulary.signals import (
 )
 
 _MIN_IN_PLANE_GRAVITY_M_S2 = 1.0
+_ALL_OK, _ALL_VALID = (Status.OK,) * 8, (True,) * 4
 
 
 @dataclass(frozen=True)
@@ -63,6 +64,8 @@ class Alignment:
         self._drive_sign = np.array(parameters.drive_sign, dtype=np.float64)
         self._steer_sign = np.array(parameters.steer_sign, dtype=np.float64)
         self._zero = np.array(parameters.steer_zero_rad, dtype=np.float64)
+        self._signs = np.concatenate([self._drive_sign, self._steer_sign])
+        self._zeros = np.concatenate([np.zeros(4), self._zero])
         self._poses = PoseAlignment(parameters.tracker, parameters.tracker_scale)
         self.reset()
 
@@ -89,14 +92,17 @@ class Alignment:
         )
 
     def _wheels(self, sample: ServoSample) -> WheelMeasurement:
-        ok = [status is Status.OK for status in sample.status]
-        position = sample.position_rad
+        valid = _ALL_VALID
+        if sample.status != _ALL_OK:
+            ok = [status is Status.OK for status in sample.status]
+            valid = (ok[0] and ok[4], ok[1] and ok[5], ok[2] and ok[6], ok[3] and ok[7])
+        angles = self._signs * (sample.position_rad - self._zeros)
         return WheelMeasurement(
             stamp=sample.stamp,
-            wheel_angle_rad=self._drive_sign * position[:4],
+            wheel_angle_rad=angles[:4],
             wheel_rate_rad_s=self._drive_sign * sample.velocity_rad_s[:4],
-            steering_rad=self._steer_sign * (position[4:] - self._zero),
-            valid=(ok[0] and ok[4], ok[1] and ok[5], ok[2] and ok[6], ok[3] and ok[7]),
+            steering_rad=angles[4:],
+            valid=valid,
         )
 
     def _gyro(self, sample: ImuSample) -> GyroMeasurement:

@@ -26,7 +26,11 @@ Kept = tuple[complex, ...]
 
 
 class Track:
-    """Values over time, the newest `_KEPT` of them."""
+    """Values over time, the newest `_KEPT` of them.
+
+    Attributes:
+        newest_ns: time of the newest values; None without any.
+    """
 
     def __init__(self) -> None:
         self.clear()
@@ -35,37 +39,33 @@ class Track:
         """Forget everything."""
         self.clear()
 
-    @property
-    def newest_ns(self) -> int | None:
-        """Time of the newest values; None without any."""
-        return self._at[-1] if self._at else None
-
     def clear(self) -> None:
         """Forget the past."""
-        self._at: deque[int] = deque(maxlen=_KEPT)
-        self._values: deque[Kept] = deque(maxlen=_KEPT)
+        self._kept: deque[tuple[int, Kept]] = deque(maxlen=_KEPT)
+        self.newest_ns: int | None = None
 
     def put(self, t_ns: int, values: Kept) -> None:
         """Add the newest values."""
-        self._at.append(t_ns)
-        self._values.append(values)
+        self._kept.append((t_ns, values))
+        self.newest_ns = t_ns
 
     def covers(self, t_ns: int) -> bool:
         """Whether it is without a break since then."""
-        return bool(self._at) and self._at[0] <= t_ns
+        return bool(self._kept) and self._kept[0][0] <= t_ns
 
     def at(self, t_ns: int) -> Kept | None:
         """Values at a time, between two known ones; None outside them."""
-        at = self._at
-        if not at or not at[0] <= t_ns <= at[-1]:
+        if self.newest_ns is None or t_ns > self.newest_ns:
             return None
-        k = len(at) - 1
-        while at[k] > t_ns:
-            k -= 1
-        if at[k] == t_ns:
-            return self._values[k]
-        part = (t_ns - at[k]) / (at[k + 1] - at[k])
-        return tuple(a + part * (b - a) for a, b in zip(self._values[k], self._values[k + 1], strict=True))
+        later_ns, later = self._kept[-1]
+        for at_ns, values in reversed(self._kept):
+            if at_ns == t_ns:
+                return values
+            if at_ns < t_ns:
+                part = (t_ns - at_ns) / (later_ns - at_ns)
+                return tuple([a + part * (b - a) for a, b in zip(values, later, strict=True)])
+            later_ns, later = at_ns, values
+        return None
 
 
 def moved(before: Kept, now: Kept) -> tuple[complex, float]:
@@ -126,7 +126,7 @@ class WheelTrack(Track):
         self._last = (t_ns, angles, steering)
         if last is not None:
             possible = FASTEST_RAD_S * (t_ns - last[0]) / NS_PER_S + STEP_RAD
-            if max(abs(a - b) for a, b in zip(angles, last[1], strict=True)) > possible:
+            if max([abs(a - b) for a, b in zip(angles, last[1], strict=True)]) > possible:
                 self.clear()
             else:
                 self._go(angles, steering, last[1], last[2])

@@ -22,6 +22,7 @@ from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.errors import HilError, SafetyStop
 from hil.vocabulary.interfaces import Controller, Estimator, Sink
+from hil.vocabulary.records import quickly_made
 from hil.vocabulary.signals import (
     CycleRecord,
     Event,
@@ -47,6 +48,7 @@ ReferenceAt = Callable[[float], Reference]
 Lap = Callable[[str], None]
 
 
+@quickly_made
 @dataclass(frozen=True)
 class Decision:
     """What the brain made of one cycle's inputs."""

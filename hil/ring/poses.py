@@ -52,6 +52,7 @@ class PoseAlignment:
 
     def __init__(self, mount: Mount, scale: float) -> None:
         self._mount, self._scale = mount, scale
+        self._unmounted = conjugated(mount.rotation_wxyz)
         self.reset()
 
     def reset(self) -> None:
@@ -93,7 +94,7 @@ class PoseAlignment:
             self._start = ((px, py, pz), conjugated(turned))
         (sx, sy, sz), back = self._start
         mount_m, mount_wxyz = self._mount.position_m, self._mount.rotation_wxyz
-        turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), conjugated(mount_wxyz)))
+        turn = multiplied(mount_wxyz, multiplied(multiplied(back, turned), self._unmounted))
         scale = self._scale
         way = ((px - sx) / scale, (py - sy) / scale, (pz - sz) / scale)
         moved = rotated(mount_wxyz, rotated(back, way))
@@ -122,11 +123,16 @@ class PoseAlignment:
         )
 
 
-def _is_near(*position_m: float) -> bool:
+def _is_near(x_m: float, y_m: float, z_m: float = 0.0) -> bool:
     """Whether a position can be one: finite, and on any wall that there is."""
-    return all([-_FARTHEST_M < p < _FARTHEST_M for p in position_m])
+    return (
+        -_FARTHEST_M < x_m < _FARTHEST_M
+        and -_FARTHEST_M < y_m < _FARTHEST_M
+        and -_FARTHEST_M < z_m < _FARTHEST_M
+    )
 
 
 def _is_attitude(quaternion_wxyz: list[float]) -> bool:
     """Whether it is a unit quaternion as devices send them; what is not would spoil every later heading."""
-    return 0.9 < sum([q * q for q in quaternion_wxyz]) < 1.1
+    w, x, y, z = quaternion_wxyz
+    return 0.9 < w * w + x * x + y * y + z * z < 1.1

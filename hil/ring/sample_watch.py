@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import Event, Inputs, Status, worst
+from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
+_OK = Status.OK
 _FORGOTTEN_NS = 1_000_000_000
 _TOLD = {
     Status.FROZEN: "repeats the same values to the last bit: frozen; not used",
@@ -35,7 +36,11 @@ class SampleWatch:
         self._stale_ns = {name: nanoseconds(limit_s) for name, limit_s in stale_s.items()}
         told_s = {**stale_s, **{k: min(gap, stale_s.get(k, gap)) for k, gap in (gap_s or {}).items()}}
         self._told_ns = {name: nanoseconds(limit_s) for name, limit_s in told_s.items()}
-        self._channels = {kind.name: kind.labels for kind in kinds().values() if not kind.actuates}
+        self._channels = [
+            (kind.name, samples_of(kind.name), kind.labels, kind.name in self._told_ns)
+            for kind in kinds().values()
+            if not kind.actuates
+        ]
         self.reset()
 
     def reset(self) -> None:
@@ -51,26 +56,26 @@ class SampleWatch:
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
-        for name, labels in self._channels.items():
-            good, samples = False, inputs.of(name)
-            if not samples and name not in self._told_ns:
+        for name, among, labels, ages in self._channels:
+            good, samples = False, among(inputs)
+            if not samples and not ages:
                 continue
             for sample in samples:
-                if sample.status is Status.OK:
+                if sample.status is _OK:
                     good = True
                 elif not labels:
                     self._last_bad[name] = sample.status
                     self._look(name, "", sample.status, t_ns, events)
-                elif worst(sample) is Status.OK:
+                elif worst(sample) is _OK:
                     good = True
                 else:
                     for label, status in zip(labels, sample.status, strict=True):
                         self._look(name, f"{label} ", status, t_ns, events)
-            if name in self._told_ns:
+            if ages:
                 self._age(name, good, t_ns, events)
             if samples:
                 last_ns, self._last_any_ns[name] = self._last_any_ns.get(name, t_ns), t_ns
-                if name not in self._told_ns and t_ns - last_ns > _FORGOTTEN_NS:
+                if not ages and t_ns - last_ns > _FORGOTTEN_NS:
                     events.append(Event(t_ns, "info", name, _again(t_ns - last_ns)))
 
     def silence(self, name: str, t_ns: int) -> str:

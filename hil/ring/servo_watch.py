@@ -68,8 +68,9 @@ class ServoWatch:
         for sample in inputs.servos:
             if any(sample.alert):
                 stop("hardware_error", self._alerts(sample.alert))
-            self._check_turning(sample, inputs.t_ns, stop)
-            self._check_steps(sample, outside, events)
+            angles: list[float] = sample.position_rad.tolist()
+            self._check_turning(angles, inputs.t_ns, stop)
+            self._check_steps(sample, angles, outside, events)
         if self._slipped is not None and inputs.t_ns - self._slipped[0] > _TOLD_NS:
             stop("servo_jump", f"{self._slipped[1]}: no motor turns so fast, the servo's encoder has slipped")
 
@@ -111,9 +112,8 @@ class ServoWatch:
         found = ", ".join(f"{self._names[j]}: {hardware_error_text(a)}" for j, a in enumerate(alert) if a)
         return f"servo alert of {found}; remove the cause, then reboot the servo"
 
-    def _check_turning(self, sample: ServoSample, t_ns: int, stop: Blame) -> None:
+    def _check_turning(self, angles: list[float], t_ns: int, stop: Blame) -> None:
         """A wheel that is asked to turn and reports the same angle is blocked, or its servo is stuck."""
-        angles: list[float] = sample.position_rad.tolist()
         blocked = False
         for i in range(4):
             since_ns, angle = self._asked_since_ns[i], angles[i]
@@ -136,9 +136,11 @@ class ServoWatch:
         ]
         return f"{', '.join(found)}: blocked, or its servo repeats itself" if found else ""
 
-    def _check_steps(self, sample: ServoSample, outside: tuple[float, ...], events: list[Event]) -> None:
+    def _check_steps(
+        self, sample: ServoSample, angles: list[float], outside: tuple[float, ...], events: list[Event]
+    ) -> None:
         """A servo that tells a step which no motor can make has an encoder that slips."""
-        t_ns, angles = sample.stamp.t_ns, sample.position_rad.tolist()
+        t_ns = sample.stamp.t_ns
         steps = [new - old for new, old in zip(angles, self._last_rad, strict=True)]
         if sample.status == _ALL_OK and not (max(steps) > STEP_RAD or min(steps) < -STEP_RAD):
             self._last_rad, self._last_ns = angles, [t_ns] * 8

@@ -9,10 +9,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.signals import Event, Inputs, Status, worst
+from hil.vocabulary.signals import Event, Inputs, Status, samples_of, worst
 
+_OK = Status.OK
 _WINDOW_NS = 1_000_000_000
 _HOST_SHARE = 0.85
 """Of what a healthy sensor delivers: a host that is busy besides loses some by itself."""
@@ -41,8 +43,9 @@ class Healthy:
 class _Stream:
     """Counts of one sensor in the present window."""
 
-    def __init__(self, healthy: Healthy) -> None:
-        self.healthy = healthy
+    def __init__(self, name: str, healthy: Healthy) -> None:
+        self.name, self.healthy, self.among = name, healthy, samples_of(name)
+        self.punctual = _PUNCTUAL * healthy.loop_hz
         self.settled_ns: int | None = None
         self.learns = math.isnan(healthy.rate_hz)
         self.most = 0.0 if self.learns else healthy.rate_hz * _WINDOW_NS / NS_PER_S
@@ -68,35 +71,37 @@ class StreamWatch:
 
     def reset(self) -> None:
         """Forget what was counted."""
-        self._streams = {name: _Stream(healthy) for name, healthy in self._healthy.items()}
+        self._streams = [_Stream(name, healthy) for name, healthy in self._healthy.items()]
 
     def judge(self, inputs: Inputs, events: list[Event]) -> None:
         """Look at one cycle's samples; what is noticed is added to `events`."""
         t_ns = inputs.t_ns
-        for name, stream in self._streams.items():
-            for sample in inputs.of(name):
-                if worst(sample) is Status.OK:
-                    self._count(stream, t_ns, sample.stamp.t_ns)
+        for stream in self._streams:
+            good = [s for s in stream.among(inputs) if s.status is _OK or worst(s) is _OK]
+            if good:
+                self._count(stream, t_ns, good)
             stream.cycles += 1
             if stream.settled_ns is not None and t_ns >= stream.ends_ns:
-                if stream.cycles >= _PUNCTUAL * stream.healthy.loop_hz:
-                    self._conclude(name, stream, t_ns, events)
+                if stream.cycles >= stream.punctual:
+                    self._conclude(stream, t_ns, events)
                 stream.begin(t_ns)
 
-    def _count(self, stream: _Stream, t_ns: int, measured_ns: int) -> None:
+    def _count(self, stream: _Stream, t_ns: int, good: list[Any]) -> None:
+        """Take the good samples of a cycle."""
         if stream.settled_ns is None:
             stream.settled_ns = t_ns + _SETTLED_NS
             stream.begin(stream.settled_ns)
         if t_ns < stream.settled_ns:
             return
-        stream.good += 1
-        age_ns = t_ns - measured_ns
-        if stream.youngest_ns is None or age_ns < stream.youngest_ns:
-            stream.youngest_ns = age_ns
+        stream.good += len(good)
+        for sample in good:
+            age_ns = t_ns - sample.stamp.t_ns
+            if stream.youngest_ns is None or age_ns < stream.youngest_ns:
+                stream.youngest_ns = age_ns
 
-    def _conclude(self, name: str, stream: _Stream, t_ns: int, events: list[Event]) -> None:
+    def _conclude(self, stream: _Stream, t_ns: int, events: list[Event]) -> None:
         """The end of a window."""
-        healthy = stream.healthy
+        name, healthy = stream.name, stream.healthy
         sparse = stream.good < _HOST_SHARE * healthy.delivered * stream.most
         late = stream.youngest_ns is not None and stream.youngest_ns > nanoseconds(healthy.age_s)
         if sparse and not stream.sparse and stream.good:

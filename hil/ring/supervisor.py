@@ -28,7 +28,7 @@ from hil.ring.servo_watch import ServoWatch
 from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.ring.wheel_watch import WheelWatch
 from hil.vocabulary.errors import SafetyStop
-from hil.vocabulary.geometry import Array, wrap
+from hil.vocabulary.geometry import wrap
 from hil.vocabulary.signals import Event, Inputs, Measurements, Reference, RobotState, WheelSetpoint
 
 
@@ -90,9 +90,9 @@ class Checks:
     lost_after_s: Mapping[str, float] = field(default_factory=dict)
 
 
-def _finite(values: Array) -> bool:
-    """Whether every value is a number; for a handful, plain floats are quicker than an array's tests."""
-    return all(map(math.isfinite, values.tolist()))
+def _finite(values: list[float]) -> bool:
+    """Whether every value is a number."""
+    return all(map(math.isfinite, values))
 
 
 class Supervisor:
@@ -123,6 +123,8 @@ class Supervisor:
         self.doubted: dict[str, bool] = {}
         self._filter, self._pace = FilterWatch(), PaceWatch()
         self._fall = FallWatch(limits.adhesion_limit_m_s2, limits.body_speed_limit_m_s)
+        watches = (self._filter, self.checks.estimate, self.checks.wheels)
+        self._unsettling = [watch for watch in watches if watch is not None]
         self.reset()
 
     def reset(self) -> None:
@@ -181,10 +183,11 @@ class Supervisor:
 
     def _begin(self) -> None:
         """Whatever was found about the estimate before makes it unsure from now on."""
-        watches = (self._filter, self.checks.estimate, self.checks.wheels)
-        offs = [watch.take_off() for watch in watches if watch is not None]
-        off_m, off_rad = (max(parts) for parts in zip(*offs, strict=True))
-        self.left_out.begin((off_m, off_rad))
+        most_m = most_rad = 0.0
+        for watch in self._unsettling:
+            off_m, off_rad = watch.take_off()
+            most_m, most_rad = max(most_m, off_m), max(most_rad, off_rad)
+        self.left_out.begin((most_m, most_rad))
 
     def _check_camera(self, t_ns: int) -> None:
         """Who is driven past a blind camera goes by odometry alone, which slips unseen."""
@@ -265,10 +268,10 @@ class Supervisor:
         events: list[Event] = []
         self._filter.judge(state, events)
         found: dict[str, str] = {}
-        x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
+        x_m, y_m, heading_rad = pose = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = heading_rad
-        if not (_finite(state.pose_body_in_wall) and _finite(state.twist_body)):
+        if not _finite(pose + state.twist_body.tolist()):
             raise SafetyStop("not_finite", "the estimated state is not finite")
         if self.limits.on_wall and abs(wrap(heading_rad)) > self.limits.heading_limit_rad:
             found["heading"] = (
@@ -276,9 +279,9 @@ class Supervisor:
                 f"{math.degrees(self.limits.heading_limit_rad):.1f} deg: the robot would lose its hold"
             )
         if reference is not None:
-            if not _finite(reference.pose_in_wall):
+            wanted_x_m, wanted_y_m, _ = wanted = reference.pose_in_wall.tolist()
+            if not _finite(wanted):
                 raise SafetyStop("not_finite", "the reference is not finite")
-            wanted_x_m, wanted_y_m, _ = reference.pose_in_wall.tolist()
             error_m = math.hypot(wanted_x_m - x_m, wanted_y_m - y_m)
             if error_m > self.limits.tracking_error_limit_m:
                 found["tracking"] = f"{error_m:.3f} m from the reference"
@@ -306,18 +309,18 @@ class Supervisor:
         Raises:
             SafetyStop: `not_finite` or `steering_limit`.
         """
-        rate, steering = setpoint.wheel_rate_rad_s, setpoint.steering_rad
-        if not (_finite(rate) and _finite(steering)):
+        rates: list[float] = setpoint.wheel_rate_rad_s.tolist()
+        angles: list[float] = setpoint.steering_rad.tolist()
+        if not _finite(rates + angles):
             raise SafetyStop("not_finite", "a setpoint is not finite")
-        widest = self.limits.steering_limit_rad + 1e-9
-        if any(abs(angle) > widest for angle in steering.tolist()):
-            raise SafetyStop(
-                "steering_limit", f"steering setpoint {np.degrees(steering).round(1).tolist()} deg"
-            )
-        peak = max(map(abs, rate.tolist()))
+        if max(map(abs, angles)) > self.limits.steering_limit_rad + 1e-9:
+            told_deg = np.degrees(angles).round(1).tolist()
+            raise SafetyStop("steering_limit", f"steering setpoint {told_deg} deg")
+        peak = max(map(abs, rates))
         if peak > self.limits.wheel_rate_limit_rad_s:
-            setpoint = WheelSetpoint(rate * (self.limits.wheel_rate_limit_rad_s / peak), steering)
-        self._servos.asked_rad_s = setpoint.wheel_rate_rad_s.tolist()
+            slowed = setpoint.wheel_rate_rad_s * (self.limits.wheel_rate_limit_rad_s / peak)
+            setpoint, rates = WheelSetpoint(slowed, setpoint.steering_rad), slowed.tolist()
+        self._servos.asked_rad_s = rates
         return setpoint
 
 

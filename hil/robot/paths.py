@@ -23,8 +23,7 @@ Pose = tuple[float, float, float]
 Ints = npt.NDArray[np.int64]
 _Number = TypeVar("_Number", float, Array)
 
-_STRAIGHT_ON = np.zeros(3)
-_STRAIGHT_ON.setflags(write=False)
+_STRAIGHT_ON: Pose = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -34,18 +33,16 @@ class Straight:
     start: Pose
     end: Pose
 
-    def __call__(self, s: float) -> tuple[Array, Array, Array]:
-        """Pose (3,), its first and its second derivative by s."""
-        a, way = self._ends
-        return a + s * way, way, _STRAIGHT_ON
+    def __call__(self, s: float) -> tuple[Pose, Pose, Pose]:
+        """Pose, its first and its second derivative by s."""
+        (x, y, theta), (dx, dy, turn) = self.start, self._way
+        return (x + s * dx, y + s * dy, theta + s * turn), self._way, _STRAIGHT_ON
 
     @cached_property
-    def _ends(self) -> tuple[Array, Array]:
-        """First pose, and the way from it to the last."""
-        a, b = np.array(self.start), np.array(self.end)
-        way: Array = b - a
-        way.setflags(write=False)
-        return a, way
+    def _way(self) -> Pose:
+        """From the first pose to the last."""
+        (x, y, theta), (to_x, to_y, to_theta) = self.start, self.end
+        return (to_x - x, to_y - y, to_theta - theta)
 
 
 @dataclass(frozen=True)
@@ -57,21 +54,22 @@ class Arc:
     angle_rad: float
     tangent: bool = True
 
-    def __call__(self, s: float) -> tuple[Array, Array, Array]:
-        """Pose (3,), its first and its second derivative by s."""
+    def __call__(self, s: float) -> tuple[Pose, Pose, Pose]:
+        """Pose, its first and its second derivative by s."""
         x, y, theta = self.start
         side, w = math.copysign(1.0, self.angle_rad), abs(self.angle_rad)
         a = w * s
-        turn = rotation2(theta) * self.radius_m
-        p = turn @ np.array([math.sin(a), side * (1.0 - math.cos(a))])
-        d = turn @ np.array([math.cos(a), side * math.sin(a)]) * w
-        dd = turn @ np.array([-math.sin(a), side * math.cos(a)]) * w**2
+        sin, cos, turn = math.sin(a), math.cos(a), self._turn
+        px, py = turn.dot((sin, side * (1.0 - cos))).tolist()
+        dx, dy = turn.dot((cos, side * sin)).tolist()
+        ddx, ddy = turn.dot((-sin, side * cos)).tolist()
         heading, rate = (side * a, side * w) if self.tangent else (0.0, 0.0)
-        return (
-            np.array([x + p[0], y + p[1], theta + heading]),
-            np.array([d[0], d[1], rate]),
-            np.array([dd[0], dd[1], 0.0]),
-        )
+        return (x + px, y + py, theta + heading), (dx * w, dy * w, rate), (ddx * w**2, ddy * w**2, 0.0)
+
+    @cached_property
+    def _turn(self) -> Array:
+        """From the circle's axes, its radius for a unit, to those of the wall."""
+        return rotation2(self.start[2]) * self.radius_m
 
 
 @dataclass(frozen=True)
@@ -82,15 +80,17 @@ class Segment:
     duration_s: float
     law: TimeLaw = "quintic"
 
-    def at(self, t_s: float) -> tuple[Array, Array, Array]:
-        """Pose, velocity and acceleration (3,) each, in wall axes, at a time within the segment."""
+    def at(self, t_s: float) -> tuple[Pose, Pose, Pose]:
+        """Pose, velocity and acceleration, in wall axes, at a time within the segment."""
         u = min(max(t_s / self.duration_s, 0.0), 1.0)
         if self.law == "quintic":
             s, ds, dds = _quintic(u, self.duration_s)
         else:
             s, ds, dds = u, (1.0 / self.duration_s if 0.0 <= t_s < self.duration_s else 0.0), 0.0
-        pose, first, second = self.path(s)
-        return pose, first * ds, second * ds**2 + first * dds
+        pose, (ax, ay, turn), (bx, by, bend) = self.path(s)
+        squared = ds**2
+        pull = (bx * squared + ax * dds, by * squared + ay * dds, bend * squared + turn * dds)
+        return pose, (ax * ds, ay * ds, turn * ds), pull
 
 
 def _quintic(u: _Number, duration_s: _Number) -> tuple[_Number, _Number, _Number]:

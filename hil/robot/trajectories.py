@@ -75,11 +75,11 @@ class Trajectory:
             if left < segment.duration_s:
                 pose, velocity, acceleration = segment.at(max(left, 0.0))
                 if t_s < 0.0:
-                    velocity, acceleration = np.zeros(3), np.zeros(3)
+                    velocity = acceleration = (0.0, 0.0, 0.0)
                 return _reference(t_s, pose, velocity, acceleration, False)
             left -= segment.duration_s
         pose, _, _ = self.segments[-1].path(1.0)
-        return _reference(t_s, pose, np.zeros(3), np.zeros(3), True)
+        return _reference(t_s, pose, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), True)
 
     def sample_many(self, times_s: ArrayLike) -> tuple[Array, Array, Array]:
         """What `sample` says at each of many times, but for rounding, at a twentieth of its cost.
@@ -131,9 +131,10 @@ def _pose(value: ArrayLike) -> Pose:
     return (x, y, theta)
 
 
-def _reference(t_s: float, pose: Array, velocity: Array, acceleration: Array, done: bool) -> Reference:
-    body = rotation2(-pose.item(2)) @ velocity[:2]
-    return Reference(t_s, pose, np.array([*body.tolist(), velocity.item(2)]), acceleration, done)
+def _reference(t_s: float, pose: Pose, velocity: Pose, acceleration: Pose, done: bool) -> Reference:
+    ahead, left = rotation2(-pose[2]).dot(velocity[:2]).tolist()
+    twist = np.array((ahead, left, velocity[2]))
+    return Reference(t_s, np.array(pose), twist, np.array(acceleration), done)
 
 
 def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:

@@ -11,8 +11,9 @@ Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up
 from __future__ import annotations
 
 import enum
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from operator import attrgetter
 from typing import Any
 
 from hil.vocabulary.geometry import Array
@@ -41,6 +42,9 @@ class Status(str, enum.Enum):
     PARITY = "parity"
     MAGNET = "magnet"
     RESET = "reset"
+
+
+_OK = Status.OK
 
 
 @quickly_made
@@ -274,17 +278,25 @@ class Inputs:
 
 def worst(sample: Any) -> Status:
     """OK where all of a sample can be used, else the first reason why not."""
-    status = sample.status
-    states: tuple[Status, ...] = status if isinstance(status, tuple) else (status,)
-    for state in states:
-        if state is not Status.OK:
+    status: Status | tuple[Status, ...] = sample.status
+    if not isinstance(status, tuple):
+        return status
+    for state in status:
+        if state is not _OK:
             return state
-    return Status.OK
+    return _OK
 
 
 KINDS = tuple(f.name for f in fields(Inputs) if f.name not in ("cycle", "t_ns", "health", "added"))
 """Names of the kinds of devices that this package knows, in the order in which they are opened and read."""
 _KNOWN = frozenset(KINDS)
+
+
+def samples_of(kind: str) -> Callable[[Inputs], tuple[Any, ...]]:
+    """What takes the samples of a kind out of inputs: `Inputs.of` for whoever asks in every cycle."""
+    if kind in _KNOWN:
+        return attrgetter(kind)
+    return lambda inputs: inputs.added.get(kind, ())
 
 
 @quickly_made

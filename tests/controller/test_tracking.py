@@ -84,9 +84,9 @@ def test_lyapunov_function_falls_at_the_stated_rate(seed):
     pose, goal = rng.normal(0, 0.2, 3), np.zeros(3)
     twist_d = np.array([0.0, 0.0, 0.0])
     h = 1e-6
-    e = pose_error(state(pose), reference(goal, twist_d))
+    e = np.array(pose_error(state(pose), reference(goal, twist_d)))
     twist = NonlinearLaw(tuple(k)).twist(e, reference(goal, twist_d))
-    after = pose_error(state(compose(pose, se2_exp(twist * h))), reference(goal, twist_d))
+    after = np.array(pose_error(state(compose(pose, se2_exp(twist * h))), reference(goal, twist_d)))
     slope = (after @ after - e @ e) / 2 / h
     assert slope == pytest.approx(-e @ (k * e), rel=1e-3, abs=1e-6)
 
@@ -290,7 +290,7 @@ def test_optimal_law_without_integral_still_tracks():
 @given(st.lists(st.floats(-1e-2, 1e-2), min_size=3, max_size=3))
 def test_the_dead_zone_is_continuous_and_never_overshoots(error):
     error, zone = np.array(error), np.array([1e-4, 1e-4, 5e-4])
-    left = beyond(error, zone)
+    left = np.array(beyond(error, zone))
     assert np.all(np.abs(error - left) <= zone + 1e-15)
     assert np.all(left * error >= 0.0)
     np.testing.assert_array_equal(left[np.abs(error) <= zone], 0.0)
