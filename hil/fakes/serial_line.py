@@ -72,6 +72,7 @@ class SerialLine(Scheduled):
         self._out_free_ns = self._in_free_ns = 0
         self._baud = _BAUD_UNSAID
         self.in_use = False
+        self._polls = getattr(type(chip), "next_poll_ns", None) is not SerialChip.next_poll_ns
         self.tells = getattr(chip, "polls_alone", False)
         world.faults.declare(chip.name, {**chip.supported_faults, **LINE_FAULTS})
         world.add(self)
@@ -93,11 +94,12 @@ class SerialLine(Scheduled):
 
     def send(self, data: bytes, baud: int) -> None:
         """Bytes from the client, now; raises `Unplugged`."""
-        self.check_plugged()
+        now_ns, faultless = self.world.now_ns, self.world.faults.empty
+        if not faultless:
+            self.check_plugged()
         self._baud = baud
-        now_ns = self.world.now_ns
         start_ns = now_ns if now_ns > self._out_free_ns else self._out_free_ns
-        for piece in (data,) if self.world.faults.empty else self._spoil(data, now_ns):
+        for piece in (data,) if faultless else self._spoil(data, now_ns):
             start_ns += len(piece) * _BITS_NS // baud
             self._out.append((start_ns, piece, baud))
         self._out_free_ns = start_ns
@@ -149,7 +151,7 @@ class SerialLine(Scheduled):
         """When bytes next reach the chip or the chip next speaks unasked; never once it has failed."""
         if self.broken:
             return NEVER_NS
-        poll_ns, out = self.chip.next_poll_ns(), self._out
+        poll_ns, out = self.chip.next_poll_ns() if self._polls else NEVER_NS, self._out
         return out[0][0] if out and out[0][0] < poll_ns else poll_ns
 
     def on_due(self, t_ns: int) -> None:
@@ -159,7 +161,7 @@ class SerialLine(Scheduled):
             replies = self.chip.receive(data, t_ns, self._heard(baud, t_ns))
             if replies:
                 self._answer(replies, baud, t_ns)
-        if self.chip.next_poll_ns() <= t_ns:
+        if self._polls and self.chip.next_poll_ns() <= t_ns:
             self._answer(self.chip.poll(t_ns), self._baud, t_ns)
 
     def check_plugged(self) -> None:

@@ -36,13 +36,13 @@ class Looker(Sink):
             next(p for p in bench.world._parts if isinstance(p, kind))
             for kind in (Bno055Chip, EncoderNode, T265, NatNetServer, ServoBus)
         )
-        look = bus._sensing.counts
+        measure = bus._sensing.measure
 
-        def counts(age_ns=0):
+        def measured():
             self.servo_ns.append(bench.world.now_ns)
-            return look(age_ns)
+            return measure()
 
-        bus._sensing.counts = counts
+        bus._sensing.measure = measured
 
     def write(self, record):
         truth = self.bench.truth()

@@ -102,7 +102,7 @@ def _alike(packets):
     for packet, wait_ns in packets:
         forgetting.bus._audience.forget()
         for servo in forgetting.bus.servos:
-            servo._goal = None
+            servo.goal = None
         assert remembering.send(packet, wait_ns) == forgetting.send(packet, wait_ns)
         assert [r.ready_ns for r in remembering.replies] == [r.ready_ns for r in forgetting.replies]
     assert remembering.world.plant.commands == forgetting.world.plant.commands

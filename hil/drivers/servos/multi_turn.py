@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from hil.config.servo_models import ServoModel
-from hil.vocabulary.geometry import Array
 
 _MARGIN_COUNTS = 512
 _WORD = 1 << 32
@@ -38,7 +37,8 @@ class MultiTurnCounter:
         self.offset: Counts = np.zeros(8, dtype=np.int64)
         self._last: Counts = np.zeros(8, dtype=np.int64)
         self._last_ns = np.zeros(8, dtype=np.int64)
-        self._speed: Array = np.zeros(8)
+        self._speed_counts = model.rad_s_per_count / model.rad_per_count
+        self._velocity: Counts = np.zeros(8, dtype=np.int64)
         self._known = np.zeros(8, dtype=bool)
         self._restarted = np.zeros(8, dtype=bool)
         self._together_ns: int | None = None
@@ -48,12 +48,12 @@ class MultiTurnCounter:
         self._restarted[joint] = True
         self._part()
 
-    def follow(self, raw: Counts, speed: Array, seen: np.ndarray, t_ns: int) -> tuple[Counts, np.ndarray]:
+    def follow(self, raw: Counts, velocity: Counts, seen: np.ndarray, t_ns: int) -> tuple[Counts, np.ndarray]:
         """Continuous counts, and which servos have started over.
 
         Args:
             raw: (8,) registers.
-            speed: (8,) counts/s, to bridge a gap.
+            velocity: (8,) registers, to bridge a gap.
             seen: (8,) whether the servo answered; `EVERYBODY` itself where all did.
             t_ns: time of the reading.
         """
@@ -62,10 +62,10 @@ class MultiTurnCounter:
             moved = (counts - self._last).tolist()
             most = self._top_counts_s * ((t_ns - self._together_ns) * 1e-9) + _MARGIN_COUNTS
             if max(moved) <= most and -min(moved) <= most:
-                self._last, self._speed, self._together_ns = counts, speed, t_ns
+                self._last, self._velocity, self._together_ns = counts, velocity, t_ns
                 return counts, NOBODY
         self._part()
-        counts, jumped = self._look_at_each(counts, speed, seen, t_ns)
+        counts, jumped = self._look_at_each(counts, velocity, seen, t_ns)
         self._together_ns = t_ns if seen is EVERYBODY else None
         return counts, jumped
 
@@ -76,7 +76,7 @@ class MultiTurnCounter:
             self._together_ns = None
 
     def _look_at_each(
-        self, counts: Counts, speed: Array, seen: np.ndarray, t_ns: int
+        self, counts: Counts, velocity: Counts, seen: np.ndarray, t_ns: int
     ) -> tuple[Counts, np.ndarray]:
         elapsed_s = (t_ns - self._last_ns) * 1e-9
         change = counts - self._last
@@ -87,12 +87,12 @@ class MultiTurnCounter:
         self._restarted &= ~seen
         self._last = np.where(seen, counts, self._last)
         self._last_ns = np.where(seen, t_ns, self._last_ns)
-        self._speed = np.where(seen, speed, self._speed)
+        self._velocity = np.where(seen, velocity, self._velocity)
         self._known |= seen
         return counts, jumped
 
     def _bridge(self, counts: Counts, change: Counts, jumped: np.ndarray, elapsed_s: np.ndarray) -> Counts:
-        excess = change - self._speed * np.minimum(elapsed_s, _COASTING_S)
+        excess = change - self._velocity * self._speed_counts * np.minimum(elapsed_s, _COASTING_S)
         words = np.rint(excess / _WORD).astype(np.int64) * _WORD
         turns = np.rint((excess - words) / self._turn_counts).astype(np.int64) * self._turn_counts
         lost = np.where(jumped, words + turns, 0)

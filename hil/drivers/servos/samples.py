@@ -41,9 +41,12 @@ class Samples:
     ) -> None:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
-        self._zero_counts, self._rad = model.zero_counts, model.rad_per_count
-        self._rad_s, self._ampere = model.rad_s_per_count, model.a_per_count
-        self._speed_counts = model.rad_s_per_count / model.rad_per_count
+        self._zero_counts = np.full(
+            8, model.zero_counts, dtype=np.int64
+        )  # numpy converts a number every time
+        self._rad, self._rad_s, self._ampere = (
+            np.full(8, scale) for scale in (model.rad_per_count, model.rad_s_per_count, model.a_per_count)
+        )
         self.turns, self.doubtful = MultiTurnCounter(model), False
         self._registers = np.array([read(b, "present_position") for b in blocks], dtype=np.int64)
         self._alert = [0] * 8
@@ -88,8 +91,7 @@ class Samples:
         self._registers = self.registers(reading)
         seen = _seen(reading)
         raw = self._registers if seen is EVERYBODY else reading.registers["position"].astype(np.int64)
-        speed = reading.registers["velocity"] * self._speed_counts
-        counts, jumped = self.turns.follow(raw, speed, seen, reading.taken_ns)
+        counts, jumped = self.turns.follow(raw, reading.registers["velocity"], seen, reading.taken_ns)
         return (counts - self._zero_counts) * self._rad, jumped
 
     def _judge(

@@ -50,7 +50,7 @@ class SteppedBody(Plant):
         self._faults = faults if faults is not None else FaultPlan()
         self._faults.declare("plant", {"adhesion_loss": ("factor", "over_s")})
         self._step_ns, self._steps = step_ns, 0
-        self._ahead_ns = 0  # before that no step more is whole
+        self._ahead_ns = step_ns  # before that no step more is whole
         self._constants, self._state = constants, np.zeros(k.STATE_SIZE)
         self._commands = np.zeros(k.COMMANDS_SIZE)
         self._commands[k.RATE_LIMIT : k.DUTY_LIMIT] = np.inf
@@ -139,8 +139,11 @@ class SteppedBody(Plant):
         end = t_ns // self._step_ns
         if self.by_hand:
             self._steps = max(end, self._steps)
+        elif self._faults.empty:
+            self._integrate(end - self._steps, 1.0)
+            self._steps = end
         while self._steps < end:
-            n, factor = (end - self._steps, 1.0) if self._faults.empty else self._stretch(end)
+            n, factor = self._stretch(end)
             self._integrate(n, factor)
             self._steps += n
         self._ahead_ns = (end + 1) * self._step_ns

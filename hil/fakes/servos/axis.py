@@ -23,6 +23,7 @@ from hil.fakes.servos.motion import STEP, Trajectory
 from hil.fakes.servos.position import PositionRegister
 
 OFF = JointCommand()
+_made, _FREE = JointCommand._make, math.inf
 _WITH_POSITION = (POSITION, EXTENDED, CURRENT_POSITION)
 _REVERSE, _TIMED = 1, 4
 _REVERSE_FIRMWARE, _TIMED_FIRMWARE = 38, 42
@@ -124,16 +125,16 @@ class Axis:
         """As `pursue`, where a goal has been written before and nothing else has changed since."""
         trajectory = self.trajectory
         if place.motor is None:
-            self.pursue(place.register.name, raw)
+            self.pursue(place.name, raw)
         elif place.motor == "velocity":
             if trajectory.ongoing or trajectory.velocity != raw:
                 trajectory.turn(raw, place.acceleration, timed=self._timed)
                 goal = self.position.sign * self.share * trajectory.velocity * self._rad_s
-                self._plant.command(self._joint, JointCommand("velocity", goal, pwm_limit=place.duty))
+                self._plant.command(self._joint, _made(("velocity", goal, _FREE, _FREE, place.duty)))
         elif trajectory.ongoing or trajectory.position != raw:
             trajectory.move(raw, place.acceleration, place.velocity, timed=self._timed)
             goal = self.position.joint_rad(trajectory.position)
-            self._plant.command(self._joint, JointCommand("position", goal, pwm_limit=place.duty))
+            self._plant.command(self._joint, _made(("position", goal, _FREE, _FREE, place.duty)))
 
     def _there_already(self, name: str, raw: int) -> bool:
         """Whether a goal is what the motor is being asked for anyway."""

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from hil.fakes.servos import protocol
 from hil.fakes.servos.group import Wanted
+from hil.fakes.servos.position import HALF_WORD, WORD
 from hil.fakes.servos.protocol import Instruction, checksum
 from hil.fakes.servos.servo import Servo
 
@@ -30,7 +31,12 @@ class MotionBlock:
         self.delay_ns = max(s.delay_ns for s in servos)
         self._head = protocol.fast_head(1 + sum(length + 4 for _, _, length in wanted))
         self._head_crc = checksum(self._head)
-        self._members = [(s, bytes((s.alert, s.id)), s.table.layout.motion.pack, s.joint) for s in servos]
+        self._pack = struct.Struct("<" + "".join(f"2s{s.table.layout.motion.form}" for s in servos)).pack
+        self._unpack = struct.Struct("".join(f"{2 + length}s" for _, _, length in wanted)).unpack
+        self._members = [
+            (s, s.axis.position, bytes((s.alert, s.id)), s.joint, s.axis.position.sign, s.axis.position.shift)
+            for s in servos
+        ]
 
     def reply(self, counts: list[int], velocities: list[int], currents: list[int]) -> bytes:
         """The whole reply; the servos sense what they show.
@@ -40,13 +46,19 @@ class MotionBlock:
             velocities: (8,) in the servos' counts.
             currents: (8,) in the servos' counts.
         """
-        reply, crc, tail = self._head, self._head_crc, b""
-        for servo, head, pack, j in self._members:
-            piece = head + pack(*servo.motion(counts[j], velocities[j], currents[j]))
-            crc = checksum(tail + piece, crc)
+        values: list[bytes | int] = []
+        for servo, position, head, j, sign, shift in self._members:
+            encoder, velocity = counts[j], velocities[j]
+            position.encoder, servo.velocity = encoder, velocity
+            values += head, sign * currents[j], sign * velocity, (sign * encoder + shift) % WORD - HALF_WORD
+        crc, tail, pieces = self._head_crc, b"", [self._head]
+        for own in self._unpack(self._pack(*values)):
+            piece = tail + own
+            crc = checksum(piece, crc)
             tail = crc.to_bytes(2, "little")
-            reply += piece + tail
-        return reply
+            pieces.append(piece)
+        pieces.append(tail)
+        return b"".join(pieces)
 
 
 class GoalBlock:
@@ -65,7 +77,11 @@ class GoalBlock:
         rest = len(instruction.parameters) - struct.calcsize("".join(form))  # a part that is cut off
         self._form = struct.Struct("".join(form) + f"{rest}x")
         self._heads = self._form.unpack(instruction.parameters)[::2]
-        self._takers = [(address, servos) for address, _, servos in parts]
+        self._takers = [
+            (2 * k + 1, address, servo, servo.axis.trajectory)
+            for k, (address, _, servos) in enumerate(parts)
+            for servo in servos
+        ]
 
     def write(self, instruction: Instruction) -> bool:
         """Take another write of the same shape; False for any other."""
@@ -77,7 +93,8 @@ class GoalBlock:
         values = self._form.unpack(parameters)
         if values[::2] != self._heads:
             return False
-        for (address, servos), data in zip(self._takers, values[1::2], strict=True):
-            for servo in servos:
-                servo.write_goal(address, data)
+        for k, address, servo, trajectory in self._takers:
+            goal, data = servo.goal, values[k]
+            if goal is None or address != goal.address or data != goal.data or trajectory.ongoing:
+                servo.write(address, data)
         return True

@@ -59,6 +59,7 @@ class ServoBus(SerialChip, Scheduled):
         self.servos = self._audience.servos = tuple(
             Servo(j, world.plant, options, model, self._audience.forget) for j, model in enumerate(models)
         )
+        self._axes = [servo.axis for servo in self.servos]
         encoder = self._sensing.counts()
         for servo in self.servos:
             servo.boot(0, encoder[servo.joint])
@@ -82,9 +83,9 @@ class ServoBus(SerialChip, Scheduled):
         self._sensing.tick()
         if not self._faults.none:
             self._follow_faults(t_ns)
-        for servo in self.servos:
-            if servo.axis.trajectory.ongoing:
-                servo.axis.advance(GRID_NS * 1e-9)
+        for axis in self._axes:
+            if axis.trajectory.ongoing:
+                axis.advance(GRID_NS * 1e-9)
         silence_ns = t_ns - self._traffic_ns
         if silence_ns >= _WATCHDOG_STEP_NS:
             self._watch(t_ns, silence_ns)
@@ -108,10 +109,10 @@ class ServoBus(SerialChip, Scheduled):
             self._baud = baud
             self._audience.forget()
         first_ns = t_ns - max(0, len(data) - 1) * 10_000_000_000 // baud
-        replies: list[Reply] = []
-        for instruction in self._parser.feed(data, first_ns, t_ns):
-            replies += self._execute(instruction, t_ns)
-        return replies
+        found = self._parser.feed(data, first_ns, t_ns)
+        if len(found) == 1:
+            return self._execute(found[0], t_ns)
+        return [reply for instruction in found for reply in self._execute(instruction, t_ns)]
 
     def _execute(self, instruction: Instruction, t_ns: int) -> list[Reply]:
         listeners = self._audience.listeners(self._baud, t_ns)

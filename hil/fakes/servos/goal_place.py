@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-from hil.config.servo_models import Register
 from hil.config.servo_models.codes import EXTENDED, POSITION, VELOCITY
 from hil.fakes.servos.memory import GOALS, ControlTable, Plan
 
@@ -23,7 +22,9 @@ class GoalPlace:
     Attributes:
         address: where it begins.
         data: what was written there last.
-        register: the goal.
+        name: of the goal's register.
+        first, end: the register's own bytes.
+        signed: whether it is.
         low, high: raw counts between which it is taken.
         acceleration, velocity: raw counts of the profile in force.
         motor: how the motor follows this goal alone; None where the mode asks for more, or does not use it.
@@ -32,7 +33,10 @@ class GoalPlace:
 
     address: int
     data: bytes
-    register: Register
+    name: str
+    first: int
+    end: int
+    signed: bool
     low: int
     high: int
     acceleration: int
@@ -61,4 +65,7 @@ def goal_place(table: ControlTable, mode: int, plan: Plan, address: int, data: b
     get, motor = table.get, _MOTORS.get((register.name, mode))
     acceleration, velocity = get("profile_acceleration"), get("profile_velocity")
     duty = abs(get("goal_pwm") / table.model.full_pwm)
-    return GoalPlace(address, data, register, low, high, acceleration, velocity, motor, duty)
+    return GoalPlace(
+        address, data, register.name, register.address, register.end, register.signed,
+        low, high, acceleration, velocity, motor, duty,
+    )  # fmt: skip

@@ -22,6 +22,7 @@ class LiveRegisters:
         self._stamp = (-1, -1)
         self._holding = False
         self._all: tuple[list[int], list[int], list[int]] = ([], [], [])
+        self._duty_stamp, self._duty = (-1, -1.0), [0.0] * 8
 
     def hold(self) -> None:
         """Measure now; from the first call on, this is what the servos know until the next."""
@@ -59,8 +60,16 @@ class LiveRegisters:
             servo.table.put_row(motion, motion.pack(*values))
             return
         thermal, j = self._thermal, servo.joint
-        duty = float(self._sensing.duty(thermal.volts)[j])
-        servo.show(t_ns, velocity, current, duty, int(thermal.volts * 10), int(thermal.celsius[j]))
+        servo.show(
+            t_ns, velocity, current, self._duties(t_ns)[j], int(thermal.volts * 10), int(thermal.celsius[j])
+        )
+
+    def _duties(self, t_ns: int) -> list[float]:
+        """Duty cycles (8,) of the motors now."""
+        stamp = (t_ns, self._thermal.volts)
+        if self._duty_stamp != stamp:
+            self._duty_stamp, self._duty = stamp, self._sensing.duty(self._thermal.volts).tolist()
+        return self._duty
 
     def _renew(self, t_ns: int) -> None:
         """Measure, if time has passed since all eight did so last."""
@@ -70,5 +79,4 @@ class LiveRegisters:
             self._measure()
 
     def _measure(self) -> None:
-        sensing = self._sensing
-        self._all = (sensing.counts(), sensing.velocity(), sensing.current())
+        self._all = self._sensing.measure()

@@ -40,13 +40,15 @@ class Row:
     Attributes:
         address, end: from the first byte to behind the last.
         size: how many bytes these are.
+        form: of the values, as `struct` writes it.
         pack: the bytes of one value per register.
     """
 
     def __init__(self, model: ServoModel, names: tuple[str, ...]) -> None:
         registers = [model.table[name] for name in names]
         self.address, self.end = registers[0].address, registers[-1].end
-        layout = struct.Struct("<" + "".join(map(_code, registers)))
+        self.form = "".join(map(_code, registers))
+        layout = struct.Struct("<" + self.form)
         self.size, self.pack = layout.size, layout.pack
         assert self.size == self.end - self.address
 
@@ -108,6 +110,7 @@ class ControlTable:
         self.data = bytearray(self.layout.factory)
         self._registers, self._unpack = model.table, self.layout.unpack
         self._plans: dict[tuple[int, int], Plan] = {}
+        self._looks: dict[tuple[int, int], list[int]] = {}
 
     def get(self, name: str) -> int:
         """Raw count of a register."""
@@ -124,7 +127,7 @@ class ControlTable:
         register = self._registers[name]
         self.data[register.address : register.end] = register.encode(raw)
         if name.startswith("indirect_address"):
-            self._plans.clear()
+            self._forget()
 
     def read(self, address: int, length: int) -> bytes | None:
         """Bytes of a range with indirect data resolved; None beyond the table."""
@@ -133,7 +136,11 @@ class ControlTable:
             return None
         if end <= self.layout.first_indirect:
             return bytes(self.data[address:end])
-        return bytes(self.data[self._resolve(a)] for a in range(address, end))
+        key = (address, length)
+        look = self._looks.get(key)
+        if look is None:
+            look = self._looks[key] = [self._resolve(a) for a in range(address, end)]
+        return bytes(map(self.data.__getitem__, look))
 
     def plan(self, address: int, length: int) -> Plan:
         """Whole registers, with offsets into the data, that a write of this range means.
@@ -172,7 +179,12 @@ class ControlTable:
         self.data[first:] = self.layout.factory[first:]
         self.put("goal_pwm", self.get("pwm_limit"))
         self.put("goal_current", self.get("current_limit"))
+        self._forget()
+
+    def _forget(self) -> None:
+        """What indirect data stand for has changed."""
         self._plans.clear()
+        self._looks.clear()
 
     def snapshot(self) -> dict[str, int]:
         """What a control table backup keeps."""

@@ -6,6 +6,7 @@ shares no code with the driver's side.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from fastcrc import crc16
@@ -17,6 +18,8 @@ PING, READ, WRITE, REG_WRITE, ACTION = 0x01, 0x02, 0x03, 0x04, 0x05
 FACTORY_RESET, REBOOT, CLEAR, BACKUP, STATUS = 0x06, 0x08, 0x10, 0x20, 0x55
 SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 BULK_READ, BULK_WRITE, FAST_BULK_READ = 0x92, 0x93, 0x9A
+
+_READS = (SYNC_READ, FAST_SYNC_READ, BULK_READ, FAST_BULK_READ)
 
 OK, RESULT_FAIL, INSTRUCTION_ERROR, CRC_ERROR = 0, 1, 2, 3
 DATA_RANGE, DATA_LENGTH, DATA_LIMIT, ACCESS = 4, 5, 6, 7
@@ -36,10 +39,8 @@ class Instruction(NamedTuple):
     sound: bool = True
 
 
-def checksum(data: bytes, start: int = 0) -> int:
-    """CRC-16 with polynomial 0x8005, continued from `start`."""
-    value: int = crc16.umts(data, start)
-    return value
+checksum: Callable[..., int] = crc16.umts
+"""CRC-16 of bytes with polynomial 0x8005; a second argument is the checksum that it continues."""
 
 
 def stuff(body: bytes) -> bytes:
@@ -93,12 +94,14 @@ def fast_status(parts: list[tuple[int, int, bytes]], declared: int) -> list[byte
 class InstructionParser:
     """Finds instruction packets in a stream that may hold noise and pieces.
 
-    A pause of more than 1.5 ms between bytes makes the servos wait for a new header.
+    A pause of more than 1.5 ms between bytes makes the servos wait for a new header. A read is asked with
+    the same bytes in every cycle, so that the latest one is remembered.
     """
 
     def __init__(self) -> None:
         self._buffer = bytearray()
         self._last_ns = 0
+        self._read: tuple[bytes, list[Instruction]] = (b"", [])
 
     def reset(self) -> None:
         """Forget what has been received so far."""
@@ -109,8 +112,13 @@ class InstructionParser:
         if first_ns - self._last_ns > BYTE_GAP_NS:
             self._buffer.clear()
         self._last_ns = last_ns
-        if not self._buffer and (whole := _whole(data)) is not None:
-            return [whole]
+        if not self._buffer and data:
+            if data == self._read[0]:
+                return self._read[1]
+            if (whole := _whole(data)) is not None:
+                if whole.code in _READS:
+                    self._read = (data, [whole])
+                return [whole]
         self._buffer += data
         found = []
         while (one := self._next()) is not None:

@@ -47,6 +47,9 @@ class Servo:
         axis: the motor, and what it is asked for.
         dead: without power.
         busy_until_ns: starting up, deaf until then.
+        velocity: as last sensed, counts in the joint's direction.
+        goal: what was written last, if that was nothing but a goal.
+        temperature_limit, least_voltage, most_voltage: raw counts beyond which it raises an error.
     """
 
     def __init__(
@@ -59,7 +62,7 @@ class Servo:
     ) -> None:
         self.joint, self._options, self._model, self._changed = joint, options, model, changed
         self.table = ControlTable(model)
-        self._goal: GoalPlace | None = None
+        self.goal: GoalPlace | None = None
         drive = joint < 4
         for name, raw in {
             "model_number": options.model_of(joint),
@@ -77,7 +80,7 @@ class Servo:
         self.busy_until_ns = 0
         self._pending: tuple[int, bytes] | None = None
         self._backup: dict[str, int] | None = None
-        self._velocity = 0
+        self.velocity = 0
         self.boot(0, 0)
         self.busy_until_ns = 0
 
@@ -133,7 +136,7 @@ class Servo:
 
     def sense(self, encoder: int, velocity: int) -> None:
         """Take what the encoder says (joint direction, counts from joint angle 0)."""
-        self.axis.position.encoder, self._velocity = encoder, velocity
+        self.axis.position.encoder, self.velocity = encoder, velocity
 
     def show(self, t_ns: int, velocity: int, current: int, duty: float, voltage: int, celsius: int) -> None:
         """Put the live registers (realtime tick to temperature) into the table; `sense` has been called."""
@@ -158,9 +161,9 @@ class Servo:
             velocity: in its counts.
             current: in its counts.
         """
-        position = self.axis.position
-        sign, self._velocity = position.sign, velocity
-        return sign * current, sign * velocity, position.sense(encoder)
+        self.sense(encoder, velocity)
+        sign = self.axis.position.sign
+        return sign * current, sign * velocity, self.present
 
     def write(self, address: int, data: bytes, *, dry: bool = False) -> int:
         """Write registers with all effects (`dry`: only check); the error number."""
@@ -174,16 +177,16 @@ class Servo:
         except WriteRefused as refused:
             return refused.code
         if not dry:
-            self._goal = None
+            self.goal = None
             for register, raw in values:
                 self._store(register, raw)
             if self.axis.torque:
-                self._goal = goal_place(self.table, self.axis.mode, plan, address, data)
+                self.goal = goal_place(self.table, self.axis.mode, plan, address, data)
         return protocol.OK
 
     def has_goal(self, address: int, data: bytes) -> bool:
         """Whether a write of these bytes would change nothing: they stand there, and the motor has them."""
-        goal = self._goal
+        goal = self.goal
         return (
             goal is not None
             and data == goal.data
@@ -191,24 +194,18 @@ class Servo:
             and not self.axis.trajectory.ongoing
         )
 
-    def write_goal(self, address: int, data: bytes) -> None:
-        """As `write`, where most often a goal stands already or is written where one was written last."""
-        if not self._rewrite(address, data):
-            self.write(address, data)
-
     def _rewrite(self, address: int, data: bytes) -> bool:
         """Write a goal where one was written last; False where it is to be looked at closely."""
-        goal = self._goal
+        goal = self.goal
         if goal is None or address != goal.address:
             return False
         if data == goal.data and not self.axis.trajectory.ongoing:
             return True
-        register = goal.register
-        raw = register.decode(data)
+        raw = int.from_bytes(data, "little", signed=goal.signed)
         if len(data) != len(goal.data) or not goal.low <= raw <= goal.high:
             return False
         goal.data = data
-        self.table.data[register.address : register.address + len(data)] = data
+        self.table.data[goal.first : goal.end] = data
         self.axis.pursue_again(goal, raw)
         return True
 
@@ -249,7 +246,7 @@ class Servo:
 
     def clear_turns(self) -> int:
         """Forget the turns (instruction 0x10); the error number."""
-        if self.axis.trajectory.ongoing or abs(self._velocity) > self._moving_threshold:
+        if self.axis.trajectory.ongoing or abs(self.velocity) > self._moving_threshold:
             return protocol.RESULT_FAIL
         self.axis.forget_turns()
         self.axis.drive()
@@ -351,6 +348,8 @@ class Servo:
         self._drive_mode = table.get("drive_mode")
         self.axis.load(table)
         self._moving_threshold = table.get("moving_threshold")
+        self.temperature_limit = table.get("temperature_limit")
+        self.least_voltage, self.most_voltage = table.get("min_voltage_limit"), table.get("max_voltage_limit")
         self._watchdog_ns = round(max(0, table.get("bus_watchdog")) * WATCHDOG_STEP_S * 1e9)
         self.alert = protocol.ALERT if table.get("hardware_error_status") else 0
         self._forget()
@@ -364,5 +363,5 @@ class Servo:
 
     def _forget(self) -> None:
         """What was known about listening, answering and goals holds no more."""
-        self._goal = None
+        self.goal = None
         self._changed()

@@ -45,16 +45,16 @@ class ThermalModel:
         self.celsius += (target - self.celsius) * (dt_s / _HEATING_S)
         heavy = current >= self._overload_a
         self._overloaded_s = np.where(heavy, self._overloaded_s + dt_s, 0.0)
+        celsius, overloaded = self.celsius.tolist(), (self._overloaded_s >= options.overload_s).tolist()
         for servo in servos:
             if not servo.dead:
-                self._judge(servo, bool(self._overloaded_s[servo.joint] >= options.overload_s))
+                self._judge(servo, celsius[servo.joint], overloaded[servo.joint])
 
-    def _judge(self, servo: Servo, overloaded: bool) -> None:
-        get = servo.table.get
+    def _judge(self, servo: Servo, celsius: float, overloaded: bool) -> None:
         bits = _OVERLOAD if overloaded else 0
-        if self.celsius[servo.joint] > get("temperature_limit"):
+        if celsius > servo.temperature_limit:
             bits |= _OVERHEATED
-        if not get("min_voltage_limit") <= self.volts * 10 <= get("max_voltage_limit"):
+        if not servo.least_voltage <= self.volts * 10 <= servo.most_voltage:
             bits |= _VOLTAGE
-        if bits & ~get("hardware_error_status"):
+        if bits and bits & ~servo.table.get("hardware_error_status"):
             servo.raise_error(bits)
