@@ -1,8 +1,8 @@
 """The paper's odometry calibration on the bench: drive, fit, drive again with what was found, validate.
 
-A round is every motion several times, driven with the parameters found so far; the fit that follows
-takes all rounds together. Rounds go on while one is driven better than the best before it. A last round that
-nothing is fitted to, driven with the best parameters, decides whether the result may be used.
+A round is every motion several times, driven with the parameters found so far; the fit that follows takes all
+rounds together. Rounds go on while held-out recordings say that one more would better the fit. A last round
+that nothing is fitted to, driven with the best parameters, decides whether the result may be used.
 `docs/procedures.md` says how to run and read it.
 """
 
@@ -26,24 +26,27 @@ from hil.calibration.versions import made_for, shelve
 from hil.config.bench import BenchConfig
 from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
-from hil.procedure.learning import known_parts, leave_part
+from hil.procedure.learning import leave_part
 from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
 from hil.procedures.parts.odometry_report import show
 from hil.procedures.parts.odometry_rounds import (
+    MOST_PLAY_RAD,
     Driven,
     chosen,
+    foresee,
     improve,
+    known_play_rad,
     odometry_in,
     rise_beyond_chance,
-    worth_going_on,
+    tell_gain,
+    worth_another,
 )
 from hil.vocabulary.versions import versions
 
 _SIMILAR_MM = 0.5
-_ASSUMED_PLAY_RAD, _MOST_PLAY_RAD = math.radians(0.125), 0.05
 
 
 class Parameters(BaseModel):
@@ -74,7 +77,7 @@ class Parameters(BaseModel):
     steering_play_rad: float | None = Field(
         None,
         ge=0,
-        le=_MOST_PLAY_RAD,
+        le=MOST_PLAY_RAD,
         description="Backlash of a steering gear to each side, rad; left out, that of the record.",
     )
     min_rounds: int = Field(2, ge=1, description="Rounds that are driven at least.")
@@ -118,13 +121,8 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
         "worst_later_round", "mm", high=_SIMILAR_MM,
         rationale="largest rise of the position RMSE from a round to a later one, beyond chance",
     )  # fmt: skip
-    yield Measurement(
-        "rounds",
-        "1",
-        low=float(p.min_rounds),
-        high=float(p.max_rounds),
-        rationale="by its own stop rule",
-    )
+    yield Measurement("rounds", "1", low=float(p.min_rounds), high=float(p.max_rounds),
+                      rationale="by its own stop rule")  # fmt: skip
     yield Measurement("rejected_recordings", "1")
     yield Measurement("rejected_share", "1", high=0.1,
                       rationale="of the recordings of all rounds in the fit that was kept, those that "
@@ -158,7 +156,11 @@ def run(ctx: Context) -> None:
         fresh = _drive(ctx, "validation", len(rounds) + 1, p.validation_repetitions, file, workers)
     with ctx.step("report"):
         _measure(ctx, rounds, fresh)
-        ctx.note(f"Round {best + 1} was driven best; its parameters are the result.")
+        ctx.note(
+            f"Round {best + 1} was driven best; its parameters are the result."
+            if best < len(rounds)
+            else f"The result is the fit after round {best}: it reads the round better than what drove it."
+        )
         if best == 0:
             ctx.measure("rejected_recordings", 0)
             ctx.measure("rejected_share", 0)
@@ -173,9 +175,13 @@ def run(ctx: Context) -> None:
 
 
 def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibration], int]:
-    """Rounds as they were driven, the fit after each but the last, and the index of the one driven best."""
+    """Rounds as they were driven, the fits after them, and after which round the best parameters were fitted.
+
+    Those are what drove best; or the newest fit, which nothing was driven with yet, where it reads the newest
+    round better than what drove best.
+    """
     p: Parameters = ctx.parameters
-    play_rad = p.steering_play_rad if p.steering_play_rad is not None else _known_play_rad(ctx)
+    play_rad = p.steering_play_rad if p.steering_play_rad is not None else known_play_rad(ctx)
     setting = replace(make_setting("recommended", model="creep"), by_motion=True, steering_play_rad=play_rad)
     rounds: list[Driven] = []
     results: list[Calibration] = []
@@ -183,28 +189,27 @@ def _rounds(ctx: Context, workers: Workers) -> tuple[list[Driven], list[Calibrat
     while True:
         number = len(rounds) + 1
         rounds.append(_drive(ctx, f"round {number}", number, p.repetitions, file, workers))
-        going_on = number == 1 or worth_going_on(ctx, rounds[best], rounds[-1])
+        if number > 1:
+            tell_gain(ctx, rounds[best], rounds[-1])
         if rounds[-1].rmse_m().mean() < rounds[best].rmse_m().mean():
             best = number - 1
-        if number == p.max_rounds or (number >= p.min_rounds and not going_on):
+        if number == p.max_rounds:
             return rounds, results, best
         with ctx.step(f"fit {number}"):
             driven = [r for d in rounds for r in d.recordings]
             results.append(improve(ctx, driven, chosen(ctx, rounds, setting, p.model), p.method))
             file = _keep(ctx, _round_file(ctx, number), results[-1])
+            if number == 1 or number < p.min_rounds:
+                continue
+            foreseen = foresee(rounds, results[-1])
+            if not worth_another(ctx, number, foreseen):
+                better = foreseen.without_repetition.mean() < rounds[best].rmse_m().mean()
+                return rounds, results, number if better else best
 
 
 def _round_file(ctx: Context, number: int) -> Path:
     """Where the result of the fit after a round is kept."""
     return ctx.folder / f"calibration_round_{number}.toml"
-
-
-def _known_play_rad(ctx: Context) -> float:
-    """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
-    known = known_parts(ctx.source.config).get("backlash")
-    if known is None or not known.figures:
-        return _ASSUMED_PLAY_RAD
-    return min(0.5 * max(figure.value for figure in known.figures.values()), _MOST_PLAY_RAD)
 
 
 def _drive(
@@ -283,9 +288,7 @@ def _install(ctx: Context, result: Calibration) -> None:
     if not p.install:
         return
     target = Path(p.install)
-    kept = shelve(
-        target, result, created=ctx.started, software=versions(), verdict=verdict, config=config
-    )  # fmt: skip
+    kept = shelve(target, result, created=ctx.started, software=versions(), verdict=verdict, config=config)
     ctx.note(
         f"{target} is now version {kept.file.version}; `hil calibration rollback {target}` takes it back."
         if kept.in_place

@@ -7,7 +7,7 @@ the results folder is complete.
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from hil.procedure.parameters import as_dict, make_parameters
 from hil.procedure.results import KEEPING, RESULT, Failure, Result, write_result
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
+from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
 from hil.vocabulary.files import where_else
 from hil.vocabulary.progress import Report, silent
@@ -82,7 +83,8 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     declared = proc.declared(parameters, source.config)
     header = _header(proc, parameters, source)
     past = _past(options, header, source.config)
-    with options.interrupts.installed(), options.interrupts.deferred():
+    unhindered = without_collector() if source.virtual else nullcontext()
+    with options.interrupts.installed(), options.interrupts.deferred(), unhindered:
         return _recorded_run(proc, source, options, parameters, declared, header, past)
 
 

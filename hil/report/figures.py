@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 
 _MOST_BYTES = 64 << 20
 _PX_PER_PT = 1.6
+_PT_PER_IN = 72.0
+"""Resolution of SVG, which matplotlib measures texts at."""
 _INK, _DARK_INK = "#18181b", "#ececf0"
 _LIGHT = {
     "reference": "#71717a", "truth": "#18181b", "c1": "#2563eb", "c2": "#c76a06", "c3": "#047857",
@@ -49,10 +51,23 @@ def save_figure(figure: Figure, path: Path) -> Path:
 
     drawn = io.StringIO()
     with mpl.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.stem}):
+        _lay_out(figure)
         figure.savefig(drawn, format="svg", transparent=True, metadata={"Date": None, "Creator": None})
     head, found, rest = drawn.getvalue().rpartition("</svg>")
     path.write_text(head + readings_of(figure) + found + rest, encoding="utf-8")
     return path
+
+
+def _lay_out(figure: Figure) -> None:
+    """Give every axes its place, once and for good: `savefig` would draw the whole figure for it, unseen."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    engine = figure.get_layout_engine()
+    if engine is not None and figure.axes:
+        FigureCanvasSVG(figure)
+        figure.set_dpi(_PT_PER_IN)
+        engine.execute(figure)
+        figure.set_layout_engine(None)
 
 
 def figure_image(path: Path, title: str) -> Markup:

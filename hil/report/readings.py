@@ -162,17 +162,18 @@ def _scale(figure: Figure, axis: Axis, limits: tuple[float, float]) -> dict[str,
     from matplotlib.ticker import FixedLocator
     from matplotlib.transforms import Bbox
 
-    shown = [t for t in axis.get_ticklabels() if t.get_visible() and t.get_text()]
+    labels = axis.get_ticklabels()
+    shown = [t for t in labels if t.get_visible() and t.get_text()]
     boxes = [t.get_window_extent() for t in shown]
     named = isinstance(axis.get_major_locator(), FixedLocator) and any(map(_is_word, shown))
-    places = zip(axis.get_ticklocs(), axis.get_ticklabels(), strict=False)
+    places = zip(axis.get_ticklocs(), labels, strict=False) if named else ()
     return {
         "label": axis.get_label_text(),
         "limits": (float(limits[0]), float(limits[1])),
         "log": axis.get_scale() == "log",
         "linear_below": getattr(axis.get_transform(), "linthresh", None),
         "strip": _box(figure, Bbox.union(boxes)) if boxes else None,
-        "names": {f"{at:g}": t.get_text() for at, t in places if t.get_text()} if named else {},
+        "names": {f"{at:g}": t.get_text() for at, t in places if t.get_text()},
     }
 
 

@@ -1,11 +1,12 @@
 """Rounds of an odometry calibration: what was driven with which parameters, and when to stop.
 
-Each set of parameters is judged on the recordings that it drove. Those were made after it was fitted,
-so no set is judged on what it was fitted to.
+Each set of parameters is judged on the recordings that it drove, the newest, which has driven nothing yet, on
+repetitions left out of its fit. So no set is judged on what it was fitted to.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,13 +20,17 @@ from hil.calibration.choice import Candidate, Choice, candidates, choose
 from hil.calibration.datasets import Recording
 from hil.calibration.evaluation import Track, position_rmse, track_all
 from hil.calibration.problem import Setting
+from hil.calibration.validation import left_out, repetition_numbers
 from hil.config.bench import BenchConfig
 from hil.procedure import Context
+from hil.procedure.learning import known_parts
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
 BY_EVIDENCE = "by evidence"
 WORTH = 0.05
+MOST_PLAY_RAD = 0.05
+_ASSUMED_PLAY_RAD = math.radians(0.125)
 _BOOTSTRAP = 2000
 
 
@@ -71,6 +76,14 @@ def odometry_in(file: Path | None, config: BenchConfig) -> Odometry:
         return Odometry(geometry_of(config), "exact" if used == "equations" else used)
     found = read_calibration(known)
     return Odometry(found.geometry, found.model)
+
+
+def known_play_rad(ctx: Context) -> float:
+    """Play of the gears to each side: half the backlash that `steering_zero` found, else as assumed."""
+    known = known_parts(ctx.source.config).get("backlash")
+    if known is None or not known.figures:
+        return _ASSUMED_PLAY_RAD
+    return min(0.5 * max(figure.value for figure in known.figures.values()), MOST_PLAY_RAD)
 
 
 def chosen(ctx: Context, rounds: Sequence[Driven], setting: Setting, model: str) -> Choice:
@@ -142,8 +155,8 @@ def rise_beyond_chance(earlier: Array, later: Array, rng: np.random.Generator) -
     return max(0.0, float(np.percentile(rises, 2.5)))
 
 
-def worth_going_on(ctx: Context, before: Driven, after: Driven) -> bool:
-    """Whether the latest round was driven better than the best before it, by more than chance and 5 %.
+def tell_gain(ctx: Context, before: Driven, after: Driven) -> None:
+    """Note how much better the latest round was driven than the best before it.
 
     Recordings are paired by motion and repetition; the interval is over those pairs.
     """
@@ -154,4 +167,52 @@ def worth_going_on(ctx: Context, before: Driven, after: Driven) -> bool:
         f"Driven position RMSE {1e3 * old.mean():.2f} mm in {before.label}, {1e3 * new.mean():.2f} mm in "
         f"{after.label}: {gain} (97.5 % confidence)."
     )
-    return low > WORTH
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """Position RMSE (n,), m, of the newest round's recordings by fits that have not seen them.
+
+    Attributes:
+        without_round: by the fit of all rounds before it.
+        without_repetition: by fits of all recordings but one repetition of it.
+    """
+
+    without_round: Array
+    without_repetition: Array
+
+    def gain(self, seed: int) -> float:
+        """Share by which knowing the round makes its error smaller, at least, with 97.5 % confidence."""
+        rng = np.random.default_rng(seed)
+        return improvement_bound(self.without_round, self.without_repetition, rng)
+
+
+def foresee(rounds: Sequence[Driven], result: Calibration) -> Foreseen:
+    """How well the newest of several rounds is read by the model of a fit that lacks it, or a part of it."""
+    recordings, blocks = result.recordings, result.fit.problem.blocks
+    start, newest = result.nominal.vector(), len(rounds[-1].recordings)
+    repetitions = repetition_numbers([r.motion for r in rounds[-1].recordings])
+    earlier = len(recordings) - newest
+    foreseen = []
+    for part in (["newest"] * newest, repetitions):
+        groups = ["earlier"] * earlier + [*part]
+        runs = left_out(recordings, blocks, result.setting, result.nominal, start, groups)
+        foreseen.append(np.array([position_rmse(run) for run in runs[earlier:]]))
+    return Foreseen(*foreseen)
+
+
+def worth_another(ctx: Context, number: int, foreseen: Foreseen) -> bool:
+    """Whether a further round may improve what is driven, by more than chance and 5 %.
+
+    A further round would do for the fit what the newest one did. That is seen from its own recordings: what
+    the fit makes of a repetition that it lacks, against what it makes of it with the whole round left out.
+    """
+    gain = foreseen.gain(ctx.seed)
+    without, known = (1e3 * e.mean() for e in (foreseen.without_round, foreseen.without_repetition))
+    verdict = "another round is worth its time" if gain > WORTH else "another round would gain too little"
+    ctx.note(
+        f"Held-out recordings of round {number}: {without:.2f} mm by a fit without that round, "
+        f"{known:.2f} mm by fits without one repetition of it. A gain of at least {100 * gain:.0f} % "
+        f"(97.5 % confidence): {verdict}."
+    )
+    return gain > WORTH

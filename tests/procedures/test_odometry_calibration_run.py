@@ -7,13 +7,20 @@ import numpy as np
 import pytest
 from procedure_runs import Nobody, run, watched
 
+from hil.bench.settings import nominal_of
 from hil.calibration.artefact import read_calibration
+from hil.calibration.calibrate import calibrate
+from hil.calibration.evaluation import position_rmse, track_all
+from hil.calibration.problem import make_setting
 from hil.calibration.versions import Shelf
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.procedure.scripts import load_procedure
 from hil.procedures.odometry_calibration import Parameters
 from hil.procedures.parts.odometry_rounds import (
+    WORTH,
     Driven,
+    Foreseen,
+    foresee,
     held_out_together,
     improvement_bound,
     rise_beyond_chance,
@@ -175,6 +182,42 @@ def test_the_stop_rule_wants_more_than_chance():
     noise = before * (1.0 + 0.2 * rng.standard_normal(30))
     assert improvement_bound(before, noise, rng) < 0.05
     assert improvement_bound(before, 2.0 * before, rng) == pytest.approx(-1.0)
+
+
+def test_another_round_is_worth_it_only_where_knowing_the_newest_one_helps():
+    rng = np.random.default_rng(5)
+    without = rng.uniform(2e-3, 4e-3, 30)
+    assert Foreseen(without, 0.7 * without).gain(0) == pytest.approx(0.3)
+    assert Foreseen(without, without).gain(0) == 0.0
+    assert Foreseen(without, without * (1.0 + 0.1 * rng.standard_normal(30))).gain(0) < WORTH
+
+
+def driven_small(small, number):
+    """A round of the small run, as the procedure has it."""
+    folder = small.result.folder / "recordings" / f"round_{number}"
+    names = [f"{m}_{2 * number - 1 + k}.csv" for k in range(2) for m in ("line_x", "line_y", "rotation_ccw")]
+    return Driven(f"round {number}", [read_plain(folder / name) for name in names], None)
+
+
+def test_the_newest_round_is_read_by_fits_that_have_not_seen_it(small):
+    rounds = [driven_small(small, 1), driven_small(small, 2)]
+    recordings = [r for d in rounds for r in d.recordings]
+    nominal = nominal_of(small.source.config)
+    setting = make_setting("recommended", model="creep")
+
+    def fitted(kept):
+        return calibrate(kept, setting, MonotonicClock(), nominal=nominal, validate=False)
+
+    foreseen = foresee(rounds, fitted(recordings))
+    assert foreseen.without_round.shape == foreseen.without_repetition.shape == (6,)
+    assert foreseen.without_round.mean() > foreseen.without_repetition.mean()
+    for read, kept in (
+        (foreseen.without_round, rounds[0].recordings),
+        (foreseen.without_repetition, recordings[:9]),
+    ):
+        result = fitted(kept)
+        runs = track_all(rounds[1].recordings[3:], result.geometry, result.setting.model)
+        assert read[3:] == pytest.approx([position_rmse(run) for run in runs], abs=2e-4)
 
 
 def test_a_rise_counts_only_as_far_as_chance_does_not_explain_it():
