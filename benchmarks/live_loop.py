@@ -27,6 +27,8 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -82,6 +84,46 @@ class Memory(Sink):
         """From the given time to the end."""
         later = [mb for t_s, mb in self.samples if t_s >= after_s]
         return later[-1] - later[0] if later else 0.0
+
+
+class Processor(Sink):
+    """Processor time of this process over the loop's time, by thread: user and system, once per second."""
+
+    def __init__(self) -> None:
+        self._next_ns = 0
+        self._looks: list[tuple[int, int, dict[str, float]]] = []
+
+    def write(self, record: CycleRecord) -> None:
+        """Look once per second."""
+        if record.start_ns < self._next_ns:
+            return
+        self._next_ns = record.start_ns + NS_PER_S
+        self._looks.append((record.start_ns, record.cycle, self._taken_s()))
+
+    def close(self) -> None:
+        """Nothing to let go of."""
+
+    @staticmethod
+    def _taken_s() -> dict[str, float]:
+        """Processor time so far by name of the thread; `all` has also those that are not Python's."""
+        taken = {"all": time.process_time()}
+        for thread in threading.enumerate():
+            if thread.ident is not None:
+                clock = time.pthread_getcpuclockid(thread.ident)
+                taken[thread.name] = taken.get(thread.name, 0.0) + time.clock_gettime(clock)
+        return taken
+
+    def report(self) -> dict[str, Any]:
+        """Shares of a core in %, and ms a cycle, of all and of every thread that takes something."""
+        (begin_ns, first, before), *_, (end_ns, last, after) = self._looks
+        per_s = NS_PER_S / (end_ns - begin_ns)
+        took_s = {name: after[name] - before.get(name, 0.0) for name in after}
+        shares = {name: 100.0 * per_s * took for name, took in took_s.items()}
+        return {
+            "core_percent": shares.pop("all"),
+            "ms_a_cycle": 1e3 * took_s["all"] / (last - first),
+            "threads_percent": dict(sorted(shares.items(), key=lambda item: -item[1])),
+        }
 
 
 class Timed(Sink):
@@ -195,8 +237,8 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         recorder = McapRecorder(folder / "run.mcap", bench.header(), lossless=False)
         scene = Scene.of(bench.config, bench.geometry)
         monitor = RerunMonitor(",".join(targets), lossless=False, scene=scene)
-        memory, timed = Memory(), Timed(recorder)
-        for sink in (timed, monitor, memory):
+        memory, processor, timed = Memory(), Processor(), Timed(recorder)
+        for sink in (timed, monitor, memory, processor):
             bench.add_sink(sink)
         if group is not None and options.viewer in ("stopped", "killed"):
             number = signal.SIGSTOP if options.viewer == "stopped" else signal.SIGKILL
@@ -213,6 +255,7 @@ def live(options: argparse.Namespace, folder: Path) -> dict[str, Any]:
         return {
             **_punctuality(bench.statistics.summary()),
             "prefetch": bench.config.servos is not None and bench.config.servos.prefetch,
+            "processor": processor.report(),
             "samples": summary["samples"],
             "lost_samples": _lost(summary["samples"]),
             "memory_mb": memory.samples[-1][1],

@@ -1,22 +1,25 @@
 """The monitor as the loop sees it: a bounded queue that drops the oldest, and whatever is behind it.
 
-In real time the records go through a pipe to a process of their own that talks to Rerun; a stalled
-or dead viewer fills the pipe, then the queue, and then costs drops, which are counted and shown. In
-virtual time (`lossless`) the records are sent in the caller's thread and nothing is dropped.
+In real time the records go through a pipe to a process of their own that talks to Rerun, those of a tenth of
+a second together, for the view moves no more often. A stalled or dead viewer fills the pipe, then the queue,
+and then costs drops, which are counted and shown. In virtual time (`lossless`) the records are sent in the
+caller's thread and nothing is dropped.
 """
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import pickle
-import struct
 import subprocess
 import sys
 import threading
 from collections import deque
 from pathlib import Path
 
+from hil.monitor.pipe import READY, Shown, packed, put
 from hil.monitor.scene import Scene
+from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
 from hil.vocabulary.geometry import Array
@@ -25,13 +28,13 @@ from hil.vocabulary.signals import CycleRecord
 
 LOG = logging.getLogger(__name__)
 
-FRAME = struct.Struct("<cIQ")
-RECORD, END, SCENE, PATH = b"R", b"E", b"S", b"P"
 LIVE = ("spawn", "connect", "serve")
-READY = b"hil monitor ready\n"
 
 _CAPACITY = 500
 _CLOSE_S = 4.0
+_TOGETHER_NS, _MOST_TOGETHER = nanoseconds(0.1), 10
+_LEFT_S = 0.5
+"""What the last cycle of a loop has left is shown after this time."""
 
 
 def split_targets(target: str) -> tuple[str, ...]:
@@ -94,7 +97,9 @@ class RerunMonitor(Sink):
         self._closed = False
         self._capacity, self._patience_s = capacity, patience_s
         self._scene = Scene() if scene is None else scene
-        self._waiting: deque[CycleRecord | Array | None] = deque()
+        self._waiting: deque[Shown] = deque()
+        self._in_hand: list[Shown] = []
+        self._newest_ns = self._woken_ns = 0
         self._something = threading.Event()
         self._stream = self._process = self._thread = None
         if lossless:
@@ -117,7 +122,7 @@ class RerunMonitor(Sink):
         assert self._process is not None
         assert self._process.stdout is not None
         try:
-            self._send(SCENE, pickle.dumps(self._scene))
+            self._send(pickle.dumps(self._scene))
             ready = any(line == READY for line in iter(self._process.stdout.readline, b""))
         except OSError:
             ready = False
@@ -139,10 +144,12 @@ class RerunMonitor(Sink):
         if len(self._waiting) >= self._capacity:
             self._drop_oldest()
         self._waiting.append(record)
+        self._newest_ns = record.start_ns
 
     def rest(self) -> None:
-        """Wake the thread that sends: it works while the loop sleeps."""
-        if self._waiting:
+        """Wake the thread that sends, ten times a second: it works while the loop sleeps."""
+        if self._waiting and not 0 <= self._newest_ns - self._woken_ns < _TOGETHER_NS:
+            self._woken_ns = self._newest_ns
             self._something.set()
 
     def show_path(self, points_m: Array) -> None:
@@ -167,29 +174,32 @@ class RerunMonitor(Sink):
         self.dropped += 1
 
     def _feed(self) -> None:
-        """Thread: records from the queue into the pipe."""
+        """Thread: what waits goes into the pipe, several records at once."""
         try:
             while True:
-                self._something.wait()
+                self._something.wait(_LEFT_S)
                 self._something.clear()
-                while self._waiting:
-                    try:
-                        record = self._waiting.popleft()
-                    except IndexError:
-                        break
-                    if record is None:
-                        self._send(END, b"")
-                        return
-                    kind = RECORD if isinstance(record, CycleRecord) else PATH
-                    self._send(kind, pickle.dumps(record, protocol=pickle.HIGHEST_PROTOCOL))
+                nothing_comes = self._closed
+                while self._take():
+                    self._send(packed(self._in_hand))
+                    self._in_hand = []
+                if nothing_comes:
+                    self._send(b"")
+                    return
         except (OSError, ValueError) as error:
             self.failure = f"the monitor process has ended ({error})"
 
-    def _send(self, kind: bytes, payload: bytes) -> None:
+    def _take(self) -> bool:
+        """Take the oldest that wait into the hand; False where nothing waits."""
+        while self._waiting and len(self._in_hand) < _MOST_TOGETHER:
+            with contextlib.suppress(IndexError):  # it was the oldest and is dropped
+                self._in_hand.append(self._waiting.popleft())
+        return bool(self._in_hand)
+
+    def _send(self, payload: bytes) -> None:
         assert self._process is not None
         assert self._process.stdin is not None
-        self._process.stdin.write(FRAME.pack(kind, len(payload), self.dropped) + payload)
-        self._process.stdin.flush()
+        put(self._process.stdin, payload, self.dropped)
 
     def close(self) -> None:
         """Show what waits and let go. Idempotent; never raises."""
@@ -206,7 +216,6 @@ class RerunMonitor(Sink):
     def _close_process(self) -> None:
         assert self._process is not None
         assert self._thread is not None
-        self._waiting.append(None)
         self._something.set()
         self._thread.join(self._patience_s)
         try:
@@ -219,7 +228,7 @@ class RerunMonitor(Sink):
             self._process.wait()
             self.failure = "the viewer did not finish"
         self._thread.join(self._patience_s)
-        self.dropped += sum(1 for record in self._waiting if isinstance(record, CycleRecord))
+        self.dropped += sum(isinstance(shown, CycleRecord) for shown in (*self._in_hand, *self._waiting))
         try:
             if self._process.stdin is not None:
                 self._process.stdin.close()
