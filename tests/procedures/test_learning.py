@@ -120,13 +120,13 @@ def test_the_quick_form_is_that_of_the_procedure_and_set_counts_above_it(capsys)
 
 
 def test_backlash_that_is_known_is_what_standard_errors_allow_for(tmp_path):
-    from hil.procedures.odometry_calibration import _known_play_rad
+    from hil.procedures.parts.odometry_rounds import known_play_rad
 
     record = RobotRecord(tmp_path / "robot")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
-    assert _known_play_rad(asked) == pytest.approx(np.radians(0.125))
+    assert known_play_rad(asked) == pytest.approx(np.radians(0.125))
     part = Part(procedure="a", verdict="PASS", measured="2026-01-01", bench="b",
                 figures={"FL": Figure(value=0.003), "BL": Figure(value=0.005)})  # fmt: skip
     record.add({"backlash": NewPart(part)}, identity(load_bench("emulated")), created="2026-02-01", why="t")
     asked = Asked(BenchSource("emulated", overrides={"record.folder": str(record.folder)}), Parameters())
-    assert _known_play_rad(asked) == 0.0025
+    assert known_play_rad(asked) == 0.0025
