@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hil.robot.kinematics import WheelGeometry
+from hil.robot.kinematics import WheelGeometry, inverse
 from hil.vocabulary.geometry import Array, wrap
 from hil.vocabulary.signals import WheelSetpoint
 
@@ -77,7 +77,7 @@ class ModuleLayer:
 
     def __init__(self, geometry: WheelGeometry, limits: ModuleLimits, dt_s: float) -> None:
         self.geometry, self.limits, self.dt_s = geometry, limits, dt_s
-        self._projection = p = geometry.projection()
+        p = geometry.projection()
         self._contradicting = np.eye(8) - p @ np.linalg.pinv(p)
         self._zeros = 2 * geometry.steering_zero_rad.tolist()
         self._radius_m = geometry.radius_m.tolist()
@@ -130,16 +130,12 @@ class ModuleLayer:
     def _wanted(self, twist_body: Array, measured: list[float]) -> tuple[list[float], list[float]]:
         """Signed speeds (4,) and angles (4,) of a twist (3,): those nearest to the measured angles."""
         goals = list(measured if self._held is None else self._held)
-        u = self._projection.dot(twist_body)  # as `hil.robot.kinematics.inverse`
-        ux, uy = u[0::2], u[1::2]
-        speeds: list[float] = np.hypot(ux, uy).tolist()
-        angles: list[float] = np.arctan2(uy, ux).tolist()
+        speeds, angles = (values.tolist() for values in inverse(self.geometry, twist_body))
         for i in range(4):
             if speeds[i] < self.limits.still_speed_m_s:
                 speeds[i] = 0.0
             else:
-                angle = angles[i] + self._zeros[i]
-                speeds[i], goals[i] = optimize(speeds[i], angle, measured[i], self.limits)
+                speeds[i], goals[i] = optimize(speeds[i], angles[i], measured[i], self.limits)
         return speeds, goals
 
     def _agreeing(self, speed: list[float], cosines: list[float], sines: list[float]) -> list[float]:

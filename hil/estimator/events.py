@@ -196,9 +196,6 @@ def compile_ahead() -> None:
     """Compile now what `run` comes to last; it finds that ready later.
 
     For a second process: `run` comes to it only after others that take longer to compile.
-
-    Raises:
-        AttributeError: numba is not installed.
     """
     par = np.zeros(1, PARAMETERS)[0]
     x, p, rows, aux = np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(ROWS), np.zeros(AUX)

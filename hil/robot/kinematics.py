@@ -135,7 +135,7 @@ def inverse(geometry: WheelGeometry, twist_body: ArrayLike) -> tuple[Array, Arra
 
     The steering angle of a wheel at rest is its zero. Twists have shape (..., 3).
     """
-    u = np.asarray(twist_body, dtype=np.float64) @ geometry.projection().T
+    u = np.asarray(twist_body, dtype=np.float64).dot(geometry.projection().T)
     ux, uy = u[..., 0::2], u[..., 1::2]
     return np.hypot(ux, uy), np.arctan2(uy, ux) + geometry.steering_zero_rad
 

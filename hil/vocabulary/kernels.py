@@ -98,12 +98,9 @@ def _jitted(function: F, kept_as: str, **options: bool) -> F:
 
 
 def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
-    """Compile a kernel that is `kept` for arguments like these, without calling it.
-
-    Raises:
-        AttributeError: numba is not installed, or the kernel is not `kept`.
-    """
-    kernel.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[attr-defined]
+    """Compile a kernel that is `kept` for arguments like these, without calling it; nothing without numba."""
+    if numba is not None:
+        kernel.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[attr-defined]
 
 
 def compiled_with_parts(function: F) -> F:

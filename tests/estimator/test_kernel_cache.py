@@ -167,3 +167,14 @@ def test_a_function_is_compiled_with_the_plain_functions_that_it_calls():
     inner = made("x + 1.0")
     assert compiled_with_parts(made("2.0 * g(x)", g=inner))(3.0) == 8.0
     assert inner(1.0) == 2.0
+
+
+def test_without_numba_there_is_nothing_to_compile():
+    code = (
+        "import sys; sys.modules['numba'] = None\n"
+        "from hil.cli import info\n"
+        "info._compile_others()\n"
+        "print('through')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["through"]

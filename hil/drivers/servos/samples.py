@@ -41,12 +41,9 @@ class Samples:
     ) -> None:
         self._upkeep, self._clock, self._device = upkeep, clock, device
         model, read = registers.model, registers.from_block
-        self._zero_counts = np.full(
-            8, model.zero_counts, dtype=np.int64
-        )  # numpy converts a number every time
-        self._rad, self._rad_s, self._ampere = (
-            np.full(8, scale) for scale in (model.rad_per_count, model.rad_s_per_count, model.a_per_count)
-        )
+        scales = (model.rad_per_count, model.rad_s_per_count, model.a_per_count)
+        self._rad, self._rad_s, self._ampere = (np.full(8, scale) for scale in scales)
+        self._zero_counts = np.full(8, model.zero_counts, dtype=np.int64)
         self.turns, self.doubtful = MultiTurnCounter(model), False
         self._registers = np.array([read(b, "present_position") for b in blocks], dtype=np.int64)
         self._alert = [0] * 8
