@@ -48,10 +48,10 @@ def _compile_others() -> None:
     """
     from hil.bench import open_bench
     from hil.calibration.passes import compile_pass
-    from hil.estimator.events import compile_ahead
+    from hil.estimator.events import compile_settle
     from hil.estimator.smoother import compile_backward
 
-    compile_ahead()
+    compile_settle()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")

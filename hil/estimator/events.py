@@ -34,7 +34,7 @@ from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.state import AUX, ROWS, STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compile_for, compiled
+from hil.vocabulary.kernels import compiled
 
 NONE_ACCEPTED = -1.0
 """A gate that no row passes."""
@@ -192,14 +192,12 @@ def run(
         advance(now_x, now_p, ahead_ns / 1e9, par, rolling)
 
 
-def compile_ahead() -> None:
-    """Compile now what `run` comes to last; it finds that ready later.
+def compile_settle() -> None:
+    """Compile `settle` now, by rows of which there are none; `run` finds it ready later.
 
-    For a second process: `run` comes to it only after others that take longer to compile.
+    For a second process: `run` comes to it only after others that take some ten seconds to compile.
     """
     par = np.zeros(1, PARAMETERS)[0]
     x, p, rows, aux = np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(ROWS), np.zeros(AUX)
     cross, own = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
-    compile_for(settle, MARK, x, p, rows, rows, aux, 0, par, x, p, rows, cross, own, cross)
-    compile_for(moments_unscented, MARK, x, p, aux, par, 0, rows, cross, own)
-    compile_for(advance_unscented, x, p, 0.0, par, par.work.rolling[:])
+    settle(MARK, x, p, rows, rows, aux, 0, par, x.copy(), p.copy(), rows.copy(), cross, own, cross.copy())

@@ -21,7 +21,7 @@ from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicte
 from hil.estimator.small_matrices import check_size, put, put_rows, seen
 from hil.estimator.state import CLONE_X, ROWS, STATES, THETA, X
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled, kept
+from hil.vocabulary.kernels import compiled
 
 POSES = (X, CLONE_X)
 """Where the poses in the wall frame begin."""
@@ -87,7 +87,7 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
             spread[place + 2, i] += east * spread[place + 1, i] - north * spread[place, i]
 
 
-@kept
+@compiled
 def settle(
     number: int, x: Array, p: Array, z: Array, var: Array, aux: Array, count: int, par: Parameters,
     point: Array, spread: Array, nu: Array, cross: Array, own: Array, h: Array,

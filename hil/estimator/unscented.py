@@ -35,7 +35,7 @@ from hil.estimator.state import (
     Y,
 )
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled, kept
+from hil.vocabulary.kernels import compiled
 
 PLACES = (X, Y, SIGHT_X, SIGHT_Y)
 """The numbers of the state that do not move linearly."""
@@ -98,7 +98,7 @@ def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: 
     spread(root, odd[:], count, w.reach * w.pair, cross)
 
 
-@kept
+@compiled
 def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
     """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
     w, work, by = weights(STATES, par.filter), par.work, par.process
@@ -137,7 +137,7 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal:
     fade(x, dt_s, decay)
 
 
-@kept
+@compiled
 def moments_unscented(
     number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
     mean: Array, cross: Array, own: Array,

@@ -14,7 +14,7 @@ import dis
 import hashlib
 import math
 from collections.abc import Callable, Iterator
-from functools import cache, cached_property, update_wrapper
+from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
@@ -33,36 +33,6 @@ _LIBRARIES = (math, np)
 _PLAIN = (bool, int, float, complex, str, bytes, type(None), type(...))
 
 
-class _Kernel:
-    """A kernel as others see it: machine code of its own for Python, a part without one for other kernels.
-
-    Machine code that Python calls needs wrappers and a place in the cache. A kernel that is called by kernels
-    alone gets neither, which takes a quarter off the time that compiling takes.
-    """
-
-    def __init__(self, function: Callable[..., Any]) -> None:
-        update_wrapper(self, function)
-        self.py_func = function
-        fingerprint(function)
-
-    def __call__(self, *args: Any) -> Any:
-        return self.machine_code(*args)
-
-    @cached_property
-    def machine_code(self) -> Any:
-        """What numba made for calls from Python."""
-        return _jitted(self.py_func, "")
-
-    @cached_property
-    def _part(self) -> Any:
-        return numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(self.py_func)
-
-    @property
-    def _numba_type_(self) -> Any:
-        """What kernels that use it are given; numba asks for it by this name."""
-        return self._part._numba_type_
-
-
 def compiled(function: F) -> F:
     """Mark a kernel: compiled for the types of its first arguments, kept where a cache can be written.
 
@@ -70,17 +40,6 @@ def compiled(function: F) -> F:
 
     Raises:
         TypeError: it uses something that has no fingerprint: see `fingerprint`.
-    """
-    return function if numba is None else cast(F, _Kernel(function))
-
-
-def kept(function: F) -> F:
-    """Mark a kernel whose machine code is kept for the kernels that call it, too.
-
-    For large ones that another process compiles meanwhile.
-
-    Raises:
-        TypeError: as for `compiled`.
     """
     return function if numba is None else _jitted(function, "")
 
@@ -95,12 +54,6 @@ def _jitted(function: F, kept_as: str, **options: bool) -> F:
         return cast(F, numba.njit(**options)(function))
     finally:
         function.__qualname__ = name
-
-
-def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
-    """Compile a kernel that is `kept` for arguments like these, without calling it; nothing without numba."""
-    if numba is not None:
-        kernel.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[attr-defined]
 
 
 def compiled_with_parts(function: F) -> F:
