@@ -2,7 +2,8 @@
 
 pyserial's network ports are made for terminals. Here a raw socket sends small packets at once instead
 of waiting for acknowledgements, and an RFC 2217 port negotiates with its server only when a line setting
-changes, not at every time-out that is set and every buffer that is cleared (50 ms each).
+changes, not at every time-out that is set and every buffer that is cleared (50 ms each). A local port takes
+what has come without asking first whether something has.
 """
 
 from __future__ import annotations
@@ -50,6 +51,7 @@ def let_go(port: Any) -> None:
 
 
 _Rfc2217: Any = rfc2217.Serial  # the attributes that are needed here are no part of its type
+_Local: Any = serial.Serial
 
 
 class RemotePort(_Rfc2217):  # type: ignore[misc]
@@ -74,6 +76,35 @@ class RemotePort(_Rfc2217):  # type: ignore[misc]
             with contextlib.suppress(queue.Empty):
                 while self._read_buffer.qsize():
                     self._read_buffer.get(False)
+
+
+class LocalPort(_Local):  # type: ignore[misc]
+    """A local port: one call of the system where all of a reply is here, and where all of a request fits.
+
+    Whatever else happens is pyserial's to wait for, and to name.
+    """
+
+    def read(self, size: int = 1) -> bytes:
+        """Up to `size` bytes; waits for what is missing as long as the time-out allows."""
+        data = b""
+        if self.is_open:
+            with contextlib.suppress(OSError):
+                data = os.read(self.fd, size)
+        if data and len(data) == size:
+            return data
+        rest: bytes = super().read(size - len(data))
+        return data + rest
+
+    def write(self, data: bytes) -> int:
+        """Send all of `data`."""
+        sent = 0
+        if self.is_open:
+            with contextlib.suppress(OSError):
+                sent = os.write(self.fd, data)
+        if sent == len(data):
+            return sent
+        rest: int = super().write(data[sent:])
+        return sent + rest
 
 
 def latency_timer(port: str, sysfs: Path = Path("/sys")) -> Path | None:
@@ -157,10 +188,12 @@ def open_serial(
             warnings.simplefilter("ignore", DeprecationWarning)  # pyserial 3.5 starts its thread the old way
             remote.open()
         return remote
-    local: dict[str, Any] = {} if "://" in url or shared else {"exclusive": True}
-    port = serial.serial_for_url(
-        url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s, **local
-    )
+    if "://" not in url:
+        exclusive = None if shared else True
+        return LocalPort(
+            url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s, exclusive=exclusive
+        )
+    port = serial.serial_for_url(url, baudrate=baud, timeout=timeout_s, write_timeout=write_timeout_s)
     if url.lower().startswith("socket://"):
         connection = getattr(port, "_socket", None)
         if isinstance(connection, socket.socket):

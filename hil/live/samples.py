@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -28,9 +28,9 @@ class SampleCount:
     def add(self, sample: Any) -> None:
         """Count one sample."""
         self.received += 1
-        if self.last_seq is not None:
-            self.missing += max(0, sample.stamp.seq - self.last_seq - 1)
-        self.last_seq = sample.stamp.seq
+        last, self.last_seq = self.last_seq, sample.stamp.seq
+        if last is not None and self.last_seq - last > 1:
+            self.missing += self.last_seq - last - 1
         status = worst(sample)
         if status is not Status.OK:
             self.bad[status.value] += 1
@@ -44,13 +44,13 @@ class SampleCounter(Sink):
     """Sink that counts."""
 
     def __init__(self) -> None:
-        self.counts: dict[str, SampleCount] = {}
+        self.counts: defaultdict[str, SampleCount] = defaultdict(SampleCount)
 
     def write(self, record: CycleRecord) -> None:
         """Count one cycle's samples."""
         for name in kinds():
             for sample in record.inputs.of(name):
-                self.counts.setdefault(name, SampleCount()).add(sample)
+                self.counts[name].add(sample)
 
     def close(self) -> None:
         """Nothing to let go of."""

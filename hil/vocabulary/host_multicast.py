@@ -10,6 +10,7 @@ from __future__ import annotations
 import select
 import socket
 import struct
+from functools import lru_cache
 from ipaddress import ip_address
 from typing import Any
 
@@ -31,7 +32,7 @@ _LOOPBACK = "127.0.0.1"
 def is_of_this_host(sender: tuple[Any, ...]) -> bool:
     """Whether a sender, as `recvfrom` gives it, is of this host: one reaches its addresses from them."""
     address = sender[0]
-    if ip_address(address).is_loopback:
+    if _is_loopback(address):
         return True
     with socket.socket(_family(address), socket.SOCK_DGRAM) as probe:
         try:
@@ -39,6 +40,12 @@ def is_of_this_host(sender: tuple[Any, ...]) -> bool:
         except OSError:
             return False
         return bool(probe.getsockname()[0] == address)
+
+
+@lru_cache(maxsize=64)
+def _is_loopback(address: str) -> bool:
+    """Whether an address never leaves the host; asked for every frame, and frames come from few."""
+    return ip_address(address).is_loopback
 
 
 class HostMulticastBus(can.BusABC):
@@ -67,7 +74,7 @@ class HostMulticastBus(can.BusABC):
         """The next frame of this host, stamped by the kernel (s since 1970); None for none in time."""
         for _ in range(_MOST_STRANGERS):
             try:
-                if not select.select([self._socket], [], [], timeout)[0]:
+                if timeout != 0.0 and not select.select([self._socket], [], [], timeout)[0]:
                     return None, False
                 data, stamped, _, sender = self._socket.recvmsg(_LARGEST, _STAMP_BYTES, socket.MSG_DONTWAIT)
             except BlockingIOError:
