@@ -1,5 +1,6 @@
 """Records a run: the loop hands a cycle over and goes on, a thread encodes, compresses and writes.
 
+The thread is woken for several cycles at once: waking it takes as long as encoding one.
 A chunk is closed and flushed at least twice a second, so that a killed process loses at most the last
 second. When the disk cannot keep up, or is full, records are lost, counted and named, and the recorder
 objects to further cycles unless it was made to let the loop go on.
@@ -9,7 +10,6 @@ from __future__ import annotations
 
 import json
 import logging
-import queue
 import threading
 from collections import deque
 from collections.abc import Mapping
@@ -26,6 +26,7 @@ LOG = logging.getLogger(__name__)
 
 OnFailure = Literal["stop", "go-on"]
 _IDLE_S = 0.25
+_TOGETHER = 5
 _CAPACITY = 1000
 _CLOSE_S = 10.0
 _Item = tuple[str, Any]
@@ -66,7 +67,8 @@ class McapRecorder(Sink):
         self._capacity = capacity
         self._closed = self._broken = self._malformed = False
         self._waiting: deque[_Item] = deque()
-        self._queue: queue.SimpleQueue[_Item] = queue.SimpleQueue()
+        self._handed: deque[_Item] = deque()
+        self._something = threading.Event()
         try:
             self._recording = RecordingFile(self.path, header)
         except OSError as error:
@@ -116,15 +118,17 @@ class McapRecorder(Sink):
 
     def rest(self) -> None:
         """Hand on what the last cycle left: the thread that writes works while the loop sleeps."""
-        while self._waiting:
-            self._queue.put(self._waiting.popleft())
+        self._handed.extend(self._waiting)
+        self._waiting.clear()
+        if len(self._handed) >= _TOGETHER:
+            self._something.set()
 
     def _put(self, item: _Item) -> None:
         if self._closed:
             return
         if self._thread is None:
             self._take(item)
-        elif self._queue.qsize() + len(self._waiting) < self._capacity:
+        elif len(self._handed) + len(self._waiting) < self._capacity:
             self._waiting.append(item)
         elif item[0] == "cycle":
             self.dropped += 1
@@ -158,19 +162,21 @@ class McapRecorder(Sink):
         LOG.warning("%s: %s; recording ended", self.path, self.failure)
 
     def _work(self) -> None:
+        """Thread: take what is handed on, and close the chunk once nothing has come for a while."""
         idle = False
         while True:
-            try:
-                item = self._queue.get(timeout=_IDLE_S)
-            except queue.Empty:
-                if not idle:
-                    self._take(("flush", None))
+            self._something.wait(_IDLE_S)
+            self._something.clear()
+            nothing_comes = self._closed
+            if self._handed:
+                idle = False
+                while self._handed:
+                    self._take(self._handed.popleft())
+            elif not idle:
                 idle = True
-                continue
-            if item[0] == "end":
+                self._take(("flush", None))
+            if nothing_comes:
                 return
-            idle = False
-            self._take(item)
 
     def close(self) -> None:
         """Write what waits, the summary, and report losses. Idempotent; never raises."""
@@ -179,10 +185,10 @@ class McapRecorder(Sink):
         self._closed = True
         if self._thread is not None:
             self.rest()
-            self._queue.put(("end", None))
+            self._something.set()
             self._thread.join(_CLOSE_S)
             if self._thread.is_alive():
-                self.lost += self._queue.qsize()
+                self.lost += sum(kind == "cycle" for kind, _ in list(self._handed))
                 self.failure = f"the disk did not take the rest within {_CLOSE_S:.0f} s"
                 LOG.warning("%s: %s", self.path, self.failure)
                 return

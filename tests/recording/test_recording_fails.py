@@ -12,6 +12,7 @@ from hil.recording.mcap_writer import McapRecorder
 from hil.replay.recordings import open_recording
 from hil.replay.verification import verify_recording
 from hil.robot.trajectories import line
+from hil.vocabulary.clock import NS_PER_S, MonotonicClock
 from hil.vocabulary.errors import EXIT_ABORTED, RecordingError
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
@@ -126,9 +127,10 @@ def test_a_recorder_objects_from_the_failure_on(tmp_path, full_disk, lossless):
     for k in range(300):
         recorder.write(driving_record(k))
     recorder.rest()
-    if recorder._thread is not None:  # it ends with the item after the last
-        recorder._queue.put(("end", None))
-        recorder._thread.join(60.0)
+    clock = MonotonicClock()
+    give_up_ns = clock.now_ns() + 60 * NS_PER_S
+    while recorder.objection() is None and clock.now_ns() < give_up_ns:
+        clock.sleep_until_ns(clock.now_ns() + NS_PER_S // 100)
     assert "No space left" in str(recorder.objection())
     recorder.close()
     assert len(list(read_cycles(recorder.path, []))) == recorder.written > 0
