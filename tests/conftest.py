@@ -3,6 +3,7 @@
 import errno
 import gc
 import os
+import subprocess
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import pytest
 from hypothesis import settings
 
 from hil.recording import mcap_file
+from tests import warm
 from tests.lanes import ALONE, REAL_TIME, THINNED, WIRED, files
 
 settings.register_profile("hil", deadline=None, max_examples=50)
@@ -56,6 +58,23 @@ def public_data():
     if not folder.is_dir():
         pytest.skip(f"public recordings not found in {folder}: set HIL_DATA (docs/calibration.md)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def template():
+    """What commands are forked from."""
+    found = warm.Template()
+    yield found
+    found.close()
+
+
+@pytest.fixture(scope="module")
+def warm_commands(template):
+    """Commands of `hil` that this module's tests and benches start are forked: tests/warm.py."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(warm.Warm, "template", template)
+        patch.setattr(subprocess, "Popen", warm.Warm)
+        yield
 
 
 @pytest.fixture

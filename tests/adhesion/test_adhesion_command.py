@@ -26,6 +26,8 @@ from hil.vocabulary.emulated_bus import is_emulated
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 ROOT = Path(__file__).resolve().parents[2]
 WALL = '[environment]\nsurface = "melamine"\ntilt_rad = 1.5707963\n'
 

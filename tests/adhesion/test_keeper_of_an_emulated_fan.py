@@ -18,6 +18,8 @@ from hil.drivers.adhesion.keeper.deputy import KeptByProcess
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.emulated_bus import Emulation, Mark, is_emulated
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 STARTS_WITHIN_S = 90.0
 ANOTHER_COMES_WITHIN_S = 3.0
 """A bench that misses its keeper starts another after 0.2 s; that one is there within two seconds."""

@@ -12,6 +12,8 @@ from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, FaultNotSupportedError, SafetyStop, TrajectoryError, UsageError
 from tests.patience import PATIENT
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 STRAIGHT = line((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), duration_s=2.0)
 
 

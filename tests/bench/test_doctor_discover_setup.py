@@ -20,6 +20,8 @@ from hil.fakes.world import VirtualClock
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 SETTLE_S = 0.6
 
 

@@ -19,6 +19,8 @@ from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.signals import KINDS
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 END_S = 20.0
 SERVOS_ONLY = dict.fromkeys(("encoders", "imu", "tracker", "mocap"))
 

@@ -5,7 +5,7 @@ import pytest
 from hil.bench.contract import IN_MOTION
 from hil.pytest_plugin.contract import closed_bench, pytest_generate_tests  # noqa: F401
 
-pytestmark = pytest.mark.moves
+pytestmark = [pytest.mark.moves, pytest.mark.usefixtures("warm_commands")]
 OVERRIDES = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02}
 """At the wire this computer's load must not count as a servo's silence: the contract is about behaviour."""
 

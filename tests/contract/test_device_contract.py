@@ -1,8 +1,12 @@
 """What every device promises, whoever answers on the wire: the public suite on every model there is."""
 
+import pytest
+
 from hil.pytest_plugin.contract import *  # noqa: F403
 from hil.vocabulary.extras import MODULES, is_installed
 from hil.vocabulary.kinds import kinds
+
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 OVERRIDES = {"servos.reply_slack_s": 0.02, "servos.retry_budget_s": 0.02, "imu.reply_timeout_s": 0.04}
 """At the wire this computer's load must not count as a device's silence: the contract is about behaviour."""

@@ -26,6 +26,8 @@ from hil.procedure.scripts import load_procedure
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import read_toml
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "docs" / name for name in ("hardware.md", "computer.md", "acceptance.md", "checklist.md")]
 BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```", re.DOTALL | re.MULTILINE)

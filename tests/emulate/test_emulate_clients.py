@@ -11,6 +11,8 @@ from pathlib import Path
 import pytest
 from dynamixel_sdk import COMM_RX_TIMEOUT, COMM_SUCCESS, PacketHandler, PortHandler
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 EXAMPLES = Path(__file__).parents[2] / "examples"
 CLIENT_S = 60.0
 

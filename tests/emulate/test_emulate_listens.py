@@ -11,7 +11,10 @@ import pytest
 
 LOOPBACK = "0100007F"
 TWO_HOSTS = Path(__file__).with_name("two_hosts.py")
-pytestmark = pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="no /proc/net on this system")
+pytestmark = [
+    pytest.mark.skipif(not Path("/proc/net/udp").exists(), reason="no /proc/net on this system"),
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 
 def bound_at(port):

@@ -10,6 +10,8 @@ from hil.bench import open_bench, open_emulation
 from hil.bench.on_its_wall import OnItsWall
 from hil.config.loading import load_bench
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 
 @contextmanager
 def served(profile, only=("servos",)):

@@ -15,6 +15,8 @@ from hil.cli import main
 from hil.cli.endpoints import EndpointsFile, await_endpoints
 from hil.vocabulary.errors import DeviceTimeoutError, UsageError
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 START_S = 60.0
 STALE = json.dumps({"imu": {"port": "/dev/pts/999", "baud": 115200}})
 

@@ -15,6 +15,8 @@ from hil.config.loading import load_bench
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.mocap import NatNetFace, NatNetServer
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 MOTIVE = (1510, 1511)
 GROUP = f"239.255.42.{1 + os.getpid() % 250}"
 

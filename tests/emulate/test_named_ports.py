@@ -14,6 +14,8 @@ from hil.cli.port_links import PortLinks
 from hil.config.loading import load_bench
 from hil.fakes.loopback import free_udp_port
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 TWO = 'schema = 1\nname = "two"\n[servos]\nbackend = "emulated"\nport = "{}"\n[imu]\nbackend = "emulated"\n'
 
 

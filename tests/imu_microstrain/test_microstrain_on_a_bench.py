@@ -21,6 +21,8 @@ from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.signals import Status
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 IMU = {"model": "microstrain", "backend": "emulated"}
 ALONE = {"schema": 1, "name": "sensor", "imu": IMU}
 CLIMB = line((0.0, 0.0, 0.0), (0.2, 0.0, 0.0), duration_s=4.0)

@@ -23,7 +23,10 @@ from tests.patience import FANLESS, PATIENT
 SQUARE = "x,y,theta\n0,0,0\n0.06,0,0\n0.06,0.04,0\n"
 LIMIT_S = 600.0
 
-pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+pytestmark = [
+    pytest.mark.timeout(900),  # the first process to start may compile the estimators
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 
 def live(folder, *options, **process):
@@ -34,8 +37,7 @@ def live(folder, *options, **process):
     bench.write_bytes(tomli_w.dumps(tree).encode())
     return subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "live", "--bench", str(bench), *options, "--json"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, **process,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, **process,
     )  # fmt: skip
 
 

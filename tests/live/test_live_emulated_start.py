@@ -4,6 +4,7 @@ import os
 import socket
 
 import numpy as np
+import pytest
 
 import hil
 from hil.fakes.plant_api import Plant
@@ -11,6 +12,8 @@ from hil.fakes.server import EmulationServer, Face
 from hil.fakes.world import NEVER_NS, World
 from hil.vocabulary.clock import MonotonicClock
 from tests.patience import FANLESS
+
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 SECOND = 1_000_000_000
 

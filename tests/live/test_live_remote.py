@@ -20,7 +20,10 @@ LATENCY_S = 0.003
 BAUD = 3_000_000
 STRAIGHT = line((0.0, 0.0, 0.0), (0.04, 0.0, 0.0), duration_s=1.5)
 
-pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+pytestmark = [
+    pytest.mark.timeout(900),  # the first process to start may compile the estimators
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 
 @pytest.fixture(scope="module")

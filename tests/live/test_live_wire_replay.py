@@ -18,7 +18,10 @@ PUBLIC = DATA / "odom_21.csv.gz"
 AFTER_S = 1.5
 SECOND = 1_000_000_000
 
-pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+pytestmark = [
+    pytest.mark.timeout(900),  # the first process to start may compile the estimators
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 
 def eased(t_s, length_s):

@@ -27,7 +27,10 @@ from tests.patience import PATIENT
 from tests.tracker_mavlink.test_mavlink_links import BAUD, serving
 
 pytest.importorskip("pymavlink", reason="the extra mavlink is not installed")
-pytestmark = pytest.mark.timeout(900)  # the first process to start may compile the estimators
+pytestmark = [
+    pytest.mark.timeout(900),  # the first process to start may compile the estimators
+    pytest.mark.usefixtures("warm_commands"),
+]
 
 SIDEWAYS = line((0.0, 0.0, 0.0), (0.0, 0.3, 0.0), duration_s=6.0)
 """The robot sags on its way along the wall, which no wheel sees."""
