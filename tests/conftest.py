@@ -70,11 +70,17 @@ def template():
 
 @pytest.fixture(scope="module")
 def warm_commands(template):
-    """Commands of `hil` that this module's tests and benches start are forked: tests/warm.py."""
+    """Commands that this module's tests and benches start are forked: tests/warm.py."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(warm.Warm, "template", template)
         patch.setattr(subprocess, "Popen", warm.Warm)
         yield
+
+
+@pytest.fixture
+def started_commands(monkeypatch):
+    """For one test of such a module: its commands are started anew."""
+    monkeypatch.setattr(subprocess, "Popen", warm.STARTED)
 
 
 @pytest.fixture

@@ -1,9 +1,10 @@
 """Commands of the `hil` command line without the second that a process takes to import everything.
 
-Where a test asks for `warm_commands`, `python -m hil...` is not started anew but forked from a process that
+Where a test asks for `warm_commands`, `python -m hil` or `pytest` is not started anew but forked from what
 has imported it (tests/warm_template.py): a process of its own as before, with its own folder, environment,
-streams, signals and exit code. Whatever else is started, and what would come out otherwise if it were forked,
-is started as always: see `Warm._suits`. How the installed command starts is for the tests that do not ask.
+streams, signals and exit code. Whatever else is started, and what would come out otherwise if it were
+forked, is started as always: see `Warm._suits`. How the installed command starts is for the tests that do
+not ask.
 """
 
 import inspect
@@ -17,13 +18,33 @@ from pathlib import Path
 
 from tests.warm_template import STATUS
 
+MODULES = ("hil", "hil.cli", "pytest")
+"""What is forked."""
 READ_AT_START = ("PYTHON", "NUMBA_", "OPENBLAS_", "OMP_", "MPL", "LC_", "LANG", "TZ", "LD_")
 """Variables, by how their names begin, that an interpreter or a library reads once."""
 UNUSUAL = ("preexec_fn", "pass_fds", "shell", "startupinfo", "gid", "gids", "uid")
 """Arguments of Popen that a forked command is not given."""
 
 STARTED = subprocess.Popen
+"""Popen as it is for everyone else."""
 _names = tuple(inspect.signature(STARTED._execute_child).parameters)[1:]
+
+
+def _words(command):
+    """Module and arguments of `python -m MODULE ARGUMENTS`; no words of any other command."""
+    if isinstance(command, (str, bytes, os.PathLike)) or len(command) < 2 or command[0] != sys.executable:
+        return []
+    how, *words = map(os.fspath, command[1:])
+    if not how.startswith("-m"):
+        return []
+    return words if how == "-m" else [how[2:], *words]
+
+
+def _read_at_start(environment, folder):
+    """What counts of an environment when a process begins; `-m` looks in its folder anyway."""
+    read = {name: value for name, value in environment.items() if name.startswith(READ_AT_START)}
+    searched = read.pop("PYTHONPATH", "").split(os.pathsep)
+    return read, [place for place in searched if place not in ("", folder)]
 
 
 class Template:
@@ -64,7 +85,7 @@ class Template:
 
 
 class Warm(STARTED):
-    """`subprocess.Popen` that forks commands of `hil` from its template."""
+    """`subprocess.Popen` that forks such commands from its template."""
 
     template = None
     _status = None
@@ -80,9 +101,8 @@ class Warm(STARTED):
             super()._execute_child(*arguments)
             return
         wanted = (given["p2cread"], given["c2pwrite"], given["errwrite"])
-        words = [os.fspath(word) for word in given["args"]]
         request = {
-            "words": words[2:], "folder": os.path.abspath(given["cwd"] or "."),
+            "words": _words(given["args"]), "folder": os.path.abspath(given["cwd"] or "."),
             "environment": dict(os.environ if given["env"] is None else given["env"]),
             "session": given["start_new_session"],
         }  # fmt: skip
@@ -94,18 +114,15 @@ class Warm(STARTED):
 
     @classmethod
     def _suits(cls, given):
-        """Whether it is a command of `hil` that comes out of a fork as it would out of a new interpreter."""
-        words, environment = given["args"], os.environ if given["env"] is None else given["env"]
-        if isinstance(words, (str, bytes, os.PathLike)) or [*words[:2]] != [sys.executable, "-m"]:
-            return False
-        there = cls.template.environment
-        names = {name for name in {*environment, *there} if name.startswith(READ_AT_START)}
+        """Whether it is a command that comes out of a fork as it would out of a new interpreter."""
+        folder = os.path.abspath(given["cwd"] or ".")
+        environment = os.environ if given["env"] is None else given["env"]
         return (
-            words[2] in ("hil", "hil.cli")
+            _words(given["args"])[:1] in ([module] for module in MODULES)
             and not any(given.get(name) for name in UNUSUAL)
             and given["close_fds"] and given["umask"] == -1 and given.get("process_group", -1) == -1
-            and os.path.isdir(given["cwd"] or ".")
-            and all(environment.get(name) == there.get(name) for name in names)
+            and os.path.isdir(folder)
+            and _read_at_start(environment, folder) == _read_at_start(cls.template.environment, folder)
         )  # fmt: skip
 
     def _try_wait(self, flags):

@@ -83,6 +83,20 @@ def test_it_reads_its_standard_input_and_two_run_side_by_side():
         process.stdout.close()
 
 
+def test_pytest_is_forked_with_the_folder_of_its_tests(tmp_path):
+    (tmp_path / "beside.py").write_text("HERE = 1\n")
+    (tmp_path / "test_mine.py").write_text("from beside import HERE\ndef test_it():\n    assert HERE == 2\n")
+    path = os.pathsep.join((str(tmp_path), os.environ.get("PYTHONPATH", ""))).strip(os.pathsep)
+    with subprocess.Popen(
+        [sys.executable, "-mpytest", "-q", "-p", "no:cacheprovider"], cwd=tmp_path, stdout=subprocess.PIPE,
+        env={**os.environ, "PYTHONPATH": path}, text=True,
+    ) as process:  # fmt: skip
+        said, _ = process.communicate(timeout=END_S)
+    assert process.forked
+    assert process.returncode == 1
+    assert "assert 1 == 2" in said
+
+
 @pytest.mark.parametrize(
     "how",
     [

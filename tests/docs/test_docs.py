@@ -11,6 +11,8 @@ import pytest
 
 from hil.cli import main
 
+pytestmark = pytest.mark.usefixtures("warm_commands")
+
 ROOT = Path(__file__).resolve().parents[2]
 ABOUT = [page for page in ROOT.glob("*.md") if page.name != "CHANGELOG.md"]
 GUIDES = [page for folder in ("docs", "examples") for page in (ROOT / folder).glob("*.md")]

@@ -3,6 +3,7 @@
 import pytest
 
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("warm_commands")
 BENCH = """
 schema = 1
 name = "small"

@@ -16,6 +16,7 @@ from hil.ring.loop_timing import LoopStatistics
 from hil.vocabulary.clock import MonotonicClock
 
 pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("warm_commands")
 
 LAB = """
 schema = 1
@@ -209,6 +210,7 @@ def test_samples_that_were_asked_for_ahead_may_be_a_cycle_older():
     assert oldest_s(source.config, "tracker") == pytest.approx(0.25)
 
 
+@pytest.mark.usefixtures("started_commands")
 def test_fixtures_and_markers_on_the_emulated_bench(run):
     result, found = run("-rs", "-p", "no:cacheprovider", "-W", "error", "--hil-seed=7", test_all=FIXTURES)
     outcomes = {name: case.outcome for name, case in found.items()}
@@ -359,6 +361,7 @@ def test_own_fixtures_win(bench, loop):
 """
 
 
+@pytest.mark.usefixtures("started_commands")
 def test_a_project_that_asks_for_no_bench_pays_nothing(run):
     conftest = """
         import pytest
