@@ -11,6 +11,7 @@ import logging
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any, TypeVar
 
 import can
@@ -86,6 +87,15 @@ def remedy_of_silence(device: str, config: Any, node: str) -> str:
         f"check first that all on the bus have the same bit rate ({device}.bitrate = {config.bitrate}"
         f"{shown}), then CAN wiring, adapter and termination, and the supply of {node}"
     )
+
+
+def receiver(bus: can.BusABC) -> Callable[[], can.Message | None]:
+    """What takes the next frame that waits on a bus, without waiting; the frame is only to be read.
+
+    An emulated bus in this process has frames of its own, which look like messages of python-can.
+    """
+    take: Callable[[], can.Message | None] = getattr(bus, "take", None) or partial(bus.recv, 0)
+    return take
 
 
 def shut(device: str, bus: can.BusABC | None) -> None:
@@ -227,10 +237,10 @@ class CanLink:
     def _drain(self, bus: can.BusABC, wait_s: float) -> list[Arrived]:
         """Frames that wait on the bus; a bounded number."""
         found: list[Arrived] = []
-        budget = _MOST_FRAMES
+        budget, take = _MOST_FRAMES, receiver(bus)
         while budget > 0:
             try:
-                message = bus.recv(wait_s)
+                message = bus.recv(wait_s) if wait_s else take()
             except BUS_ERRORS as error:
                 self.error = str(error) or type(error).__name__
                 budget -= _ERROR_COUNTS

@@ -13,7 +13,7 @@ from typing import Any
 
 import can
 
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.can_wire import CanChannel, message_of
 from hil.fakes.loopback import free_udp_port
 from hil.fakes.server import Face
 from hil.fakes.standard_can import DEFAULT_GROUP
@@ -90,7 +90,7 @@ class CanFace(Face):
     def on_due(self, t_ns: int) -> None:
         """Send what has crossed; a frame that the interface refuses is lost and counted."""
         while self._queue and self._queue[0][0] <= t_ns:
-            message = self._queue.popleft()[1]
+            message = message_of(self._queue.popleft()[1])
             if self._bus is None:
                 continue
             try:

@@ -2,6 +2,9 @@
 
 `CanChannel` is the wire. `can.Bus(interface="hil", channel=NAME)` opens a `WorldBus` on a channel that
 has been put into the registry by `CanChannel.open`. Across processes it is served by `hil.fakes.can_face`.
+
+Parts of the world and our own drivers have a `CanFrame`, which everybody who hears it shares; a `can.Message`
+is made of it for whoever calls `recv`, because that takes several times as long.
 """
 
 from __future__ import annotations
@@ -33,7 +36,34 @@ _OVERHEAD_BITS, _STUFFING = 47, 1.1
 
 _CHANNELS: dict[str, CanChannel] = {}
 
-Frame = tuple[int, can.Message]
+
+class CanFrame:
+    """A data frame that has crossed the wire, with the names of `can.Message`; nobody changes it.
+
+    Attributes:
+        timestamp: arrival on the world's clock, s.
+        arbitration_id, is_extended_id, data: as of `can.Message`.
+    """
+
+    __slots__ = ("arbitration_id", "data", "is_extended_id", "timestamp")
+    is_remote_frame = is_error_frame = False
+
+    def __init__(self, timestamp: float, frame_id: int, data: bytes, extended: bool) -> None:
+        self.timestamp, self.arbitration_id, self.data, self.is_extended_id = (
+            timestamp,
+            frame_id,
+            data,
+            extended,
+        )
+
+    @property
+    def dlc(self) -> int:
+        """Number of bytes."""
+        return len(self.data)
+
+
+Heard = tuple[int, CanFrame | can.Message]
+"""Arrival in ns, and what arrived: a message as it was sent where a client of the channel has sent it."""
 
 
 class CanChannel:
@@ -49,7 +79,7 @@ class CanChannel:
         self, world: World, name: str = "hil", *, bitrate: int = 500_000, device: str = "encoders"
     ) -> None:
         self.world, self.name, self.bitrate, self._device = world, name, bitrate, device
-        self._listeners: list[tuple[deque[Frame], Callable[[], None] | None]] = []
+        self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
         self._told_bus_off = False
@@ -67,46 +97,61 @@ class CanChannel:
         if _CHANNELS.get(self.name) is self:
             del _CHANNELS[self.name]
 
-    def listen(self, told: Callable[[], None] | None = None) -> deque[Frame]:
+    def listen(self, told: Callable[[], None] | None = None) -> deque[Heard]:
         """A new queue of (arrival time, frame); the oldest frames are lost when nobody reads.
 
         Args:
             told: called when frames have been added.
         """
-        queue: deque[Frame] = deque(maxlen=_QUEUE)
+        queue: deque[Heard] = deque(maxlen=_QUEUE)
         self._listeners.append((queue, told))
         return queue
 
-    def leave(self, queue: deque[Frame]) -> None:
+    def leave(self, queue: deque[Heard]) -> None:
         """Stop filling a queue."""
         self._listeners = [(q, told) for q, told in self._listeners if q is not queue]
 
-    def transmit(self, frame_id: int, data: bytes, t_ns: int) -> None:
-        """Put a standard data frame on the bus, not before `t_ns`."""
-        self.send(can.Message(arbitration_id=frame_id, data=data, is_extended_id=False), t_ns)
+    def transmit(
+        self,
+        frame_id: int,
+        data: bytes,
+        t_ns: int,
+        *,
+        extended: bool = False,
+        sender: deque[Heard] | None = None,
+    ) -> None:
+        """Put a data frame on the bus, not before `t_ns`; everybody but the sender hears it."""
+        if not self.world.faults.empty:
+            message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
+            self.send(message, t_ns, sender=sender)
+            return
+        arrival_ns = self._crossed_ns(extended, len(data), t_ns)
+        self._hand_over(arrival_ns, CanFrame(arrival_ns / NS_PER_S, frame_id, data, extended), sender)
 
-    def send(self, message: can.Message, t_ns: int, *, sender: deque[Frame] | None = None) -> None:
-        """Put any frame on the bus; everybody but the sender hears it, each in an object of his own."""
-        begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
-        self._free_ns = begins_ns + _takes_ns(message.is_extended_id, message.dlc, self.bitrate)
+    def send(self, message: can.Message, t_ns: int, *, sender: deque[Heard] | None = None) -> None:
+        """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
+        arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
+        copies = 1
         if not self.world.faults.empty:
             spoilt = self._spoil(message, t_ns)
             if spoilt is None:
                 return
             message, copies = spoilt
-            if copies > 1:
-                self._hand_over(_copied(message), sender)
-        self._hand_over(message, sender)
-
-    def _hand_over(self, message: can.Message, sender: deque[Frame] | None) -> None:
-        """A frame that has been sent, to everybody but its sender; the first one gets the object itself."""
-        arrival_ns = self._free_ns
         message.timestamp = arrival_ns / NS_PER_S
-        heard = False
+        for _ in range(copies):
+            self._hand_over(arrival_ns, message, sender)
+
+    def _crossed_ns(self, extended: bool, dlc: int, t_ns: int) -> int:
+        """When a frame that is sent now has crossed the bus."""
+        begins_ns = t_ns if t_ns > self._free_ns else self._free_ns
+        self._free_ns = begins_ns + _takes_ns(extended, dlc, self.bitrate)
+        return self._free_ns
+
+    def _hand_over(self, arrival_ns: int, frame: CanFrame | can.Message, sender: deque[Heard] | None) -> None:
+        """A frame that has been sent, to everybody but its sender."""
         for queue, told in self._listeners:
             if queue is not sender:
-                queue.append((arrival_ns, _copied(message) if heard else message))
-                heard = True
+                queue.append((arrival_ns, frame))
                 if told is not None:
                     told()
 
@@ -166,6 +211,21 @@ class WorldBus(can.BusABC):
         self._can_protocol = can.CanProtocol.CAN_20
         super().__init__(channel, can_filters=can_filters, **kwargs)
 
+    def take(self) -> CanFrame | can.Message | None:
+        """As `recv` without waiting, for whoever leaves the frame as it is.
+
+        Raises:
+            can.CanOperationError: unplugged.
+        """
+        world, queue = self._channel.world, self._queue
+        if not world.faults.empty:
+            self._channel.check_plugged()
+        while queue and queue[0][0] <= world.now_ns:
+            frame = queue.popleft()[1]
+            if self._filters is None or self._matches_filters(message_of(frame)):
+                return frame
+        return None
+
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """Next frame that has arrived; waits on world time. Raises `can.CanOperationError` if unplugged."""
         world, queue = self._channel.world, self._queue
@@ -174,7 +234,7 @@ class WorldBus(can.BusABC):
             if not world.faults.empty:
                 self._channel.check_plugged()
             while queue and queue[0][0] <= world.now_ns:
-                message = queue.popleft()[1]
+                message = message_of(queue.popleft()[1])
                 if self._filters is None or self._matches_filters(message):
                     return message
             if deadline_ns is None or world.now_ns >= deadline_ns:
@@ -212,6 +272,13 @@ def _takes_ns(extended: bool, dlc: int, bitrate: int) -> int:
     """How long a frame is on the bus."""
     bits = (_OVERHEAD_BITS + 20 * extended + 8 * dlc) * _STUFFING
     return round(bits * 1e9 / bitrate)
+
+
+def message_of(frame: CanFrame | can.Message) -> can.Message:
+    """What python-can's clients get: an object of their own."""
+    if isinstance(frame, can.Message):
+        return _copied(frame)
+    return can.Message(frame.timestamp, frame.arbitration_id, frame.is_extended_id, data=frame.data)
 
 
 def _copied(message: can.Message) -> can.Message:

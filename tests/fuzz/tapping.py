@@ -77,8 +77,8 @@ def tapped() -> Iterator[Tap]:
         return read
 
     def on_can(original: Any) -> Any:
-        def recv(self: Any, timeout: float | None = None) -> can.Message | None:
-            message = original(self, timeout)
+        def recv(self: Any, *rest: Any, **named: Any) -> can.Message | None:
+            message = original(self, *rest, **named)
             if message is None:
                 return None
             found = tap.passed(frame_bytes(message))
@@ -102,6 +102,7 @@ def tapped() -> Iterator[Tap]:
         mock.patch.object(Serial, "read", on_serial(Serial.read)),
         mock.patch.object(WorldBus, "send", on_write(WorldBus.send)),
         mock.patch.object(WorldBus, "recv", on_can(WorldBus.recv)),
+        mock.patch.object(WorldBus, "take", on_can(WorldBus.take)),
         mock.patch.object(WorldPort, "send", on_write(WorldPort.send)),
         mock.patch.object(WorldPort, "receive", on_datagram(WorldPort.receive)),
         mock.patch.object(WorldLink, "send", on_write(WorldLink.send)),

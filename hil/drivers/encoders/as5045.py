@@ -29,20 +29,21 @@ def _meaning(flags: int, yellow_mode: bool) -> Status:
 _STATUS = {yellow: tuple(_meaning(flags, yellow) for flags in range(64)) for yellow in (False, True)}
 
 
-def angle_rad(word: int) -> float:
-    """Angle of a word, rad in [-pi, pi)."""
-    counts = word >> 6
-    return (counts - COUNTS if counts >= COUNTS // 2 else counts) * _RAD_PER_COUNT
+_ANGLES_RAD = tuple(
+    (counts - COUNTS if counts >= COUNTS // 2 else counts) * _RAD_PER_COUNT for counts in range(COUNTS)
+)
+"""Angle of every count, rad in [-pi, pi)."""
 
 
 def decode_words(words: Sequence[int], *, yellow_mode: bool) -> tuple[list[float], tuple[Status, ...]]:
-    """As `decode_word` for several; a negative word stands for one that has not come."""
-    angles, statuses, meaning = [], [], _STATUS[yellow_mode]
+    """As `decode_word` for several; -1 stands for a word that has not come."""
+    meaning, ok, parity, timeout = _STATUS[yellow_mode], Status.OK, Status.PARITY, Status.TIMEOUT
+    angles, statuses = [], []
     for word in words:
-        status = Status.PARITY if word.bit_count() & 1 else meaning[word & 0x3F]
-        if word < 0:
-            status = Status.TIMEOUT
-        angles.append(angle_rad(word) if status is Status.OK else math.nan)
+        status = meaning[word & 0x3F]
+        if word.bit_count() & 1:
+            status = parity if word >= 0 else timeout
+        angles.append(_ANGLES_RAD[word >> 6] if status is ok else math.nan)
         statuses.append(status)
     return angles, tuple(statuses)
 

@@ -51,24 +51,26 @@ class FrameLayout:
     time_lsb_s: float
 
     @cached_property
-    def _order(self) -> Literal["little", "big"] | None:
-        """Byte order of all signals; None where they differ."""
-        orders = {self.sequence.order, self.time.order, *(field.order for _, field in self.words)}
-        return orders.pop() if len(orders) == 1 else None
-
-    @cached_property
-    def _places(self) -> tuple[tuple[int, int, int], ...]:
-        """(wheel index, shift, mask) of the words."""
-        return tuple((wheel, field.shift, field.mask) for wheel, field in self.words)
+    def _alike(
+        self,
+    ) -> tuple[Literal["little", "big"], tuple[int, ...], tuple[tuple[int, int, int], ...]] | None:
+        """Byte order, shifts and masks of counter and time, and of each word; None where orders differ."""
+        sequence, time = self.sequence, self.time
+        if len({sequence.order, time.order, *(field.order for _, field in self.words)}) > 1:
+            return None
+        heads = (sequence.shift, sequence.mask, time.shift, time.mask)
+        return sequence.order, heads, tuple((wheel, f.shift, f.mask) for wheel, f in self.words)
 
     def decode(self, data: bytes | bytearray) -> tuple[int, int, list[tuple[int, int]]]:
         """Raw sequence number, node time and (wheel index, word) of a frame's data."""
-        if self._order is None:
+        alike = self._alike
+        if alike is None:
             words = [(wheel, field.take(data)) for wheel, field in self.words]
             return self.sequence.take(data), self.time.take(data), words
-        value, sequence, time = int.from_bytes(data, self._order), self.sequence, self.time
-        words = [(wheel, value >> shift & mask) for wheel, shift, mask in self._places]
-        return value >> sequence.shift & sequence.mask, value >> time.shift & time.mask, words
+        order, (sequence_at, sequence_mask, time_at, time_mask), places = alike
+        value = int.from_bytes(data, order)
+        words = [(wheel, value >> shift & mask) for wheel, shift, mask in places]
+        return value >> sequence_at & sequence_mask, value >> time_at & time_mask, words
 
 
 def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from hil.config.encoders import EncodersConfig
 from hil.drivers.arrivals import ArrivalClock
-from hil.drivers.can_link import BUS_ERRORS, open_bus, remedy_of_silence, shut
+from hil.drivers.can_link import BUS_ERRORS, open_bus, receiver, remedy_of_silence, shut
 from hil.drivers.encoders.as5045 import decode_words
 from hil.drivers.encoders.layout import FrameLayout, load_layout
 from hil.drivers.encoders.node_status import NodeStatus
@@ -81,7 +81,6 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._sequence: int | None = None
         self._finished = -1
         self._words = [-1] * 4
-        self._missing = 0
         self._time_raw = 0
         self._discard = self._config.startup_discard
         self._bus = open_bus(self.name, self._config)
@@ -148,12 +147,12 @@ class As5045Encoders(Sensor[EncoderSample]):
     def _received(self, bus: can.BusABC, now_ns: int) -> list[EncoderSample]:
         """Sample sets of the frames that wait; anybody on the bus may send, so their number is bounded."""
         samples: list[EncoderSample] = []
-        most = self.passed_over + _MOST_PASSED_OVER
+        most, take = self.passed_over + _MOST_PASSED_OVER, receiver(bus)
         for _ in range(_MOST_FRAMES):
             if self.passed_over >= most:
                 break
             try:
-                message = bus.recv(0)
+                message = take()
             except BUS_ERRORS as error:
                 self._bus_error = str(error)
                 self.passed_over += _ERROR_COUNTS
@@ -212,7 +211,7 @@ class As5045Encoders(Sensor[EncoderSample]):
             elif len(message.data) != layout.length:
                 wrong[message.arbitration_id] = len(message.data)
             self._take(message, self._clock.now_ns())
-            if layout is not None and self._finished >= 0 and not self._missing:
+            if layout is not None and self._finished >= 0 and -1 not in self._words:
                 sets_left -= 1
             if not sets_left:
                 return
@@ -233,53 +232,46 @@ class As5045Encoders(Sensor[EncoderSample]):
 
     def _take(self, message: can.Message, host_ns: int) -> EncoderSample | None:
         """Use one frame; returns a sample set when that completes or cuts short one."""
-        layout = self._layout_of(message)
-        if layout is None:
+        layout = self._layout.get(message.arbitration_id)
+        data, strange = (
+            message.data,
+            message.is_extended_id or message.is_remote_frame or message.is_error_frame,
+        )
+        if layout is None or strange or len(data) != layout.length:
+            self._pass_over(message, layout)
             return None
-        sequence, time_raw, words = layout.decode(message.data)
+        sequence, time_raw, words = layout.decode(data)
         if sequence == self._finished:
             self.passed_over += 1
             return None
         sample = None
         arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
         if sequence != self._sequence:
-            if self._sequence is not None and self._missing:
+            if self._sequence is not None:
                 self.incomplete += 1
                 sample = self._finish(host_ns)
-            self._begin(sequence, arrival_ns)
+            self._sequence, self._arrival_ns, self._words = sequence, arrival_ns, [-1] * 4
+        known = self._words
         for wheel, word in words:
-            self._missing -= self._words[wheel] < 0
-            self._words[wheel] = word
+            known[wheel] = word
         self._time_raw = time_raw
-        if not self._missing:
-            sample = self._finish(host_ns)
-        return sample
+        return sample if -1 in known else self._finish(host_ns)
 
     def _warn_of_layout(self) -> None:
         if not self._told_layout and (other := self.node_status.other_layout):
             self._told_layout = True
             _LOG.warning("%s at %s sends %s", self.name, self._port, other)
 
-    def _layout_of(self, message: can.Message) -> FrameLayout | None:
-        """Layout of a frame with words of ours, None for any other."""
-        layout = self._layout.get(message.arbitration_id)
-        ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
-        if layout is not None and ours and len(message.data) == layout.length:
-            return layout
+    def _pass_over(self, message: can.Message, layout: FrameLayout | None) -> None:
+        """A frame without words of ours: the node's status, or of no use."""
         if self.node_status.take(message):
             self._warn_of_layout()
-            return None
+            return
         self.passed_over += 1
         if message.is_error_frame:
             self.error_frames += 1
-        elif layout is not None and ours:
+        elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
             self.malformed += 1
-        return None
-
-    def _begin(self, sequence: int, arrival_ns: int) -> None:
-        self._sequence, self._arrival_ns = sequence, arrival_ns
-        self._words = [-1] * 4
-        self._missing = 4
 
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""

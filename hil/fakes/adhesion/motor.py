@@ -14,7 +14,7 @@ from hil.config.adhesion import MotorConfig
 from hil.fakes.adhesion.fan import Demand, Fan
 from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.options import AdhesionTruthOptions
-from hil.fakes.can_wire import WIRE_FAULTS, CanChannel
+from hil.fakes.can_wire import WIRE_FAULTS, CanChannel, CanFrame
 from hil.fakes.faults import PERIODIC, STRIKES, DeviceFaults, Supported
 from hil.fakes.plant_api import HoldingForces
 from hil.fakes.tether import Start
@@ -174,7 +174,7 @@ class MotorNode(Scheduled):
         self._due_ns[rate] += round(self._periods_ns[rate] * (1.0 if slow is None else slow.slowness))
 
     @abstractmethod
-    def _take(self, message: can.Message, t_ns: int) -> None:
+    def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
         """A frame from the bus."""
 
     @abstractmethod
@@ -184,5 +184,4 @@ class MotorNode(Scheduled):
     def _send(self, frame_id: int, data: bytes, t_ns: int) -> None:
         """Put a frame on the bus, once for every controller that has this id."""
         for _ in range(1 + self._options.twins):
-            message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=True)
-            self._channel.send(message, t_ns, sender=self._queue)
+            self._channel.transmit(frame_id, data, t_ns, extended=True, sender=self._queue)

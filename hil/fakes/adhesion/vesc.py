@@ -16,7 +16,7 @@ from hil.fakes.adhesion.fan import HIGHEST_DUTY, Demand
 from hil.fakes.adhesion.load import Load
 from hil.fakes.adhesion.motor import MotorNode
 from hil.fakes.adhesion.options import AdhesionTruthOptions
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.can_wire import CanChannel, CanFrame
 from hil.fakes.world import World
 
 _COUNTS_PER_TURN = 6
@@ -42,7 +42,7 @@ class VescNode(MotorNode):
         self._vesc = config
         self._frozen: dict[int, bytes] = {}
 
-    def _take(self, message: can.Message, t_ns: int) -> None:
+    def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
         """A frame from the bus."""
         command, receiver = message.arbitration_id >> 8, message.arbitration_id & 0xFF
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:

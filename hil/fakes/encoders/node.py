@@ -119,15 +119,16 @@ class EncoderNode(Scheduled):
         period_ns = self._period_ns
         if slow is not None:
             period_ns = round(period_ns * slow.slowness)
-        self._grid_ns = max(self._grid_ns + period_ns, t_ns)
-        self._due_ns = max(t_ns + 1, self._grid_ns + round(min(3.0, abs(noise[4])) * self._jitter_ns))
+        grid_ns, late = self._grid_ns + period_ns, abs(noise[4])
+        self._grid_ns = grid_ns = grid_ns if grid_ns > t_ns else t_ns
+        due_ns = grid_ns + round((late if late < 3.0 else 3.0) * self._jitter_ns)
+        self._due_ns = due_ns if due_ns > t_ns else t_ns + 1
         if faulty and self._power(t_ns):
             return
         steering = self._world.plant.steering_rad()
         started = t_ns - self._boot_ns >= START_UP_NS
         words = [
-            chip.word(a, n, started=started)
-            for chip, a, n in zip(self.chips, steering, noise[:4], strict=True)
+            chip.word(a, n, started=started) for chip, a, n in zip(self.chips, steering, noise, strict=False)
         ]
         if self._first_set:
             self._first_set = False

@@ -16,7 +16,7 @@ from hil.devices.adhesion.dronecan.library import Receiver, frames_of, library
 from hil.fakes.adhesion import AdhesionTruthOptions
 from hil.fakes.adhesion.fan import HIGHEST_DUTY, Demand
 from hil.fakes.adhesion.motor import MotorNode
-from hil.fakes.can_wire import CanChannel
+from hil.fakes.can_wire import CanChannel, CanFrame
 from hil.fakes.world import World
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.extras import is_installed
@@ -66,7 +66,7 @@ class DroneCanNode(MotorNode):
     def _receiver(self) -> Receiver:
         return Receiver()
 
-    def _take(self, message: can.Message, t_ns: int) -> None:
+    def _take(self, message: CanFrame | can.Message, t_ns: int) -> None:
         """A frame from the bus."""
         if not message.is_extended_id or message.is_error_frame or message.is_remote_frame:
             return

@@ -113,9 +113,10 @@ class Beat:
 
     def _listen(self, bus: can.BusABC, t_ns: int) -> None:
         """Take what has arrived; anybody may send, so that it is bounded."""
+        take = can_link.receiver(bus)
         for _ in range(_MOST_FRAMES):
             try:
-                message = bus.recv(0)
+                message = take()
             except BUS_ERRORS as error:
                 self._failed(error, t_ns)
                 return
