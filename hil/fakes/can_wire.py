@@ -49,12 +49,8 @@ class CanFrame:
     is_remote_frame = is_error_frame = False
 
     def __init__(self, timestamp: float, frame_id: int, data: bytes, extended: bool) -> None:
-        self.timestamp, self.arbitration_id, self.data, self.is_extended_id = (
-            timestamp,
-            frame_id,
-            data,
-            extended,
-        )
+        self.timestamp, self.arbitration_id = timestamp, frame_id
+        self.data, self.is_extended_id = data, extended
 
     @property
     def dlc(self) -> int:
