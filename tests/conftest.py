@@ -6,6 +6,7 @@ import os
 import subprocess
 from collections import Counter
 from pathlib import Path
+from unittest import mock
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before numpy comes; as the command line does
 
@@ -58,6 +59,13 @@ def public_data():
     if not folder.is_dir():
         pytest.skip(f"public recordings not found in {folder}: set HIL_DATA (docs/calibration.md)")
     return folder
+
+
+@pytest.fixture(scope="module", autouse=True)
+def environment_kept():
+    """What a library sets for processes of its own, as Dask does, is not left to the next module."""
+    with mock.patch.dict(os.environ):
+        yield
 
 
 @pytest.fixture(scope="session")
