@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -56,11 +56,12 @@ class Sizes:
 
 @dataclass(frozen=True)
 class Repetition:
-    """One repetition of all motions, driven one after the other in one world.
+    """Motions that are driven one after the other in one world.
 
     Attributes:
-        prefix: of the file names, which end in `MOTION_K.csv`.
+        folder: where `MOTION_K.csv` are written.
         number: K, counted from 1 over all rounds.
+        part: of a repetition that is driven in several worlds, counted from 0.
     """
 
     folder: Path
@@ -69,6 +70,19 @@ class Repetition:
     sizes: Sizes
     feedback: str = "odometry"
     hold_s: float = 1.0
+    part: int = 0
+
+    def file(self, motion: str) -> str:
+        """Name of a motion's recording in the folder."""
+        return f"{motion}_{self.number}.csv"
+
+    def halves(self) -> list[Repetition]:
+        """The same motions for two worlds, so that two processes share any number of repetitions evenly.
+
+        Every other motion goes to the first: both get one of each pair that differs by its sense only.
+        """
+        found = (self.motions[::2], self.motions[1::2])
+        return [replace(self, motions=motions, part=k) for k, motions in enumerate(found) if motions]
 
 
 def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = False) -> Trajectory:
@@ -95,10 +109,10 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
 def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
     """Drive all motions of a repetition and write their recordings; returns the file names.
 
-    The first rest is a little longer in every repetition, so that two worlds of one seed do not
+    The first rest is a little longer in every repetition and part, so that two worlds of one seed do not
     repeat each other's noise.
     """
-    pose = stand(bench, 0.5 + _STAGGER_S * repetition.number)
+    pose = stand(bench, 0.5 + _STAGGER_S * (repetition.number + 0.5 * repetition.part))
     backwards = repetition.number % 2 == 0
     written = []
     for name in repetition.motions:
@@ -108,7 +122,7 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
             reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
             hold_s=repetition.hold_s, start_pose=pose,
         )  # fmt: skip
-        path = repetition.folder / f"{name}_{repetition.number}.csv"
+        path = repetition.folder / repetition.file(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_plain(path, recording_of(motion, path.stem, name))
         written.append(path.name)

@@ -15,6 +15,7 @@ import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording
 from hil.calibration.nominal import Nominal
+from hil.recording.numbers import numbers_at_once
 from hil.recording.public_csv import read_bytes
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -60,6 +61,10 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
 
 
 def _table(path: Path, data: bytes, width: int) -> Array:
+    """Rows (n, width)."""
+    found = numbers_at_once(data.partition(b"\n")[2].replace(b"\r\n", b"\n"), width)
+    if found is not None:
+        return found
     rows = []
     for number, fields in enumerate(_lines(path, data), start=2):
         if not fields:

@@ -2,25 +2,23 @@
 
 Format as in `dataset/` of the authors' repository (GitHub, JakVit/4WIS4WID_parameter_calibration):
 `;`-separated, servo tuples in the file's own name order, receive time as text, header stamps as integers.
-The quick path turns a whole file into numbers at once, by pyarrow where it is installed; a file it cannot
-read goes through a row-by-row path that drops and counts broken rows.
+A file that cannot be turned into numbers at once goes through a row-by-row path that drops and counts broken
+rows.
 """
 
 from __future__ import annotations
 
 import hashlib
 import re
-import warnings
-from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
 from hil.calibration.datasets import Log, Recording, build_recording, credible
 from hil.calibration.nominal import Nominal
+from hil.recording.numbers import numbers_at_once
 from hil.recording.unpacking import read_packed
 from hil.vocabulary.errors import DataError
-from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array
 
 _WHEELS = ("FL", "BL", "BR", "FR")
@@ -31,7 +29,6 @@ _ABS_COLUMNS = (
     ".pose.orientation.x", ".pose.orientation.y", ".pose.orientation.z", ".pose.orientation.w",
 )  # fmt: skip
 _TO_COMMAS = bytes.maketrans(b";/:", b",,,")
-_IN_NUMBERS = b"0123456789.,eE+-\n"
 _MAX_BROKEN_SHARE = 0.1
 _FILE = re.compile(r"(odom|abs)_(?P<run>\w+)\.csv(\.gz)?")
 
@@ -149,11 +146,9 @@ def _numbers(path: Path, quick: bytes, body: bytes, width: int) -> Array:
 
 def _rows(path: Path, quick: bytes, body: bytes, width: int) -> Array:
     """Rows (n, width); the slow path when the quick one does not come out even."""
-    if not quick.translate(None, _IN_NUMBERS):
-        read = _by_pyarrow if is_installed("parquet") else _by_numpy
-        found = read(quick, quick.count(b"\n"), width)
-        if found is not None:
-            return found
+    found = numbers_at_once(quick, width)
+    if found is not None:
+        return found
     rows = [_row(line, width) for line in body.decode("utf-8", "replace").splitlines()]
     good = [r for r in rows if r is not None]
     if len(rows) - len(good) > _MAX_BROKEN_SHARE * len(rows):
@@ -164,38 +159,6 @@ def _rows(path: Path, quick: bytes, body: bytes, width: int) -> Array:
         )
     out = np.array(good, dtype=np.float64).reshape(-1, width)
     return np.vstack([out, np.full((len(rows) - len(good), width), np.nan)])
-
-
-def _by_pyarrow(quick: bytes, lines: int, width: int) -> Array | None:
-    """Rows (lines, width) of numbers between commas; None where some row has others, or something else."""
-    import pyarrow
-    from pyarrow import csv
-
-    names = [str(k) for k in range(width)]
-    try:
-        table = csv.read_csv(
-            pyarrow.BufferReader(quick),
-            csv.ReadOptions(use_threads=False, column_names=names, block_size=len(quick)),
-            convert_options=csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pyarrow.float64()), null_values=[]
-            ),
-        )
-    except pyarrow.ArrowInvalid:
-        return None
-    return np.column_stack([c.to_numpy() for c in table.columns]) if table.num_rows == lines else None
-
-
-def _by_numpy(quick: bytes, lines: int, width: int) -> Array | None:
-    """As `_by_pyarrow`, three times as slow."""
-    marks = np.frombuffer(quick, dtype=np.uint8)
-    between = marks[(marks == ord(",")) | (marks == ord("\n"))]
-    if len(between) != lines * width or np.any(between[width - 1 :: width] != ord("\n")) or b",," in quick:
-        return None
-    with warnings.catch_warnings(), suppress(ValueError, DeprecationWarning):
-        warnings.simplefilter("error", DeprecationWarning)  # how numpy tells of text like 1e or 1-2
-        text = quick.replace(b"\n", b",").decode("ascii")
-        return np.fromstring(text, sep=",", count=lines * width).reshape(-1, width)
-    return None
 
 
 def _row(line: str, width: int) -> list[float] | None:

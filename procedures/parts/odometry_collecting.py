@@ -6,6 +6,7 @@ from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
@@ -40,7 +41,7 @@ def collect(
     ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers,
     so_far: Collected,
 ) -> list[str]:  # fmt: skip
-    """Drive repetitions, each in a fresh world and a checkpoint; in several processes where time is virtual.
+    """Drive repetitions, each in a checkpoint and a fresh world; in two worlds where time is virtual.
 
     Args:
         ctx: of the run.
@@ -73,11 +74,25 @@ def collect(
 def _driven(
     ctx: Context, label: str, repetitions: Sequence[Repetition], calibration: Path | None, workers: Workers
 ) -> Generator[list[str], None, None]:
+    """File names of each repetition, as soon as it has been driven."""
+    parts = [r.halves() if ctx.source.virtual else [r] for r in repetitions]
+    with closing(_driven_parts(ctx, label, list(chain(*parts)), calibration, workers)) as driven:
+        for repetition, of_it in zip(repetitions, parts, strict=True):
+            for _ in of_it:
+                next(driven)
+            yield [repetition.file(motion) for motion in repetition.motions]
+
+
+def _driven_parts(
+    ctx: Context, label: str, parts: Sequence[Repetition], calibration: Path | None, workers: Workers
+) -> Generator[list[str], None, None]:
     if workers.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
-        errands = [Errand(source, partial(drive_repetition, repetition=r)) for r in repetitions]
-        yield from ctx.at_once(errands, workers)
+        yield from ctx.at_once(
+            [Errand(source, partial(drive_repetition, repetition=r)) for r in parts], workers
+        )
         return
-    for repetition in repetitions:
-        bench = ctx.reopen(f"{label} {repetition.number}", calibration=calibration, overrides=unused())
-        yield drive_repetition(bench, repetition)
+    for part in parts:
+        name = f"{label} {part.number}" + (f" part {part.part + 1}" if part.part else "")
+        bench = ctx.reopen(name, calibration=calibration, overrides=unused())
+        yield drive_repetition(bench, part)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hil.calibration.calibrate import Calibration
-from hil.calibration.choice import Candidate, Choice
 from hil.calibration.evaluation import Track, evaluate
+from hil.calibration.fitting import fit
 from hil.procedure import Context
-from hil.procedures.parts.odometry_rounds import Driven, Odometry, improve
+from hil.procedures.parts.odometry_rounds import Driven, Odometry
 from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
 
 
@@ -22,9 +23,11 @@ def show(
     """Everything that a person needs to judge the result."""
     model = result.setting.model
     columns = {"nominal": Odometry(result.nominal, model), method: Odometry(result.geometry, model)}
-    used = Choice(Candidate(model, result.setting, result.nominal), {}, 1.0)
     for other in compared_methods:
-        columns[other] = Odometry(improve(ctx, result.recordings, used, other).geometry, model)
+        told = partial(ctx.progress, f"{other} generations")
+        blocks = result.fit.problem.blocks
+        found = fit(blocks, result.setting, result.nominal, method=other, seed=ctx.seed, progress=told)
+        columns[other] = Odometry(found.geometry, model)
     parameter_table(ctx, columns, result)
     before, after = rounds[0].tracks(), fresh.tracks()
     error_table(ctx, "Table II: errors before calibration", evaluate(before))

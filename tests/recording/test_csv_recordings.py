@@ -7,7 +7,7 @@ import pytest
 
 from hil.calibration.datasets import Log, build_recording, increasing
 from hil.calibration.synthetic import hidden_robot, simulate
-from hil.recording import public_csv
+from hil.recording import numbers
 from hil.recording.plain_csv import read_plain, write_plain
 from hil.recording.public_csv import read_pair
 from hil.recording.sources import read_recordings
@@ -78,7 +78,7 @@ def test_public_pairs_come_in_paper_wheel_order(tmp_path, compress):
 
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, monkeypatch):
-    monkeypatch.setattr(public_csv, "is_installed", lambda extra: fast)
+    monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)
     (tmp_path / "a").mkdir()
     (tmp_path / "b").mkdir()
     write_pair(tmp_path / "a")
@@ -91,7 +91,7 @@ def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, m
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_a_number_that_slid_into_the_next_row_is_no_even_table(tmp_path, fast, monkeypatch):
     """As many numbers as in a whole file, but one row has one too few and the next one too many."""
-    monkeypatch.setattr(public_csv, "is_installed", lambda extra: fast)
+    monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)
     write_pair(tmp_path)
     lines = (tmp_path / "abs_3.csv").read_text().splitlines()
     lines[20], lines[21] = lines[20].removesuffix(";1"), lines[21] + ";1"
@@ -105,9 +105,28 @@ def test_pyarrow_and_numpy_read_the_same_numbers(tmp_path, run):
     """Digits as Python writes them, with exponents and without."""
     values = np.concatenate([run.wheel_angle_rad.ravel(), 1e-7 * run.steering_rad.ravel()])[: 400 * 16]
     text = "\n".join(",".join(map(repr, row)) for row in values.reshape(-1, 16).tolist()) + "\n"
-    quick = [read(text.encode(), 400, 16) for read in (public_csv._by_pyarrow, public_csv._by_numpy)]
+    quick = [read(text.encode(), 400, 16) for read in (numbers._by_pyarrow, numbers._by_numpy)]
     np.testing.assert_array_equal(quick[0], quick[1])
     np.testing.assert_array_equal(quick[0], values.reshape(-1, 16))
+
+
+@needs_pyarrow
+def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monkeypatch):
+    """A gap in the ground truth is `nan` in some rows."""
+    gap = (run.truth_t_s > 1.0) & (run.truth_t_s < 1.5)
+    truth = Log(run.truth_t_s[~gap], run.truth_pose[~gap])
+    wheels = Log(run.t_s, np.column_stack([run.wheel_angle_rad, run.steering_rad]))
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, build_recording("line_x_1", wheels, truth))
+    assert b"nan" in path.read_bytes()
+    found = []
+    for at_once in (numbers._by_pyarrow, numbers._by_numpy, lambda *_: None):
+        monkeypatch.setattr(numbers, "_by_pyarrow", at_once)
+        read = read_plain(path)
+        found.append((read.t_s, read.wheel_angle_rad, read.steering_rad, read.truth_t_s, read.truth_pose))
+    for other in found[1:]:
+        for one, same in zip(found[0], other, strict=True):
+            np.testing.assert_array_equal(one, same)
 
 
 def test_each_repair_is_counted():
