@@ -54,7 +54,7 @@ BLIND = '''
 import os
 import sys
 
-_HIDDEN = os.environ["HIDDEN"]
+_HIDDEN = tuple(os.environ["HIDDEN"].split(os.pathsep))
 
 def refuse(event, arguments):
     if event in ("open", "os.listdir", "os.mkdir", "os.scandir") and str(arguments[0]).startswith(_HIDDEN):
@@ -113,15 +113,16 @@ class Cluster:
         self.address = json.loads(told.read_text())["address"]
         return self
 
-    def worker(self, name, preload, hidden):
+    def worker(self, name, preload, *hidden):
         """One more worker, which loads `preload` first; returns when the scheduler knows it."""
         own = self.folder / f"{name}.py"
+        own.parent.mkdir(parents=True, exist_ok=True)
         own.write_text(preload)
         before = self.workers()
         self._start(
             name, "distributed.cli.dask_worker", self.address, "--no-dashboard", "--nthreads", "1",
             "--local-directory", str(self.folder / name), "--preload", str(own), "--no-nanny",
-            HIDDEN=str(hidden),
+            HIDDEN=os.pathsep.join(map(str, hidden)),
         )  # fmt: skip
         deadline = time.monotonic() + 60
         while self.workers() == before and time.monotonic() < deadline:
@@ -185,13 +186,15 @@ def campaign(capsys, *options):
 @pytest.mark.long
 @pytest.mark.timeout(300)
 def test_files_and_results_travel_through_the_scheduler(cluster, here, capsys):
-    code, alone, _said = campaign(capsys, "--seeds", "0:4", "--workers", "0", "--out", "alone")
+    code, alone, _said = campaign(capsys, "--seeds", "0:8", "--workers", "0", "--out", "alone")
     assert code == 0, _said
-    cluster.worker("one", BLIND, here)
-    cluster.worker("two", BLIND, here)
-    options = ("--seeds", "0:4", "--scheduler", cluster.address, "--out", "far")
+    for machine, other in (("one", "two"), ("two", "one")):
+        for worker in "ab":
+            cluster.worker(f"{machine}/{worker}", BLIND, here, cluster.folder / other)
+    options = ("--seeds", "0:8", "--scheduler", cluster.address, "--out", "far")
     code, far, said = campaign(capsys, *options)
     assert code == 0, said
+    assert cluster.workers() == 4
     assert [r["measurements"] for r in far["rows"]] == [r["measurements"] for r in alone["rows"]]
     for row in far["rows"]:
         assert row["folder"] == str(here / "far" / "runs" / row["case"])
