@@ -37,20 +37,28 @@ class JointPlant(Plant):
     def advance(self, t_ns):
         while self._t_ns + STEP_NS <= t_ns:
             self._step()
-            self._t_ns += STEP_NS
+            self._t_ns += STEP_NS if self._moves() else STEP_NS * ((t_ns - self._t_ns) // STEP_NS)
+
+    def _moves(self):
+        """Whether the next step would change anything."""
+        places = self.position.tolist()
+        return self.velocity.any() or any(map(self._wanted, self.commands, places))
 
     def _step(self):
-        goal = np.array([self._wanted(j, c) for j, c in enumerate(self.commands)])
-        before = self.velocity.copy()
-        self.velocity[:] = goal + (before - goal) * self._decay
-        self.position += 0.5 * (before + self.velocity) * STEP_NS * 1e-9
+        """One step in plain numbers; eight joints are too few for arrays."""
+        position, velocity = self.position.tolist(), self.velocity.tolist()
+        for joint, command in enumerate(self.commands):
+            before, goal = velocity[joint], self._wanted(command, position[joint])
+            velocity[joint] = goal + (before - goal) * self._decay
+            position[joint] += 0.5 * (before + velocity[joint]) * STEP_NS * 1e-9
+        self.position[:], self.velocity[:] = position, velocity
         self.current[:] = 0.05 * np.sign(self.velocity) + self.load_a
 
-    def _wanted(self, joint, command):
+    def _wanted(self, command, position):
         if command.mode == "velocity":
             wanted = command.goal
         elif command.mode == "position":
-            wanted = POSITION_GAIN * (command.goal - self.position[joint])
+            wanted = POSITION_GAIN * (command.goal - position)
         elif command.mode == "pwm":
             wanted = 5.0 * command.goal
         elif command.mode == "current":
