@@ -63,7 +63,8 @@ class Trajectory:
         if timed:
             rise = min(acceleration, velocity // 2) * _MS
             self._top = distance / (velocity * _MS - rise)
-            self._slope = self._top / rise if rise else math.inf
+            # A goal close by has a low top: a servo that comes in fast has to brake in that time, too.
+            self._slope = max(self._top, abs(self.speed)) / rise if rise else math.inf
         else:
             self._top = velocity * self._speed_scale
             self._slope = acceleration * self._slope_scale if acceleration else math.inf
