@@ -5,8 +5,9 @@
 Both trees run the same things in a process each, 40 control cycles in turn, so that whatever else the
 machine does meets both: `rig` reads and commands all devices of the shipped bench; `five` those of them that
 version 0.1 had: servos, encoders, IMU, camera, motion capture; `wall` drives a line up the wall with EKF,
-supervisor and recording, by all devices of each tree. A cycle's processor time is the 10th percentile of the
-turns; how much faster is the median over the turns, each against the other tree's turn of the same cycles.
+supervisor and recording, by all devices of each tree; `wall_of_five` the same by those five devices. A
+cycle's processor time is the 10th percentile of the turns; how much faster is the median over the turns, each
+against the other tree's turn of the same cycles.
 Without `--against` only this tree is measured.
 """
 
@@ -52,13 +53,18 @@ class Turns:
         self._wait()
 
 
-def five(seconds: float, cycle: Callable[[], None]) -> None:
-    """Read and command the devices of version 0.1."""
+def without_holding() -> dict[str, object]:
+    """Overrides that leave the devices of version 0.1, in any tree."""
     import hil
 
     profile = Path(hil.__file__).parent / "config" / "profiles" / "emulated.toml"
     known = profile.read_text(encoding="utf-8") if profile.exists() else ""
-    rig(seconds, cycle, {name: None for name in HOLDING if f"[{name}]" in known})
+    return {name: None for name in HOLDING if f"[{name}]" in known}
+
+
+def five(seconds: float, cycle: Callable[[], None]) -> None:
+    """Read and command the devices of version 0.1."""
+    rig(seconds, cycle, without_holding())
 
 
 def rig(seconds: float, cycle: Callable[[], None], overrides: Mapping[str, object] | None = None) -> None:
@@ -79,19 +85,25 @@ def rig(seconds: float, cycle: Callable[[], None], overrides: Mapping[str, objec
             cycle()
 
 
-def wall(seconds: float, cycle: Callable[[], None]) -> None:
+def wall_of_five(seconds: float, cycle: Callable[[], None]) -> None:
+    """Drive a line up the wall by the EKF, recorded, by the devices of version 0.1."""
+    wall(seconds, cycle, without_holding())
+
+
+def wall(seconds: float, cycle: Callable[[], None], overrides: Mapping[str, object] | None = None) -> None:
     """Drive a line up the wall by the EKF, recorded."""
     import hil
     from hil.recording.mcap_writer import McapRecorder
     from hil.robot.trajectories import line
 
-    with tempfile.TemporaryDirectory() as folder, hil.open_bench("emulated", seed=1) as bench:
+    opened = hil.open_bench("emulated", seed=1, overrides=overrides or {})
+    with tempfile.TemporaryDirectory() as folder, opened as bench:
         bench.add_sink(McapRecorder(Path(folder) / "wall.mcap", bench.header(), lossless=True))
         goal_m = min(0.05 * seconds, 1.0)
         bench.drive(line((0, 0, 0), (goal_m, 0, 0), duration_s=seconds), on_cycle=lambda record: cycle())
 
 
-WORKS = {"rig": rig, "five": five, "wall": wall}
+WORKS = {"rig": rig, "five": five, "wall": wall, "wall_of_five": wall_of_five}
 
 
 def started(command: list[str], tree: Path) -> subprocess.Popen[str]:

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
     from rich.progress import TaskID
 
 _BETWEEN_NS = nanoseconds(0.2)
+_QUIET_NS = nanoseconds(30.0)
+"""No longer without a line while work gets on."""
 
 
 @contextmanager
@@ -74,12 +76,13 @@ class _Objects:
 
 
 class _Lines:
-    """A line per tenth of each piece of work; pieces of one go are named once."""
+    """A line per tenth of each piece of work, or when half a minute has passed; one go is named once."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
         self._paces: dict[str, Pace] = {}
         self._tenths: dict[str, int] = {}
+        self._told_ns = 0
 
     def __call__(self, what: str, done: int, total: int) -> None:
         pace = self._paces.setdefault(what, Pace(self._clock))
@@ -87,10 +90,13 @@ class _Lines:
         if what == WHOLE:
             return
         tenth = 10 * done // max(total, 1)
-        again = what in self._tenths and (total == 1 or (self._tenths[what] == tenth and done != total))
+        now_ns = self._clock.now_ns()
+        nothing_new = self._tenths.get(what) == tenth and done != total and now_ns < self._told_ns + _QUIET_NS
+        again = what in self._tenths and (total == 1 or nothing_new)
         self._tenths[what] = tenth
         if again:
             return
+        self._told_ns = now_ns
         words = what if total == 1 else f"{what}: {done}/{total}"
         left = self._left(pace)
         click.echo(f"{words}, {left}" if left else words, err=True)

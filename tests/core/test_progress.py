@@ -94,6 +94,17 @@ def test_plain_lines_come_by_tenths_with_the_pieces_own_time_left(capsys):
     assert lines[-1] == "runs: 100/100"
 
 
+def test_plain_lines_of_long_work_come_twice_a_minute(capsys):
+    """A tenth of a thousand runs takes minutes."""
+    clock = Waiting()
+    with reporting(clock=clock) as report:
+        for done in range(91):
+            report("runs", done, 1000)
+            clock.s += 2.0
+    lines = capsys.readouterr().err.splitlines()
+    assert [line.split(",")[0] for line in lines] == [f"runs: {done}/1000" for done in range(0, 91, 15)]
+
+
 def test_a_step_is_named_once(capsys):
     with reporting(clock=Waiting()) as report:
         report("fit 1", 0, 1)
