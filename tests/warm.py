@@ -118,7 +118,8 @@ class Warm(STARTED):
         folder = os.path.abspath(given["cwd"] or ".")
         environment = os.environ if given["env"] is None else given["env"]
         return (
-            _words(given["args"])[:1] in ([module] for module in MODULES)
+            hasattr(os, "pidfd_open")
+            and _words(given["args"])[:1] in ([module] for module in MODULES)
             and not any(given.get(name) for name in UNUSUAL)
             and given["close_fds"] and given["umask"] == -1 and given.get("process_group", -1) == -1
             and os.path.isdir(folder)

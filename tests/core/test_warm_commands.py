@@ -10,7 +10,10 @@ import pytest
 
 from tests import warm
 
-pytestmark = pytest.mark.usefixtures("warm_commands")
+pytestmark = [
+    pytest.mark.usefixtures("warm_commands"),
+    pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="commands are forked on Linux only"),
+]
 
 HIL = (sys.executable, "-m", "hil.cli")
 EMULATOR = (*HIL, "emulate", "--only", "imu")
