@@ -47,9 +47,11 @@ def seen_in_words(held: Held) -> str:
     return f"{held.state}: {held.why}"
 
 
-def abandoned(why: str) -> Held:
-    """Of a robot whose bench ended before anybody could look."""
-    return Held("NOT HELD", None, f"nobody looked: {why}")
+def abandoned(why: str, *, on_wall: bool) -> Held:
+    """Of a robot whose bench ended before anybody could look; on the floor it need not be held."""
+    if on_wall:
+        return Held("NOT HELD", None, f"nobody looked: {why}")
+    return Held("not needed", None, f"on the floor; nobody looked: {why}", wanted=False)
 
 
 def untouched(why: str) -> Held:

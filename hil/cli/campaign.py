@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from hil.procedure.outputs import Keep
 
 SCHEMA = 1
-PLAN, CSV, PAGE, ROWS = "plan.json", "campaign.csv", "campaign.html", "rows"
+PLAN, CSV, PAGE, ROWS, RUNS = "plan.json", "campaign.csv", "campaign.html", "rows", "runs"
 
 
 @click.command()
@@ -139,24 +139,24 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
     shared = {key: value for key, value in vars(setup).items() if key not in ("answers", "keep", "places")}
     plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
     path = out / PLAN
-    if not path.exists():
-        if resume:
-            raise ConfigError(f"{path}: there is no campaign to resume")
+    if not resume and path.exists() and (out / RUNS).exists():
+        raise ConfigError(f"{out}: holds a campaign", remedy="choose another --out, or --resume")
+    if resume and not path.exists():
+        raise ConfigError(f"{path}: there is no campaign to resume")
+    if not resume:
         try:
             out.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
         except OSError as error:
             raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
         return
-    if not resume:
-        raise ConfigError(f"{out}: holds another campaign", remedy="choose another --out, or --resume")
     before = read_json(path)
     if not isinstance(before, dict):
         raise ConfigError(f"{path}: is not the plan of a campaign")
     different = [key for key in plan if before.get(key) != plan[key]]
     if different:
         raise ConfigError(
-            f"{path}: the campaign had another {', '.join(different)}",
+            f"{path}: the campaign differs in {', '.join(different)}",
             remedy="resume with the same options (--seeds and --vary may grow), or start anew",
         )
 
@@ -167,12 +167,16 @@ def _run(
     """Run what is not finished; rows in the order of the cases."""
     from hil.procedure.campaign import spread, write_rows
 
-    jobs = [Job(setup, case, str(out / "runs" / case.name)) for case in cases]
+    jobs = [Job(setup, case, str(out / RUNS / case.name)) for case in cases]
     rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
     missing = [job for job in jobs if job.case not in rows]
 
     def stop(signum: int, frame: FrameType | None) -> None:
-        raise Aborted("the campaign was ended by SIGTERM", remedy="go on with --resume")
+        raise ended("ended by SIGTERM")
+
+    def ended(how: str) -> Aborted:
+        finished_now = f"{len(rows)} of {len(jobs)} runs are finished"
+        return Aborted(f"the campaign was {how}; {finished_now}", remedy="go on with --resume")
 
     before = signal.signal(signal.SIGTERM, stop)
     try:
@@ -196,6 +200,8 @@ def _run(
                 )  # fmt: skip
             elif missing:
                 spread(run_case, missing, lost=lost, done=done, workers=workers)
+    except KeyboardInterrupt:
+        raise ended("interrupted") from None
     finally:
         signal.signal(signal.SIGTERM, before)
     return [rows[case] for case in cases]

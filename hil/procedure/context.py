@@ -198,7 +198,8 @@ class Context(Notebook):
                 if left is not None and left.exists():
                     self._recordings.add(left)
             if waiting and not failed:
-                self.held = abandoned("the process that drove it was ended with the run")
+                on_wall = self.source.config.environment.on_wall
+                self.held = abandoned("the process that drove it was ended with the run", on_wall=on_wall)
 
     def _take_over(self, found: Driven, held: list[Held]) -> None:
         self.guard.driven_ns += nanoseconds(found.driven_s)

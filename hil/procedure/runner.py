@@ -173,7 +173,7 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
     different += [f"bench.{key}".rstrip(".") for key in changed_since(past.header.get("config"), config)]
     if different:
         raise ConfigError(
-            f"{folder / NAME}: the interrupted run had another {', '.join(different)}",
+            f"{folder / NAME}: the interrupted run differs in {', '.join(different)}",
             remedy="resume with the same options, or start anew",
         )
     drop_torn_line(folder / NAME)

@@ -72,10 +72,19 @@ def _table(path: Path, data: bytes, width: int) -> Array:
         if len(fields) != width:
             raise DataError(str(path), f"line {number} has {len(fields)} fields", expected=str(width))
         try:
-            rows.append([float(f) if f.strip() else np.nan for f in fields])
+            rows.append([_number(f) for f in fields])
         except ValueError:
             raise DataError(str(path), f"line {number} holds text", expected="numbers, or nothing") from None
     return np.array(rows, dtype=np.float64).reshape(-1, width)
+
+
+def _number(field: str) -> float:
+    """Raises `ValueError` also for what only Python takes for a number: `1_0`, digits of other scripts."""
+    if not field.strip():
+        return np.nan
+    if "_" in field or not field.isascii():
+        raise ValueError(field)
+    return float(field)
 
 
 def _lines(path: Path, data: bytes) -> Iterator[list[str]]:

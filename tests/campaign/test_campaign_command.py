@@ -2,6 +2,12 @@
 
 import csv
 import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
 from urllib.parse import quote
 
 import pytest
@@ -148,9 +154,33 @@ def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, opt
 def test_another_campaign_is_not_written_over(campaign):
     assert campaign("--seeds", "0", "--workers", "0", "--out", "o")[0] == 0
     code, _, said = campaign("--seeds", "0", "--workers", "0", "--out", "o")
-    assert (code, "holds another campaign" in said) == (2, True)
+    assert (code, "holds a campaign" in said) == (2, True)
     code, _, said = campaign("--seeds", "0", "--workers", "0", "--out", "o", "--resume", "--set", "gain=2")
-    assert (code, "had another settings" in said) == (2, True)
+    assert (code, "differs in settings" in said) == (2, True)
+
+
+def test_a_plan_of_which_nothing_ran_is_no_campaign(campaign, tmp_path):
+    """A scheduler that does not answer, or Ctrl-C while workers start, leave one."""
+    (tmp_path / "o").mkdir()
+    (tmp_path / "o" / "plan.json").write_text("{}")
+    assert campaign("--seeds", "0", "--workers", "0", "--out", "o")[0] == 0
+
+
+def test_ctrl_c_ends_the_workers_says_what_is_finished_and_shows_nothing_of_dask(script, tmp_path):
+    pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
+    command = [sys.executable, "-m", "hil", "campaign", script, "--seeds", "0:400", "--out", "o"]
+    process = subprocess.Popen(
+        command, cwd=tmp_path, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    deadline = time.monotonic() + 60
+    while len(list((tmp_path / "o").rglob("result.json"))) < 4 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(process.pid, signal.SIGINT)
+    said = process.communicate(timeout=60)[1]
+    assert process.returncode == 4
+    assert "Traceback" not in said
+    assert re.search(r"the campaign was interrupted; [1-9]\d* of 400 runs are finished", said)
+    assert "--resume" in said
 
 
 def test_an_error_in_one_run_is_a_row(campaign):

@@ -87,7 +87,7 @@ def test_what_has_passed_is_not_repeated(tiny):
     assert code == 0
     assert again["wall"] == told["wall"]
     assert {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")} == before
-    with pytest.raises(ConfigError, match="had another seed"):
+    with pytest.raises(ConfigError, match="differs in seed"):
         commission(asked(folder, resume=True, source=SOURCE.changed(seed=2)))
     with pytest.raises(ConfigError, match="holds a commissioning"):
         commission(asked(folder))

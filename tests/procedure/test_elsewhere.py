@@ -119,7 +119,8 @@ class Struck:
         raise Aborted("stopped at once")
 
 
-def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tmp_path):
+@pytest.mark.parametrize(("bench", "state"), [("emulated", "NOT HELD"), ("emulated_floor", "not needed")])
+def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tmp_path, bench, state):
     @procedure(name="two_errands")
     def two_errands(ctx):
         errands = [Errand(ctx.source, partial(stood, for_s=0.1), label) for label in ("first", "second")]
@@ -128,10 +129,10 @@ def test_a_run_that_is_stopped_meanwhile_does_not_say_that_nothing_was_opened(tm
 
     folder = tmp_path / "run"
     options = RunOptions(folder, MonotonicClock(), "2026-01-01T00:00:00", {})
-    result = run_procedure(two_errands, BenchSource("emulated"), options)
+    result = run_procedure(two_errands, BenchSource(bench), options)
     told = json.loads((folder / "result.json").read_text())
     assert result.verdict is Verdict.ABORTED
-    assert told["held"]["state"] == "NOT HELD"
+    assert told["held"]["state"] == state
     assert "the process that drove it" in told["held"]["why"]
     assert told["recordings"] == ["recording_first.mcap"]
     assert told["bench_duration_s"] == pytest.approx(0.1, abs=0.05)

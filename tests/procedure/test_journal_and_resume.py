@@ -86,7 +86,7 @@ def test_a_line_cut_off_by_a_kill_is_dropped(run_small, tmp_path, length):
         (lambda lines: [lines[0], '{"kind": "value"}', *lines[1:]], "line 2 lacks"),
         (lambda lines: lines[1:], "does not start a run"),
         (lambda lines: [lines[0].replace('"schema": 1', '"schema": 9'), *lines[1:]], "schema 9"),
-        (lambda lines: [lines[0].replace('"seed": 0', '"seed": 5'), *lines[1:]], "another seed"),
+        (lambda lines: [lines[0].replace('"seed": 0', '"seed": 5'), *lines[1:]], "differs in seed"),
         (lambda lines: [], "does not start a run"),
     ],
 )
@@ -178,6 +178,6 @@ def test_an_old_journal_goes_on_and_another_bench_is_named_by_its_key(run_small,
     head["config"] |= {"surface": "wall", "emulation": {**head["config"]["emulation"], **environment}}
     journal.write_text(json.dumps(head) + "\n" + "".join(rest))
     other = bare_source.changed(overrides={"environment.tilt_rad": 1.2, "loop.rate_hz": 50.0})
-    with pytest.raises(ConfigError, match=r"another bench\.environment\.tilt_rad, bench\.loop\.rate_hz;"):
+    with pytest.raises(ConfigError, match=r"differs in bench\.environment\.tilt_rad, bench\.loop\.rate_hz;"):
         run_small(make(), folder, resume=True, source=other)
     assert run_small(make(), folder, resume=True).verdict.value == "PASS"

@@ -129,6 +129,17 @@ def test_plain_files_are_read_alike_at_once_and_line_by_line(tmp_path, run, monk
             np.testing.assert_array_equal(one, same)
 
 
+@pytest.mark.parametrize("cell", ["1_0", "\u0e51", "1e", "true", "0x10"])
+def test_what_is_hardly_a_number_is_named(tmp_path, run, cell):
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, run)
+    lines = path.read_text(encoding="utf-8").splitlines()
+    lines[100] = ",".join([lines[100].split(",")[0], cell, *lines[100].split(",")[2:]])
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    with pytest.raises(DataError, match="line 101 holds text"):
+        read_plain(path)
+
+
 def test_each_repair_is_counted():
     t, wheels, truth = logs()
     t_wheels = t.copy()

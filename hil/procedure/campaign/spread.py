@@ -8,9 +8,11 @@ given up and the others go on.
 from __future__ import annotations
 
 import logging
+import signal
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from multiprocessing.resource_tracker import ensure_running
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hil.procedure.campaign.parcel import Parcel
@@ -105,7 +107,10 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
         try:
             client = Client(scheduler, timeout=10)
         except (OSError, ValueError) as error:
-            raise UsageError(f"Dask scheduler {scheduler!r} does not answer ({error})") from None
+            raise UsageError(
+                f"Dask scheduler {scheduler!r} does not answer ({error})",
+                remedy="start `dask scheduler`, and give the address that it prints",
+            ) from None
         with client:
             yield client
         return
@@ -113,9 +118,20 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
         "n_workers": workers, "threads_per_worker": 1, "processes": True, "host": "127.0.0.1",
         "dashboard_address": "127.0.0.1:0", "silence_logs": logging.CRITICAL, "memory_limit": 0,
     }  # fmt: skip
-    with (
-        tempfile.TemporaryDirectory(prefix="hil-campaign-") as folder,
-        LocalCluster(local_directory=folder, **options) as cluster,
-        Client(cluster) as client,
-    ):
+    with ExitStack() as stack:
+        folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
+        with _interrupts_put_off():
+            cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
+            client = stack.enter_context(Client(cluster))
         yield client
+
+
+@contextmanager
+def _interrupts_put_off() -> Iterator[None]:
+    """Ctrl-C waits; threads and processes that begin meanwhile, and theirs, never hear of it."""
+    ensure_running()  # whoever starts Python's own tracker hears of Ctrl-C again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)

@@ -75,7 +75,7 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
     different = [key for key in options if told.get(key) != options[key]]
     if different:
         raise ConfigError(
-            f"{path}: the interrupted commissioning had another {', '.join(different)}",
+            f"{path}: the interrupted commissioning differs in {', '.join(different)}",
             remedy="resume with the same options, or start anew",
         )
     return State(folder, options, tree["done"])
