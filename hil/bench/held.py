@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 State = Literal["HELD", "NOT HELD", "not needed"]
@@ -48,10 +48,14 @@ def seen_in_words(held: Held) -> str:
 
 
 def abandoned(why: str, *, on_wall: bool) -> Held:
-    """Of a robot whose bench ended before anybody could look; on the floor it need not be held."""
-    if on_wall:
-        return Held("NOT HELD", None, f"nobody looked: {why}")
-    return Held("not needed", None, f"on the floor; nobody looked: {why}", wanted=False)
+    """Of a robot whose bench ended before anybody could look."""
+    held = Held("NOT HELD", None, f"nobody looked: {why}")
+    return held if on_wall else on_the_floor(held)
+
+
+def on_the_floor(held: Held) -> Held:
+    """The same of a robot that need not be held, because gravity does not pull along the surface."""
+    return replace(held, state="not needed", why=f"on the floor; {held.why}")
 
 
 def untouched(why: str) -> Held:

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.held import Held, State
+from hil.bench.held import Held, State, on_the_floor
 from hil.bench.leaps import Leaps
 from hil.bench.pressing import PressWatch
 from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
@@ -200,9 +200,8 @@ class HoldWatch(Sink):
             moved_m = last_m if last_m is not None and last_m > _MOVED_M else None
         if state == "HELD" and moved_m is None:
             why += "; how far it has moved since the stop was not measured"
-        if not self._on_wall:
-            state, why = "not needed", f"on the floor; {why}"
-        return Held(state, moved_m, why, wanted)
+        held = Held(state, moved_m, why, wanted)
+        return held if self._on_wall else on_the_floor(held)
 
     def released(self) -> Held:
         """The robot has been let go of on purpose."""

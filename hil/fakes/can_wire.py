@@ -227,12 +227,9 @@ class WorldBus(can.BusABC):
         world, queue = self._channel.world, self._queue
         deadline_ns = None if timeout == 0 else _deadline_ns(world.now_ns, timeout)
         while True:
-            if not world.faults.empty:
-                self._channel.check_plugged()
-            while queue and queue[0][0] <= world.now_ns:
-                message = message_of(queue.popleft()[1])
-                if self._filters is None or self._matches_filters(message):
-                    return message
+            frame = self.take()
+            if frame is not None:
+                return message_of(frame)
             if deadline_ns is None or world.now_ns >= deadline_ns:
                 return None
             step_ns = min(deadline_ns, world.next_due_ns(), queue[0][0] if queue else NEVER_NS)

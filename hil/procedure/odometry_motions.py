@@ -106,15 +106,14 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
     return line(pose, pose + turn, name=name, **limits)
 
 
-def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
-    """Drive all motions of a repetition and write their recordings; returns the file names.
+def drive_repetition(bench: Bench, repetition: Repetition) -> None:
+    """Drive all motions of a repetition and write their recordings.
 
     The first rest is a little longer in every repetition and part, so that two worlds of one seed do not
     repeat each other's noise.
     """
     pose = stand(bench, 0.5 + _STAGGER_S * (repetition.number + 0.5 * repetition.part))
     backwards = repetition.number % 2 == 0
-    written = []
     for name in repetition.motions:
         take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
         pose = stand(bench)
@@ -125,8 +124,6 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> list[str]:
         path = repetition.folder / repetition.file(name)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_plain(path, recording_of(motion, path.stem, name))
-        written.append(path.name)
-    return written
 
 
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:

@@ -85,7 +85,7 @@ def _driven(
 
 def _driven_parts(
     ctx: Context, label: str, parts: Sequence[Repetition], calibration: Path | None, workers: Workers
-) -> Generator[list[str], None, None]:
+) -> Generator[None, None, None]:
     if workers.processes > 1 and ctx.source.virtual:
         source = ctx.source.changed(calibration=calibration, overrides=unused())
         yield from ctx.at_once(
@@ -95,4 +95,5 @@ def _driven_parts(
     for part in parts:
         name = f"{label} {part.number}" + (f" part {part.part + 1}" if part.part else "")
         bench = ctx.reopen(name, calibration=calibration, overrides=unused())
-        yield drive_repetition(bench, part)
+        drive_repetition(bench, part)
+        yield

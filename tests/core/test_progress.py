@@ -82,13 +82,18 @@ def test_plain_lines_tell_the_whole_runs_time_left(capsys):
     assert not any(line.startswith(WHOLE) for line in lines)
 
 
-def test_plain_lines_come_by_tenths_with_the_pieces_own_time_left(capsys):
+def plain_lines(capsys, most, total):
+    """What is said of the first runs of all, each of which takes 2 s."""
     clock = Waiting()
     with reporting(clock=clock) as report:
-        for done in range(101):
-            report("runs", done, 100)
+        for done in range(most + 1):
+            report("runs", done, total)
             clock.s += 2.0
-    lines = capsys.readouterr().err.splitlines()
+    return capsys.readouterr().err.splitlines()
+
+
+def test_plain_lines_come_by_tenths_with_the_pieces_own_time_left(capsys):
+    lines = plain_lines(capsys, 100, 100)
     assert len(lines) == 11
     assert lines[5] == "runs: 50/100, about 100 s left"
     assert lines[-1] == "runs: 100/100"
@@ -96,12 +101,7 @@ def test_plain_lines_come_by_tenths_with_the_pieces_own_time_left(capsys):
 
 def test_plain_lines_of_long_work_come_twice_a_minute(capsys):
     """A tenth of a thousand runs takes minutes."""
-    clock = Waiting()
-    with reporting(clock=clock) as report:
-        for done in range(91):
-            report("runs", done, 1000)
-            clock.s += 2.0
-    lines = capsys.readouterr().err.splitlines()
+    lines = plain_lines(capsys, 90, 1000)
     assert [line.split(",")[0] for line in lines] == [f"runs: {done}/1000" for done in range(0, 91, 15)]
 
 
