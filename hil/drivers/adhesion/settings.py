@@ -83,9 +83,10 @@ class Answers:
             self._buffer[at : at + len(piece)] = piece
 
     def _understand(self, payload: bytes) -> None:
-        if payload[0] == _FW_VERSION and len(payload) >= 3:
+        kind = payload[0] if payload else None  # none in a long answer of no bytes, whose checksum of 0 is right
+        if kind == _FW_VERSION and len(payload) >= 3:
             self.firmware = f"{payload[1]}.{payload[2]:02d}"
-        elif payload[0] == _GET_APPCONF and len(payload) >= _HEAD.size:
+        elif kind == _GET_APPCONF and len(payload) >= _HEAD.size:
             _, _, own, timeout_ms, _, rate_1, rate_2, mask_1, mask_2 = _HEAD.unpack_from(payload)
             masks = tuple(
                 frozenset(n + 1 for n in range(_STATUSES) if mask >> n & 1) for mask in (mask_1, mask_2)
