@@ -83,7 +83,7 @@ class Answers:
             self._buffer[at : at + len(piece)] = piece
 
     def _understand(self, payload: bytes) -> None:
-        kind = payload[0] if payload else None  # none in a long answer of no bytes, whose checksum of 0 is right
+        kind = payload[0] if payload else None  # a long answer of no bytes has the right checksum, too: 0
         if kind == _FW_VERSION and len(payload) >= 3:
             self.firmware = f"{payload[1]}.{payload[2]:02d}"
         elif kind == _GET_APPCONF and len(payload) >= _HEAD.size:
