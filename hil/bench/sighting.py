@@ -132,5 +132,5 @@ class Travel:
 
 
 def _mean(seen: deque[tuple[int, Array]]) -> Array:
-    place: Array = np.mean([place for _, place in seen], axis=0)
-    return place
+    total: Array = np.add.reduce([place for _, place in seen])
+    return total / len(seen)

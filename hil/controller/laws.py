@@ -16,6 +16,9 @@ import numpy as np
 from hil.vocabulary.geometry import Array, Three, rotation2, wrap
 from hil.vocabulary.signals import Reference, RobotState
 
+_STEADY_S = 5.0
+"""The gains are computed backwards from this long after the end of the path: at its end they are steady."""
+
 
 def pose_error(state: RobotState, reference: Reference) -> Three:
     """Reference minus state (m, m, rad) in the measured body frame, heading wrapped."""
@@ -119,6 +122,31 @@ def riccati_gains(models: list[tuple[Array, Array]], state_cost: Array, input_co
     return gains[::-1]
 
 
+@lru_cache(maxsize=16)
+def gains_along(
+    omegas_rad_s: tuple[float, ...], dt_s: float, lag_s: float, weights: tuple[float, float, float]
+) -> tuple[Array, ...]:
+    """What an error (9,) of `lag_model` is answered with at each step, (3, 9): -K_k of `riccati_gains`.
+
+    Drives of one process along the same path share them, so the arrays are read-only.
+
+    Args:
+        omegas_rad_s: turn rate of the reference at each step, rad/s.
+        dt_s: period of the loop, s.
+        lag_s: time constant of the drives, s.
+        weights: (state, integral, input) diagonal weights; integral 0 switches it off.
+    """
+    q, q_i, r = weights
+    models = [lag_model(omega, dt_s, lag_s) for omega in omegas_rad_s]
+    if q_i == 0.0:
+        models = [_without_integral(m) for m in models]
+    state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
+    gains = tuple(-gain for gain in riccati_gains(models, state_cost, r * np.eye(3)))
+    for gain in gains:
+        gain.flags.writeable = False
+    return gains
+
+
 class OptimalLaw(Law):
     """Time-varying LQR about the reference, with the servo lag in its model and optional integral action.
 
@@ -141,18 +169,13 @@ class OptimalLaw(Law):
         weights: tuple[float, float, float],
         clamp: float,
     ) -> None:
-        q, q_i, r = weights
         steps = max(2, round(duration_s / dt_s) + 2)
-        models = []
-        for k in range(steps + round(5.0 / dt_s)):
-            omega = round(float(omega_at(min(k * dt_s, duration_s))), 4) + 0.0  # -0.0 is no other rate
-            models.append(lag_model(omega, dt_s, lag_s))
-        state_cost = np.diag([q] * 3 + [q_i] * 3 + [0.0] * 3)
-        if q_i == 0.0:
-            models = [_without_integral(m) for m in models]
-        self._gains = [-gain for gain in riccati_gains(models, state_cost, r * np.eye(3))[:steps]]
+        times_s = (min(k * dt_s, duration_s) for k in range(steps))
+        omegas = [round(float(omega_at(t_s)), 4) + 0.0 for t_s in times_s]  # -0.0 is no other rate
+        beyond_the_end = [omegas[-1]] * round(_STEADY_S / dt_s)
+        self._gains = gains_along((*omegas, *beyond_the_end), dt_s, lag_s, weights)[:steps]
         self._dt_s, self._clamp, self._decay = dt_s, clamp, float(np.exp(-dt_s / lag_s))
-        self._integrates = q_i > 0.0
+        self._integrates = weights[1] > 0.0
         self.reset()
 
     def reset(self) -> None:

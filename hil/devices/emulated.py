@@ -9,6 +9,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Any, Protocol, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
@@ -25,6 +26,9 @@ from hil.vocabulary.kinds import Connection
 __all__ = ["EmulatedDevice", "Face", "Setting", "Wired", "on_serial_line"]
 
 T = TypeVar("T")
+
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+"""Of a dataclass, made once: it takes longer to make than most devices."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +72,8 @@ class Setting:
             problems = [f"{where}.{key}: {why}" for key, why in impossible(imperfections, self.given)]
         if not problems:
             try:
-                return TypeAdapter(imperfections).validate_python({**known, **self.given})
+                made: T = _adapter(imperfections).validate_python({**known, **self.given})
+                return made
             except ValidationError as error:
                 problems = [
                     f"{where}.{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}"

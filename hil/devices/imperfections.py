@@ -9,7 +9,8 @@ fields of another package mean is not known here: they need to be finite, and wi
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import cache, partial
 from typing import Any, get_args, get_type_hints
 
 BOUNDS: Mapping[str, tuple[float, float]] = {
@@ -24,6 +25,7 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
 """End of a name -> smallest and largest value; the first that fits counts. Vectors of lengths (`_m`) have a
 direction, so their parts may be negative."""
 
+_hints: Callable[[Any], dict[str, Any]] = cache(partial(get_type_hints, include_extras=True))
 _UNIT = "_wxyz"
 _OURS = "hil."
 _ROTATION_NORM = (0.99, 1.01)
@@ -36,7 +38,7 @@ def impossible(imperfections: type[Any], given: Mapping[str, Any]) -> Iterator[t
         imperfections: dataclass of the device.
         given: values of fields of it, as a file or an option holds them.
     """
-    hints = get_type_hints(imperfections, include_extras=True)
+    hints = _hints(imperfections)
     for key, value in given.items():
         why = _truth_value(hints[key], value) or _not_finite(value)
         if not why and imperfections.__module__.startswith(_OURS):

@@ -75,6 +75,7 @@ class CanChannel:
         self, world: World, name: str = "hil", *, bitrate: int = 500_000, device: str = "encoders"
     ) -> None:
         self.world, self.name, self.bitrate, self._device = world, name, bitrate, device
+        self.faults = world.faults.of(device)
         self._listeners: list[tuple[deque[Heard], Callable[[], None] | None]] = []
         self._rng = world.rng(f"can.{device}")
         self._free_ns = 0
@@ -117,7 +118,7 @@ class CanChannel:
         sender: deque[Heard] | None = None,
     ) -> None:
         """Put a data frame on the bus, not before `t_ns`; everybody but the sender hears it."""
-        if not self.world.faults.empty:
+        if not self.faults.empty:
             message = can.Message(arbitration_id=frame_id, data=data, is_extended_id=extended)
             self.send(message, t_ns, sender=sender)
             return
@@ -128,7 +129,7 @@ class CanChannel:
         """Put any frame on the bus, which is the channel's from now on; everybody but the sender hears it."""
         arrival_ns = self._crossed_ns(message.is_extended_id, message.dlc, t_ns)
         copies = 1
-        if not self.world.faults.empty:
+        if not self.faults.empty:
             spoilt = self._spoil(message, t_ns)
             if spoilt is None:
                 return
@@ -153,13 +154,12 @@ class CanChannel:
 
     def check_plugged(self) -> None:
         """Raise as a CAN adapter does that has been pulled out."""
-        faults = self.world.faults
-        if not faults.empty and faults.find(self._device, "unplug", self.world.now_ns):
+        if not self.faults.empty and self.faults.find(self._device, "unplug", self.world.now_ns):
             raise can.CanOperationError("the CAN adapter is gone")
 
     def _spoil(self, message: can.Message, t_ns: int) -> tuple[can.Message, int] | None:
         """The frame as it arrives and how often, or None when it does not."""
-        faults = {f.kind: f for f in self.world.faults.active(self._device, t_ns)}
+        faults = {f.kind: f for f in self.faults.active(self._device, t_ns)}
         if "bus_off" in faults or "baud_mismatch" in faults:
             if self._told_bus_off:
                 return None
@@ -214,7 +214,7 @@ class WorldBus(can.BusABC):
             can.CanOperationError: unplugged.
         """
         world, queue = self._channel.world, self._queue
-        if not world.faults.empty:
+        if not self._channel.faults.empty:
             self._channel.check_plugged()
         while queue and queue[0][0] <= world.now_ns:
             frame = queue.popleft()[1]

@@ -151,18 +151,26 @@ def parse_fault(spec: str) -> Fault:
 
 
 class FaultPlan:
-    """All faults of a run. Devices ask `active(names, t_ns)` with their own names.
+    """All faults of a run. Devices ask with their own names, for what concerns them: see `of`.
 
     A device may go by several names (`servos`, `servo.drive_FL`, `servo.1`).
 
     Attributes:
-        empty: there is nothing to ask for: lets devices skip the query.
+        empty: there is nothing to ask for.
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults: list[Fault] = []
+        self._views: list[FaultsOf] = []
         self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
+
+    def of(self, *names: str) -> FaultsOf:
+        """What concerns a device of these names, from now on."""
+        view = FaultsOf(self, names)
+        self._views.append(view)
+        view.follow(fault.device for fault in self._faults)
+        return view
 
     def declare(self, device: str, supported: Supported) -> None:
         """A device announces a name and what it can do; checks the faults known so far at `check`."""
@@ -179,9 +187,13 @@ class FaultPlan:
 
     def _keep(self, faults: list[Fault]) -> None:
         self._faults = faults
-        self._newest_first = sorted(reversed(faults), key=lambda fault: -fault.start_ns)
+        self._newest_first: dict[tuple[str, str], list[Fault]] = {}
+        for fault in sorted(reversed(faults), key=lambda fault: -fault.start_ns):
+            self._newest_first.setdefault((fault.device, fault.kind), []).append(fault)
         self._kinds = frozenset(fault.kind for fault in faults)
         self.empty = not faults
+        for view in self._views:
+            view.follow(fault.device for fault in faults)
 
     def check(self) -> None:
         """Raise `FaultNotSupportedError` for the first fault that no device can produce."""
@@ -225,16 +237,32 @@ class FaultPlan:
 
         One that acts once (a jump, a reset) is active for ever; it does not hide those that come later.
         """
-        if kind not in self._kinds:
-            return None
-        for fault in self._newest_first:
-            if fault.kind == kind and fault.device == device and fault.active(t_ns):
+        for fault in self._newest_first.get((device, kind), ()):
+            if fault.active(t_ns):
                 return fault
         return None
 
     def active(self, device: str, t_ns: int) -> tuple[Fault, ...]:
         """All faults active on a device, in the order given."""
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
+
+
+class FaultsOf:
+    """The faults of a plan that concern one device.
+
+    Attributes:
+        empty: none is planned for it, and none has been: lets it skip the query, whatever happens to others.
+            A device whose faults have been cleared goes on asking, for it has to find its way back.
+    """
+
+    def __init__(self, plan: FaultPlan, names: Iterable[str]) -> None:
+        self._names = frozenset(names)
+        self.empty = True
+        self.find, self.active, self.has = plan.find, plan.active, plan.has
+
+    def follow(self, devices: Iterable[str]) -> None:
+        """Faults of these devices are planned now."""
+        self.empty = self.empty and self._names.isdisjoint(devices)
 
 
 class Once:
@@ -266,13 +294,13 @@ class DeviceFaults:
     """
 
     def __init__(self, plan: FaultPlan, name: str, rng: np.random.Generator) -> None:
-        self._plan, self._name, self._rng = plan, name, rng
+        self._plan, self._name, self._rng = plan.of(name), name, rng
         self._once = Once()
         self._off = False
 
     @property
     def none(self) -> bool:
-        """Whether no fault is planned at all."""
+        """Whether no fault is planned for the device, nor has been."""
         return self._plan.empty
 
     def find(self, kind: str, t_ns: int) -> Fault | None:

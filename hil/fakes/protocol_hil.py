@@ -52,7 +52,7 @@ class Serial(SerialBase):
     def _opened(self) -> SerialLine:
         if self._line is None:
             raise SerialException(errno.EBADF, "the port is not open")
-        if not self._line.world.faults.empty:
+        if not self._line.faults.empty:
             try:
                 self._line.check_plugged()
             except Unplugged as gone:

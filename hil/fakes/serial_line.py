@@ -64,6 +64,7 @@ class SerialLine(Scheduled):
         client_cost_ns: int = 50_000,
     ) -> None:
         self.world, self.chip, self.name = world, chip, name or chip.name
+        self.faults = world.faults.of(chip.name)
         self.client_cost_ns = client_cost_ns
         self._latency_ns = nanoseconds(latency_s)
         self._rng = world.rng(f"line.{chip.name}")
@@ -94,7 +95,7 @@ class SerialLine(Scheduled):
 
     def send(self, data: bytes, baud: int) -> None:
         """Bytes from the client, now; raises `Unplugged`."""
-        now_ns, faultless = self.world.now_ns, self.world.faults.empty
+        now_ns, faultless = self.world.now_ns, self.faults.empty
         if not faultless:
             self.check_plugged()
         self._baud = baud
@@ -166,19 +167,17 @@ class SerialLine(Scheduled):
 
     def check_plugged(self) -> None:
         """Raise `Unplugged` while the adapter is pulled out."""
-        faults = self.world.faults
-        if not faults.empty and faults.find(self.chip.name, "unplug", self.world.now_ns):
+        if not self.faults.empty and self.faults.find(self.chip.name, "unplug", self.world.now_ns):
             raise Unplugged(f"the adapter of {self.name} is gone")
 
     def _heard(self, baud: int, t_ns: int) -> int:
-        faults = self.world.faults
-        if faults.empty or faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
+        if self.faults.empty or self.faults.find(self.chip.name, "baud_mismatch", t_ns) is None:
             return baud
         return round(baud * _WRONG_BAUD_FACTOR)
 
     def _answer(self, replies: list[Reply], baud: int, t_ns: int) -> None:
         for reply in replies:
-            for data in (reply.data,) if self.world.faults.empty else self._spoil(reply.data, t_ns):
+            for data in (reply.data,) if self.faults.empty else self._spoil(reply.data, t_ns):
                 ready_ns, free_ns = reply.ready_ns, self._in_free_ns
                 self._deliver(data, ready_ns if ready_ns > free_ns else free_ns, baud)
 
@@ -194,7 +193,7 @@ class SerialLine(Scheduled):
 
     def _spoil(self, data: bytes, t_ns: int) -> tuple[bytes, ...]:
         """The transfers that one becomes under the active wire faults."""
-        faults = self.world.faults
+        faults = self.faults
 
         def hit(kind: str) -> bool:
             fault = faults.find(self.chip.name, kind, t_ns)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from typing import Any, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
@@ -14,6 +15,9 @@ from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
 from hil.vocabulary.reading import json_value
 
 BENCH_PREFIX = "bench."
+
+_adapter: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
+"""Of a class of parameters, made once: it takes milliseconds."""
 
 
 def split_settings(settings: Iterable[str]) -> tuple[dict[str, str], dict[str, object]]:
@@ -64,7 +68,7 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
             problems.append(f"{key}: must be a finite number (found {value!r})")
     if not problems:
         try:
-            return TypeAdapter(model).validate_python(typed)
+            return _adapter(model).validate_python(typed)
         except ValidationError as error:
             problems = [f"{'.'.join(map(str, e['loc'])) or 'all'}: {e['msg']}" for e in error.errors()]
     raise ConfigError(f"procedure {owner}: {len(problems)} wrong parameter(s)", problems=tuple(problems))
@@ -95,7 +99,7 @@ def check_model(model: object, owner: str) -> None:
 
 def as_dict(parameters: Any) -> dict[str, Any]:
     """Parameters as JSON values."""
-    found = TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
+    found = _adapter(type(parameters)).dump_python(parameters, mode="json")
     return dict(found)
 
 

@@ -65,6 +65,14 @@ def test_a_dead_servo_is_an_error_once_it_lasts(servo_bench):
     assert bench.clock.now_ns() == pytest.approx(3.0 * SECOND, rel=0.02)
 
 
+def test_a_servo_whose_fault_is_cleared_while_it_is_off_answers_again(servo_bench):
+    bench = servo_bench("servo.2:off@0.2")
+    bench.driver.enable()
+    assert cycles(bench, 1)[-1].status[1] is Status.TIMEOUT
+    bench.world.faults.clear()
+    assert cycles(bench, 2)[-1].status[1] is Status.OK
+
+
 def test_two_dead_servos(servo_bench):
     bench = servo_bench("servo.2:off@1", "servo.7:off@1.5", config={"fail_after_s": 60.0})
     bench.driver.enable()

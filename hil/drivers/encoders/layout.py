@@ -1,7 +1,7 @@
 """Bit positions of the encoder frames, taken from a DBC file once and then applied without it.
 
-cantools reads and checks the DBC; decoding a frame is then two shifts per signal, a tenth of the cost
-of a general decode (a test holds the two against each other).
+cantools reads and checks the DBC (`hil.drivers.dbc`); decoding a frame is then two shifts per signal, a tenth
+of the cost of a general decode (a test holds the two against each other).
 """
 
 from __future__ import annotations
@@ -11,18 +11,12 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
-import cantools
-from cantools.database import Error as CantoolsError
-from cantools.database import UnsupportedDatabaseFormatError
-
 from hil.config.encoders import EncodersConfig
+from hil.drivers.dbc import load_database
 from hil.vocabulary.errors import DataError
-from hil.vocabulary.reading import read_bytes
 
 SEQUENCE, NODE_TIME = "Sequence", "NodeTime"
 _WORD_BITS = 18
-_MOST_BYTES = 4 << 20
-_ENCODING = "cp1252"  # of every DBC file; cantools reads them so too
 
 
 @dataclass(frozen=True)
@@ -112,21 +106,6 @@ def load_layout(config: EncodersConfig) -> dict[int, FrameLayout]:
             remedy="correct encoders.signals or encoders.dbc",
         )
     return found
-
-
-def load_database(path: Path) -> Any:
-    """A DBC file, by cantools.
-
-    Raises:
-        DataError: it cannot be read.
-    """
-    try:
-        text = read_bytes(path, _MOST_BYTES).decode(_ENCODING, errors="replace")
-        return cantools.database.load_string(text, "dbc")
-    except OSError as error:
-        raise DataError(str(path), f"the DBC cannot be read ({error.strerror})") from None
-    except (CantoolsError, UnsupportedDatabaseFormatError, ValueError) as error:
-        raise DataError(str(path), f"not a usable DBC ({str(error).splitlines()[0]})") from None
 
 
 def _field(message: Any, name: str, path: Path) -> Field:

@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
-
-import cantools
-from cantools.database import Error as CantoolsError
-from cantools.database import UnsupportedDatabaseFormatError
 
 from hil.config.load_cells import CanCellsConfig
 from hil.drivers.can_link import CanLink, remedy_of_silence
+from hil.drivers.dbc import load_database
 from hil.drivers.load_cells.judging import Judge
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
 from hil.vocabulary.errors import DataError, DeviceError, DeviceTimeoutError
 from hil.vocabulary.interfaces import Sensor
-from hil.vocabulary.reading import read_bytes
 from hil.vocabulary.signals import LoadCellSample
 
 _WAIT_S = 0.02
-_MOST_BYTES = 4 << 20
 _BITS = 24
 
 
@@ -153,7 +147,7 @@ class _Field:
 def _layout(config: CanCellsConfig) -> tuple[int, int, tuple[_Field, ...]]:
     """Identifier, length and fields; raises `DataError`."""
     path = config.dbc_path
-    database = _database(path)
+    database = load_database(path)
     for message in database.messages:
         by_name = {signal.name: signal for signal in message.signals}
         if not all(name in by_name for name in config.signals):
@@ -178,13 +172,3 @@ def _field(signal: Any, length: int) -> _Field:
         return _Field("little", signal.start)
     from_top = signal.start // 8 * 8 + 7 - signal.start % 8
     return _Field("big", 8 * length - from_top - signal.length)
-
-
-def _database(path: Path) -> Any:
-    try:
-        text = read_bytes(path, _MOST_BYTES).decode("cp1252", errors="replace")
-        return cantools.database.load_string(text, "dbc")
-    except OSError as error:
-        raise DataError(str(path), f"the DBC cannot be read ({error.strerror})") from None
-    except (CantoolsError, UnsupportedDatabaseFormatError, ValueError) as error:
-        raise DataError(str(path), f"not a usable DBC ({str(error).splitlines()[0]})") from None

@@ -116,7 +116,7 @@ class MotorNode(Scheduled):
     def on_due(self, t_ns: int) -> None:
         """Do everything that is due."""
         self._advance(t_ns)
-        if not self._world.faults.empty:
+        if not self._faults.none:
             self._power(t_ns)
         while self._queue and self._queue[0][0] <= t_ns:
             self._take(self._queue.popleft()[1], t_ns)

@@ -97,7 +97,7 @@ class VescNode(MotorNode):
         send_ns = t_ns + (delayed.delay_ns(_DELAY_S) if delayed is not None else 0)
         which = self._options.messages_2 if rate else self._options.messages_1
         for command, data in self._messages(which):
-            if not self._world.faults.empty:
+            if not self._faults.none:
                 data = self._spoilt(command, data, t_ns)
             self._send(command << 8 | self._vesc.controller_id, data, send_ns)
 

@@ -85,12 +85,13 @@ class EncoderNode(Scheduled):
         clock_ppm: float = 30.0,
     ) -> None:
         self.name = name
-        self._world, self._wire, self._plan = world, wire, world.faults
+        self._world, self._wire = world, wire
         self._ids = tuple(frame_id + node_id for frame_id in FRAME_IDS)
         self._rng = world.rng(name)
         options = options if options is not None else EncoderTruthOptions()
         self.chips = tuple(self._chip(options, s, z) for s, z in zip(sign, zero_rad, strict=True))
         self._axes = tuple(f"encoder.{wheel}" for wheel in WHEELS)
+        self._plan = world.faults.of(name, *self._axes)
         self._rate_hz = max(1, round(rate_hz))
         self._says = options.layout & 0xFF | (options.firmware & 0xFF) << 8
         self._period_ns = round(1e9 / rate_hz * (1.0 + 1e-6 * clock_ppm))

@@ -90,7 +90,7 @@ class Bno055Chip(SerialChip, Scheduled):
     def on_due(self, t_ns: int) -> None:
         """Sense and publish one set of outputs."""
         mode, sensors = self._mode, self.sensors
-        faults = None if self._world.faults.empty else self._faults
+        faults = None if self._faults.none else self._faults
         period_ns = round(1e9 / mode.rate_hz * self._stretch * (faults.slowness(t_ns) if faults else 1.0))
         self._due_ns = t_ns + period_ns
         if faults is not None:
@@ -151,7 +151,7 @@ class Bno055Chip(SerialChip, Scheduled):
 
     def _power(self, t_ns: int) -> bool:
         """Follow power faults; True while the chip has no power or is booting."""
-        if self._world.faults.empty:
+        if self._faults.none:
             return False
         boot_ns = self._faults.boot_at_ns(t_ns)
         if boot_ns is not None:

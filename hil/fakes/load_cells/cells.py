@@ -84,7 +84,7 @@ class Cells:
 
     def silent(self, t_ns: int) -> bool:
         """Follow the supply; whether nothing is sent now."""
-        if self._world.faults.empty:
+        if self.faults.none:
             return False
         was_dead, self._dead = self._dead, any(self.faults.find(k, t_ns) for k in ("off", "brownout"))
         if (was_dead and not self._dead) or self.faults.news("reset", t_ns):
@@ -101,7 +101,7 @@ class Cells:
         t_s, sigma = t_ns / NS_PER_S, self._options.noise_n
         cells = zip(self._scale, self._share, self._zero_n, self._drift_n_s, noise, strict=True)
         seen = [c * share * true_n + zero_n + drift * t_s + sigma * n for c, share, zero_n, drift, n in cells]
-        if self._world.faults.empty:
+        if self.faults.none:
             return tuple(map(self._converted, seen, self._config.n_per_count))
         counts = tuple(map(self._converted, self._wrong(seen, t_ns), self._config.n_per_count))
         return self._spoilt(counts, t_ns)

@@ -47,8 +47,9 @@ class SteppedBody(Plant):
     ) -> None:  # fmt: skip
         self.parameters, self.by_hand = parameters, by_hand
         self.tilt_rad = tilt_rad
-        self._faults = faults if faults is not None else FaultPlan()
-        self._faults.declare("plant", {"adhesion_loss": ("factor", "over_s")})
+        plan = faults if faults is not None else FaultPlan()
+        plan.declare("plant", {"adhesion_loss": ("factor", "over_s")})
+        self._faults = plan.of("plant")
         self._step_ns, self._steps = step_ns, 0
         self._ahead_ns = step_ns  # before that no step more is whole
         self._constants, self._state = constants, np.zeros(k.STATE_SIZE)

@@ -5,6 +5,8 @@ Names: the bus (`servos`), a servo by joint (`servo.drive_FL`) or by ID (`servo.
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 
 from hil.config.servo_models import ServoModel
@@ -50,8 +52,9 @@ class ServoFaults:
         rng: np.random.Generator,
         models: tuple[ServoModel, ...],
     ) -> None:
-        self._plan, self._rng, self._models = plan, rng, models
+        self._rng, self._models = rng, models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
+        self._plan = plan.of(*chain.from_iterable(self._names))
         self._once = Once()
         self._frozen: dict[int, Measured] = {}
         self._slid: dict[int, tuple[int, float]] = {}
@@ -61,7 +64,7 @@ class ServoFaults:
 
     @property
     def none(self) -> bool:
-        """Whether no fault of any device is planned."""
+        """Whether no fault of any servo is planned, nor has been."""
         return self._plan.empty
 
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
@@ -80,7 +83,7 @@ class ServoFaults:
 
     def unpowered(self, joint: int, t_ns: int) -> bool:
         """Whether the servo has no supply."""
-        return any(self.find(joint, kind, t_ns) is not None for kind in ("off", "brownout"))
+        return self.find(joint, "off", t_ns) is not None or self.find(joint, "brownout", t_ns) is not None
 
     def due_once(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """A fault that acts once (`reset`, `jump`) and has not acted yet."""

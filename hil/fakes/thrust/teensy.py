@@ -121,7 +121,7 @@ class TeensyChip(SerialChip):
             self.step = max(0, self.step - 1)
             self._step_down_ns += _STEP_DOWN_NS
         settled = abs(self._aim_n(t_ns) - self.force_n) < _SETTLED * self._config.full_force_n
-        calm_ns = _TICK_NS if self._faults.none else _AWAKE_NS
+        calm_ns = _TICK_NS if self._world.faults.empty else _AWAKE_NS
         self._tick_ns = t_ns + (calm_ns if settled else _QUICK_NS)
         self._push()
         return []
