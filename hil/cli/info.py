@@ -23,40 +23,28 @@ _PACKAGES = (
 
 
 def _compile() -> None:
-    """Have numba compile everything: most of the filter here, all else in a process beside."""
+    """Have numba compile everything, half of it in a process beside."""
+    from hil.estimator.fusion import load_filter
+    from hil.estimator.smoother import compile_backward
+
     with ProcessPoolExecutor(1, get_context("spawn")) as beside:
         others = beside.submit(_compile_others)
-        _compile_filter()
+        load_filter(alone=True)
+        compile_backward()
         others.result()
 
 
-def _compile_filter() -> None:
-    """One cycle without samples; EKF and UKF have their kernels in common."""
-    from hil.config.estimator import EstimatorConfig
-    from hil.estimator import make_estimator
-    from hil.robot.kinematics import WheelGeometry
-    from hil.vocabulary.signals import Measurements
-
-    estimator = make_estimator(EstimatorConfig(kind="ekf"), WheelGeometry.nominal(), surface="wall")
-    estimator.update(Measurements(0, 10_000_000))
-
-
 def _compile_others() -> None:
-    """First what the filter comes to later, both plants, the pass of a calibration, and last what smooths.
-
-    By then the filter has what both use.
-    """
+    """First what the filter waits for, then both plants and the pass of a calibration."""
     from hil.bench import open_bench
     from hil.calibration.passes import compile_pass
-    from hil.estimator.events import compile_settle
-    from hil.estimator.smoother import compile_backward
+    from hil.estimator.ahead import compile_late
 
-    compile_settle()
+    compile_late()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
     compile_pass()
-    compile_backward()
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:

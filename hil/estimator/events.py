@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from hil.estimator.conditioning import condition, guard, joint_nis
-from hil.estimator.layout import PARAMETERS, EventRow, Ints, Memory, Parameters
+from hil.estimator.layout import EventRow, Ints, Memory, Parameters
 from hil.estimator.process import advance_linear
 from hil.estimator.records import Records
 from hil.estimator.retraction import carry, follow, is_unsure, lean, settle
@@ -31,7 +31,7 @@ from hil.estimator.sensors import (
 from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import put, put_rows, seen
-from hil.estimator.state import AUX, ROWS, STATES
+from hil.estimator.state import STATES
 from hil.estimator.unscented import advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.kernels import compiled
@@ -190,14 +190,3 @@ def run(
     if ahead_ns > 0:
         nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
         advance(now_x, now_p, ahead_ns / 1e9, par, rolling)
-
-
-def compile_settle() -> None:
-    """Compile `settle` now, by rows of which there are none; `run` finds it ready later.
-
-    For a second process: `run` comes to it only after others that take some ten seconds to compile.
-    """
-    par = np.zeros(1, PARAMETERS)[0]
-    x, p, rows, aux = np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(ROWS), np.zeros(AUX)
-    cross, own = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
-    settle(MARK, x, p, rows, rows, aux, 0, par, x.copy(), p.copy(), rows.copy(), cross, own, cross.copy())

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
+from functools import cache
 from typing import Protocol
 
 import numpy as np
 
 from hil.config.estimator import EstimatorConfig
+from hil.estimator.ahead import by_halves
 from hil.estimator.events import run
 from hil.estimator.history import History
 from hil.estimator.intake import REASONS, Intake
-from hil.estimator.layout import MEMORY, MEMORY_FLOATS, first_memory
+from hil.estimator.layout import MEMORY, MEMORY_FLOATS, PARAMETERS, first_memory
 from hil.estimator.records import Records, place
 from hil.estimator.sensors import SENSORS
 from hil.estimator.start import start_of
@@ -37,6 +39,7 @@ from hil.estimator.state import (
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Estimator
+from hil.vocabulary.kernels import compile_for
 from hil.vocabulary.signals import Measurements, RobotState
 
 _TWIST_SIGMA = 0.02
@@ -81,10 +84,23 @@ class Engine(Protocol):
         """Replay the events of a history from `begin` to its end; `now` is its last state at `now_ns`."""
 
 
+@cache
+def load_filter(*, alone: bool = False) -> None:
+    """Load the machine code of `run`, which EKF and UKF have in common; without one it is compiled.
+
+    Args:
+        alone: see `by_halves`.
+    """
+    h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
+    with by_halves(alone=alone):
+        compile_for(run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, 0, now.x, now.p, now.m)
+
+
 class CompiledEngine(Engine):
-    """The kernels of `hil.estimator.events`."""
+    """The kernels of `hil.estimator.events`; making the first one loads or compiles them."""
 
     def __init__(self, par: Records) -> None:
+        load_filter()
         self._par = par
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:

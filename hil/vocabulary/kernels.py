@@ -14,6 +14,7 @@ import dis
 import hashlib
 import math
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
@@ -70,6 +71,31 @@ def compiled_with_parts(function: F) -> F:
     for part in parts(function):
         register_jitable(part)
     return _jitted(function, "_nogil", nogil=True)
+
+
+def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
+    """Have a kernel compiled, or loaded, for the types of these arguments; it does not run."""
+    if numba is not None:
+        kernel.compile(tuple(map(numba.typeof, arguments)))  # type: ignore[attr-defined]
+
+
+@contextmanager
+def on_compiling(call: Callable[[], None]) -> Iterator[None]:
+    """Within, a function is called whenever numba begins to compile something that it has not kept."""
+    if numba is None:
+        yield
+        return
+    from numba.core import event
+
+    class Told(event.Listener):  # type: ignore[misc]
+        def on_start(self, _: Any) -> None:
+            call()
+
+        def on_end(self, _: Any) -> None:
+            return None
+
+    with event.install_listener("numba:compile", Told()):
+        yield
 
 
 def plain(function: F) -> F:

@@ -1,0 +1,89 @@
+"""The filter's machine code from nothing: two processes compile it, one that is kept is loaded by one."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hil.estimator import ahead
+from hil.vocabulary.kernels import compile_for
+
+numba = pytest.importorskip("numba")
+
+ONE_FORM_EACH = """
+from estimator_drives import drive
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import ahead, make_estimator
+from hil.estimator.events import run
+from hil.robot.kinematics import WheelGeometry
+
+for kernel, arguments in (*ahead._EARLY, *ahead._LATE):
+    ahead.compile_for(kernel, *arguments)
+cycles = drive(seconds=0.5, seed=3)
+for kind in ("ekf", "ukf"):
+    estimator = make_estimator(EstimatorConfig(kind=kind), WheelGeometry.nominal(), surface="wall")
+    estimator.reset(cycles.start)
+    for measurements in cycles.measurements:
+        estimator.update(measurements)
+for kernel in (run, *(kernel for kernel, _ in (*ahead._EARLY, *ahead._LATE))):
+    print(kernel.py_func.__name__, len(kernel.signatures))
+"""
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """Commands that were started, none of which runs."""
+    found = []
+
+    class Nothing:
+        def __init__(self, command, **_):
+            found.append(command)
+
+        def wait(self):
+            return 0
+
+    monkeypatch.setattr(subprocess, "Popen", Nothing)
+    monkeypatch.setattr(ahead, "_EARLY", ())
+    monkeypatch.setattr(ahead, "_cores", lambda: 2)
+    return found
+
+
+def new_kernel():
+    """One that nobody has kept."""
+    return numba.njit(lambda a: a + 1.0)
+
+
+def test_what_is_compiled_ahead_is_what_the_filter_calls(pytestconfig):
+    """Each kernel has one form: another one would be compiled beside it, and the time would be lost."""
+    told = subprocess.run(
+        [sys.executable, "-c", ONE_FORM_EACH], cwd=pytestconfig.rootpath / "tests" / "estimator",
+        capture_output=True, text=True, check=True, timeout=200,
+    )  # fmt: skip
+    forms = dict(line.split() for line in told.stdout.splitlines())
+    assert len(forms) == 1 + len(ahead._EARLY) + len(ahead._LATE)
+    assert set(forms.values()) == {"1"}
+
+
+def test_a_process_beside_helps_once_where_there_is_something_to_compile(started):
+    with ahead.by_halves():
+        compile_for(new_kernel(), np.zeros(3))
+        compile_for(new_kernel(), 1.0)
+    assert started == [[sys.executable, "-m", "hil.estimator.ahead"]]
+
+
+def test_nobody_is_asked_to_help_where_there_is_nothing_to_compile(started):
+    kernel = new_kernel()
+    compile_for(kernel, 1.0)
+    with ahead.by_halves():
+        compile_for(kernel, 1.0)
+    assert started == []
+
+
+def test_nobody_is_asked_on_a_single_core_or_where_another_helps_already(started, monkeypatch):
+    with ahead.by_halves(alone=True):
+        compile_for(new_kernel(), 1.0)
+    monkeypatch.setattr(ahead, "_cores", lambda: 1)
+    with ahead.by_halves():
+        compile_for(new_kernel(), 1.0)
+    assert started == []
