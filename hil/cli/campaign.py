@@ -147,6 +147,8 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
         try:
             out.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
+        except (FileExistsError, NotADirectoryError):
+            raise ConfigError(f"{out}: is a file, or lies in one", remedy="choose another --out") from None
         except OSError as error:
             raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
         return

@@ -163,6 +163,8 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
             )
         try:
             folder.mkdir(parents=True, exist_ok=True)
+        except (FileExistsError, NotADirectoryError):
+            raise ConfigError(f"{folder}: is a file, or lies in one", remedy="choose another --out") from None
         except OSError as error:
             raise ConfigError(
                 f"{folder}: cannot be created ({error.strerror})", remedy=where_else(error)

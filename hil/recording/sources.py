@@ -43,6 +43,7 @@ def find_recordings(
                 str(path),
                 "holds no recording",
                 expected="odom_N.csv + abs_N.csv pairs, plain .csv files, .mcap recordings or rosbag2 bags",
+                remedy=_below(path),
             )
         jobs += found
     if not jobs:
@@ -65,6 +66,13 @@ def read_recordings(
         if progress is not None:
             progress(number, len(jobs))
     return out
+
+
+def _below(folder: Path) -> str:
+    """Which folders in this one hold recordings."""
+    kinds = ("*.csv", "*.csv.gz", "*.mcap", "*.db3")
+    holders = sorted({found.parent for kind in kinds for found in folder.glob(f"*/{kind}")})
+    return "name the folder that does: " + ", ".join(map(str, holders[:3])) if holders else ""
 
 
 def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> list[Job]:

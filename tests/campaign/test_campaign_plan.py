@@ -25,6 +25,11 @@ def test_seeds_that_mean_nothing(text):
         parse_seeds(text)
 
 
+def test_a_range_without_a_seed_is_named():
+    with pytest.raises(UsageError, match=r"--seeds '1,5:5': no seed lies in 5:5; expected 0:10 for 0 to 9"):
+        parse_seeds("1,5:5")
+
+
 @pytest.mark.parametrize(
     ("text", "axis"),
     [

@@ -118,6 +118,11 @@ def test_a_path_that_is_refused_is_told_without_numbers_of_the_system(tmp_path, 
         raise PermissionError(errno.EACCES, "Permission denied")
 
     (tmp_path / "idle.py").write_text(SCRIPT)
+    for out in ("idle.py", "idle.py/new"):
+        assert main(["run", "idle.py", "--out", out]) == 2
+        assert f"{out}: is a file, or lies in one; choose another --out" in capsys.readouterr().err
+        assert main(["campaign", "idle.py", "--out", out]) == 2
+        assert f"{out}: is a file, or lies in one; choose another --out" in capsys.readouterr().err
     monkeypatch.setattr(Path, "mkdir", denied)
     assert main(["run", "idle.py", "--out", "new"]) == 2
     assert "new: cannot be created (Permission denied); choose a folder that you may write" in (

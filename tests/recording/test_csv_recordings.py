@@ -209,7 +209,11 @@ def test_bad_files_are_named(tmp_path):
     with pytest.raises(DataError, match="does not exist"):
         read_recordings([tmp_path / "nowhere"])
     (tmp_path / "void").mkdir()
-    with pytest.raises(DataError, match="holds no recording"):
+    with pytest.raises(DataError, match=r"holds no recording; expected [^;]+$"):
+        read_recordings([tmp_path / "void"])
+    (tmp_path / "void" / "inner").mkdir()
+    (tmp_path / "void" / "inner" / "line_x_1.csv").write_text("")
+    with pytest.raises(DataError, match=r"name the folder that does: .*/void/inner$"):
         read_recordings([tmp_path / "void"])
 
 

@@ -44,6 +44,9 @@ class Case:
         return f"{name[:_LONGEST_NAME]}_{hashlib.sha256(text.encode()).hexdigest()[:8]}"
 
 
+_SEEDS = "0:10 for 0 to 9, or 1,4,7"
+
+
 def parse_seeds(text: str) -> tuple[int, ...]:
     """Seeds as `0:10` (ten of them, 0 to 9), `1,4,7`, or both mixed.
 
@@ -53,9 +56,11 @@ def parse_seeds(text: str) -> tuple[int, ...]:
     seeds: list[int] = []
     for part in text.split(","):
         match = re.fullmatch(r"\s*(\d+)(?::(\d+))?\s*", part)
-        if match is None or (match[2] is not None and int(match[2]) <= int(match[1])):
-            raise UsageError(f"--seeds {text!r} cannot be read", expected="0:10 for 0 to 9, or 1,4,7")
+        if match is None:
+            raise UsageError(f"--seeds {text!r} cannot be read", expected=_SEEDS)
         first = int(match[1])
+        if match[2] is not None and int(match[2]) <= first:
+            raise UsageError(f"--seeds {text!r}: no seed lies in {part.strip()}", expected=_SEEDS)
         if match[2] is not None and int(match[2]) - first > MOST_CASES:
             raise UsageError(f"--seeds {text!r} are too many", expected=f"at most {MOST_CASES}")
         seeds += range(first, int(match[2]) if match[2] is not None else first + 1)
