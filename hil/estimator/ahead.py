@@ -73,10 +73,16 @@ def by_halves(*, alone: bool = False) -> Iterator[None]:
         for kernel, arguments in _EARLY:
             compile_for(kernel, *arguments)
 
-    with on_compiling(begin):
-        yield
-    for process in beside:
-        process.wait()
+    try:
+        with on_compiling(begin):
+            yield
+    except BaseException:
+        for process in beside:
+            process.terminate()
+        raise
+    finally:
+        for process in beside:
+            process.wait()
 
 
 def _cores() -> int:

@@ -11,6 +11,7 @@ from hil.vocabulary.kernels import compile_for
 
 numba = pytest.importorskip("numba")
 
+HELP = [sys.executable, "-m", "hil.estimator.ahead"]
 ONE_FORM_EACH = """
 from estimator_drives import drive
 from hil.config.estimator import EstimatorConfig
@@ -41,7 +42,10 @@ def started(monkeypatch):
             found.append(command)
 
         def wait(self):
-            return 0
+            found.append("waited for")
+
+        def terminate(self):
+            found.append("ended")
 
     monkeypatch.setattr(subprocess, "Popen", Nothing)
     monkeypatch.setattr(ahead, "_EARLY", ())
@@ -69,7 +73,18 @@ def test_a_process_beside_helps_once_where_there_is_something_to_compile(started
     with ahead.by_halves():
         compile_for(new_kernel(), np.zeros(3))
         compile_for(new_kernel(), 1.0)
-    assert started == [[sys.executable, "-m", "hil.estimator.ahead"]]
+    assert started == [HELP, "waited for"]
+
+
+def test_a_process_beside_ends_with_one_that_is_interrupted(started):
+    def interrupted():
+        with ahead.by_halves():
+            compile_for(new_kernel(), 1.0)
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        interrupted()
+    assert started == [HELP, "ended", "waited for"]
 
 
 def test_nobody_is_asked_to_help_where_there_is_nothing_to_compile(started):
