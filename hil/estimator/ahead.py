@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import contextlib
 import os
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -74,7 +77,7 @@ def by_halves(*, alone: bool = False) -> Iterator[None]:
             compile_for(kernel, *arguments)
 
     try:
-        with on_compiling(begin):
+        with interrupts_heeded(), on_compiling(begin):
             yield
     except BaseException:
         for process in beside:
@@ -83,6 +86,39 @@ def by_halves(*, alone: bool = False) -> Iterator[None]:
     finally:
         for process in beside:
             process.wait()
+
+
+@contextlib.contextmanager
+def interrupts_heeded() -> Iterator[None]:
+    """Within, Ctrl-C ends a compilation wherever it strikes: LLVM calls Python, and loses what is raised."""
+    handler, shown = signal.getsignal(signal.SIGINT), sys.unraisablehook
+    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+        yield
+        return
+    struck = False
+
+    def strike(number: int, frame: FrameType | None) -> None:
+        nonlocal struck
+        struck = True
+        handler(number, frame)
+
+    def show(lost: sys.UnraisableHookArgs) -> None:
+        if not issubclass(lost.exc_type, KeyboardInterrupt):
+            shown(lost)
+
+    signal.signal(signal.SIGINT, strike)
+    sys.unraisablehook = show
+    try:
+        yield
+    except Exception:
+        if struck:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        signal.signal(signal.SIGINT, handler)
+        sys.unraisablehook = shown
+    if struck and handler is signal.default_int_handler:
+        raise KeyboardInterrupt
 
 
 def _cores() -> int:

@@ -174,6 +174,19 @@ def test_reports_that_cannot_be_true_are_marked(spec, status, driver):
         assert all(math.isnan(s.speed_rpm) for s in samples if s.status is status)
 
 
+def test_a_battery_and_a_heat_that_cannot_be_are_not_told(driver):
+    """They come in messages of their own, and stay until the next of them, beside samples that are well."""
+    on = {**ON, "start": "running", "timeout_s": 30.0, "messages_2": (4, 5), "rate_2_hz": 10.0}
+    with fan_world(faults=["adhesion:garbage@1+0.2"], **on) as (_w, clock, _n, _b):
+        fan = driver(clock, timeout_s=30.0)
+        fan.open()
+        samples = after(fan, clock, 2.5)
+    assert any(math.isnan(s.input_v) for s in samples)
+    assert all(math.isnan(s.input_v) or 0.0 <= s.input_v <= 150.0 for s in samples)
+    assert all(math.isnan(s.fet_c) or -60.0 <= s.fet_c <= 250.0 for s in samples)
+    assert samples[-1].input_v > 10.0
+
+
 def test_the_doctor_reads_time_out_messages_and_firmware_from_the_controller(driver):
     with fan_world(**{**ON, "messages_2": (4,)}, timeout_s=2.0, firmware="5.02") as (_w, clock, _n, _b):
         fan = driver(clock)

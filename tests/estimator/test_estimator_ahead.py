@@ -1,5 +1,7 @@
 """The filter's machine code from nothing: two processes compile it, one that is kept is loaded by one."""
 
+import contextlib
+import signal
 import subprocess
 import sys
 
@@ -85,6 +87,37 @@ def test_a_process_beside_ends_with_one_that_is_interrupted(started):
     with pytest.raises(KeyboardInterrupt):
         interrupted()
     assert started == [HELP, "ended", "waited for"]
+
+
+@pytest.mark.parametrize("then", [RuntimeError("no compiled object yet"), None])
+def test_an_interrupt_that_is_lost_on_the_way_is_one_all_the_same(then):
+    def lost():
+        with ahead.interrupts_heeded():
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            if then is not None:
+                raise then
+
+    before = signal.getsignal(signal.SIGINT)
+    with pytest.raises(KeyboardInterrupt):
+        lost()
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+def test_who_puts_interrupts_off_is_left_to_it(monkeypatch):
+    struck = []
+    before = signal.signal(signal.SIGINT, lambda *_: struck.append(1))
+    try:
+        with ahead.interrupts_heeded():
+            signal.raise_signal(signal.SIGINT)
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert struck == [1]
+
+
+def test_an_error_without_an_interrupt_stays_what_it_is():
+    with pytest.raises(RuntimeError, match="of its own"), ahead.interrupts_heeded():
+        raise RuntimeError("of its own")
 
 
 def test_nobody_is_asked_to_help_where_there_is_nothing_to_compile(started):

@@ -20,6 +20,8 @@ from hil.vocabulary.signals import AdhesionSample, Stamp, Status
 
 _FASTEST = 3.0
 """Times the rated speed: no fan turns so fast."""
+_VOLTS, _CELSIUS = (0.0, 150.0), (-60.0, 250.0)
+"""Battery and transistors: beyond, a report is damaged and tells nothing of them."""
 _STUCK_S = 0.5
 _RUNNING_RPM = 1000.0
 
@@ -104,6 +106,10 @@ class MotorFan(KeptMotor[C, AdhesionSample]):
         self._sequence += 1
         if status is not Status.OK:
             figures = figures._replace(speed_rpm=math.nan, duty=math.nan, motor_a=math.nan)
+        if not _VOLTS[0] <= figures.input_v <= _VOLTS[1]:
+            figures = figures._replace(input_v=math.nan)
+        if not _CELSIUS[0] <= figures.fet_c <= _CELSIUS[1]:
+            figures = figures._replace(fet_c=math.nan)
         stamp = Stamp(t_ns, now_ns, self._sequence)
         return AdhesionSample(stamp, *figures, status, trouble)
 
