@@ -10,7 +10,7 @@ from typing import Any
 import click
 
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import SEED, results_folder
+from hil.cli.options import OUT, SEED, results_folder
 from hil.cli.progress import reporting
 
 
@@ -22,7 +22,7 @@ from hil.cli.progress import reporting
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As for `hil run`.")
 @answers_option
-@click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/accept/TIME].")
+@click.option("--out", type=OUT, help="Results folder [default: out/accept/TIME].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     bench: str, on_stand: bool, emulate: str | None, realtime: bool, seed: int, faults: tuple[str, ...],

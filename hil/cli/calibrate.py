@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import SEED, FiniteRange
+from hil.cli.options import OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -39,7 +39,7 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the stochastic methods.")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @BENCH
-@click.option("--out", type=click.Path(path_type=Path), help="Write calibration.toml here.")
+@click.option("--out", type=OUT, help="Write calibration.toml here.")
 @click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
 @click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")

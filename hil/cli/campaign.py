@@ -25,6 +25,7 @@ from hil.cli.campaign_runs import (
     run_case,
     run_case_elsewhere,
 )
+from hil.cli.options import OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
 from hil.vocabulary.files import write_text
@@ -53,7 +54,7 @@ PLAN, CSV, PAGE, ROWS, RUNS = "plan.json", "campaign.csv", "campaign.html", "row
 @click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
               help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
 @click.option("--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to use instead.")
-@click.option("--out", type=click.Path(path_type=Path), help="Results [default: out/campaign_NAME/TIME].")
+@click.option("--out", type=OUT, help="Results [default: out/campaign_NAME/TIME].")
 @click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
               help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Run what is missing in --out; seeds and values may be added.")

@@ -12,7 +12,7 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import SEED, results_folder
+from hil.cli.options import OUT, SEED, results_folder
 from hil.cli.progress import reporting
 
 DEFAULT = "emulated_delivered"
@@ -24,7 +24,7 @@ DEFAULT = "emulated_delivered"
 )
 @click.option("--quick", is_flag=True, help="The short form of every procedure.")
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
-@click.option("--out", type=click.Path(path_type=Path), help="Results folder [default: out/commission/TIME].")
+@click.option("--out", type=OUT, help="Results folder [default: out/commission/TIME].")
 @click.option(
     "--resume", is_flag=True, help="Continue an interrupted or failed one (of --out, else the latest)."
 )

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import SEED
+from hil.cli.options import OUT, SEED
 from hil.cli.output import Answered
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS, UsageError
@@ -43,7 +43,7 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
     help="Motion capture at Motive's ports 1510 and 1511, CAN buses at python-can's own group and port.",
 )  # fmt: skip
 @click.option(
-    "--out", type=click.Path(path_type=Path),
+    "--out", type=OUT,
     help="Write the line here as well, once everything answers; removed at the end.",
 )  # fmt: skip
 @click.option(

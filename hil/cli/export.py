@@ -7,13 +7,14 @@ from pathlib import Path
 
 import click
 
+from hil.cli.options import OUT
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=Path))
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), help="Default: by --out, else csv.")
-@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: beside RECORDING].")
+@click.option("--out", type=OUT, help="File to write [default: beside RECORDING].")
 @click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from hil.cli.options import OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, UsageError, did_you_mean
 from hil.vocabulary.files import check_file
@@ -51,7 +52,7 @@ class Asked:
 )
 @click.option("--workers", type=click.IntRange(0, 1000), default=0, show_default=True,
               help="Processes (needs the extra `campaign`); 0 runs here.")  # fmt: skip
-@click.option("--out", type=click.Path(path_type=Path), default=Path("out/faults"), show_default=True,
+@click.option("--out", type=OUT, default=Path("out/faults"), show_default=True,
               help="Folder of the matrix.")  # fmt: skip
 @click.option("--resume", is_flag=True, help="Go on with the cells that are missing in --out.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")

@@ -53,6 +53,20 @@ class FiniteRange(click.FloatRange):
         return found
 
 
+class _Place(click.Path):
+    """A file or folder to write. An empty name, as of a shell variable that is not set, is no place."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """As click's, which takes an empty name for the folder that one is in."""
+        if value == "":
+            self.fail("the name is empty", param, ctx)
+        return super().convert(value, param, ctx)
+
+
+OUT = _Place(path_type=Path)
+"""Type of `--out`."""
+
+
 class SuggestingGroup(click.Group):
     """A group of commands that answers a mistyped one with the nearest it has."""
 

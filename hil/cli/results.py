@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import SuggestingGroup
+from hil.cli.options import OUT, SuggestingGroup
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
 
 if TYPE_CHECKING:
@@ -196,9 +196,7 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
 @_IN
 @_PROCEDURE
 @_BENCH
-@click.option(
-    "--out", type=click.Path(path_type=Path), help="Page to write [default: trends.html in the folder]."
-)
+@click.option("--out", type=OUT, help="Page to write [default: trends.html in the folder].")
 @click.option("--strict", is_flag=True, help="Exit with 1 when a measurement drifts or is outside.")
 @_JSON
 def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bool, as_json: bool) -> int:

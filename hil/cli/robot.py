@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import SuggestingGroup
+from hil.cli.options import OUT, SuggestingGroup
 
 if TYPE_CHECKING:
     from hil.config.record import KeptVersion, RecordFile
@@ -157,7 +157,7 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 @command.command()
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
-@click.option("--out", type=click.Path(path_type=Path), help="File to write [default: standard output].")
+@click.option("--out", type=OUT, help="File to write [default: standard output].")
 def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
     """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_file, write_text
@@ -42,7 +43,7 @@ _DEFAULT = (
 @click.option("--evaluations", default=40, show_default=True, type=click.IntRange(min=2))
 @click.option("--bench", help="Bench file to start from; --out then is a copy of it with the new figures.")
 @click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the wheels.")
-@click.option("--out", type=click.Path(path_type=Path), help="Write the fitted [estimator] tables here.")
+@click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     recordings: tuple[Path, ...], check: tuple[Path, ...], names: tuple[str, ...], evaluations: int,

@@ -299,3 +299,13 @@ def test_a_live_session_without_a_cycle_prints_no_empty_table():
     assert "mean ms" not in _text(summary)
     timing |= {"cycles": 1.0} | {f"work_{kind}_ms": 1.0 for kind in ("mean", "p99", "worst")}
     assert "mean ms" in _text(summary)
+
+
+@pytest.mark.parametrize(
+    "command", ["run bring_up", "campaign bring_up", "faults", "accept", "calibrate data", "tune data"]
+)
+def test_an_empty_name_is_no_place_for_results(refused, command):
+    """As of a shell variable that is not set; results had gone to the folder that one was in."""
+    said = refused(*command.split(), "--out", "")
+    assert "'--out'" in said
+    assert "the name is empty" in said
