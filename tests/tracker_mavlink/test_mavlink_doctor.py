@@ -1,10 +1,13 @@
 """What the doctor can say about a sender."""
 
 import dataclasses
+import math
 import re
 
 import pytest
 
+from hil.devices.tracker.mavlink.messages import dialect
+from hil.devices.tracker.mavlink.network import WorldLink
 from hil.devices.tracker.mavlink.options import IDEAL
 from tests.tracker_mavlink.conftest import follow
 
@@ -76,3 +79,17 @@ def test_a_sender_that_changes_its_frames_is_a_failure_with_a_remedy(by_hand):
     found = {f.check: f for f in bench.driver.findings()}
     assert found["frames"].level == "failure"
     assert found["frames"].remedy == "set the frames of the sender's odometry"
+
+
+@pytest.mark.parametrize("asked", [math.nan, math.inf, -math.inf, 3e38])
+def test_a_request_for_a_message_that_is_none_is_not_answered(mavlink_bench, asked):
+    """A client that asks for message NaN had ended the emulator."""
+    common, bench = dialect("test"), mavlink_bench()
+    bench.driver.open()
+    mine = bench.computer.options.system_id, bench.computer.options.component_id
+    request = common.MAVLink_command_long_message(
+        *mine, common.MAV_CMD_REQUEST_MESSAGE, 0, asked, 0, 0, 0, 0, 0, 0
+    )
+    link = WorldLink(bench.computer)
+    link.send(bytes(request.pack(common.MAVLink(None, srcSystem=255))), link.peer)
+    assert follow(bench, 0.2)

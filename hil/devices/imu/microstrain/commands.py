@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from hil.devices.imu.microstrain import fields as f
-from hil.devices.imu.microstrain.packets import Field, Packet, encode
+from hil.devices.imu.microstrain.packets import LARGEST_PAYLOAD, Field, Packet, encode, payload_bytes
 from hil.vocabulary.geometry import Three
 
 _THREE_FLOATS = struct.Struct(">3f")
@@ -81,13 +81,16 @@ class Commands:
         return settings.formats.get(f.FILTER_DATA, ()) if f.FILTER_DATA in settings.streams else ()
 
     def answer(self, packet: Packet) -> bytes:
-        """One reply for all commands of a packet."""
-        reply: list[Field] = []
+        """The replies to all commands of a packet: in one packet, or in several where they do not fit."""
+        replies: list[list[Field]] = [[]]
         for descriptor, data in packet.fields:
             command = self._known.get((packet.descriptor_set, descriptor))
             code, extra = (f.UNKNOWN_COMMAND, ()) if command is None else command(data)
-            reply += [Field(f.ACK, bytes((descriptor, code))), *extra]
-        return encode(packet.descriptor_set, reply) if reply else b""
+            said = [Field(f.ACK, bytes((descriptor, code))), *extra]
+            if payload_bytes([*replies[-1], *said]) > LARGEST_PAYLOAD:
+                replies.append([])
+            replies[-1] += said
+        return b"".join(encode(packet.descriptor_set, fields) for fields in replies if fields)
 
     def _set_idle(self, data: bytes) -> Answer:
         self.idle = True

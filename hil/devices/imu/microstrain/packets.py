@@ -38,6 +38,11 @@ def checksum(data: bytes) -> bytes:
     return bytes(((sums[-1] if sums else 0) & 0xFF, sum(sums) & 0xFF))
 
 
+def payload_bytes(fields: Iterable[Field]) -> int:
+    """How many bytes of a packet these fields take."""
+    return sum(FIELD_HEAD_BYTES + len(data) for _, data in fields)
+
+
 def encode(descriptor_set: int, fields: Iterable[Field]) -> bytes:
     """A packet as it goes over the wire.
 

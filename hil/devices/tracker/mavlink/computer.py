@@ -222,7 +222,7 @@ class VisualInertialComputer(Scheduled):
                 mirrored = common.MAVLink_timesync_message(self.device_ns(t_ns), message.ts1)
                 self._plan(mirrored, t_ns, outlet)
             elif kind == "COMMAND_LONG" and message.command == common.MAV_CMD_REQUEST_MESSAGE:
-                asked = (message.target_system, message.target_component, round(message.param1))
+                asked = (message.target_system, message.target_component, message.param1)
                 mine = self.options.system_id, self.options.component_id
                 if asked == (*mine, common.MAVLINK_MSG_ID_AUTOPILOT_VERSION):
                     self._plan(self._version(), t_ns + _ANSWER_NS, outlet)

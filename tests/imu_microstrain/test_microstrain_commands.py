@@ -1,0 +1,25 @@
+"""What the emulated sensor answers to packets of several commands."""
+
+from hil.devices.imu.microstrain import fields as f
+from hil.devices.imu.microstrain.commands import Commands, Settings
+from hil.devices.imu.microstrain.packets import Field, Packet, PacketParser
+
+INFO = f.DeviceInfo(1007, "3DM-CV7-AHRS", "6286-9960", "6286.34567", "I042Y", "8g, 300dps")
+
+
+def replies(*descriptors):
+    asked = Packet(f.BASE, tuple(Field(descriptor) for descriptor in descriptors))
+    return PacketParser(10**9).feed(Commands(INFO, 500, Settings()).answer(asked), 0)
+
+
+def test_replies_come_in_one_packet_as_far_as_they_fit():
+    together, alone = replies(f.DEVICE_INFO, f.BUILT_IN_TEST), replies(f.DEVICE_INFO)
+    assert len(together) == 1
+    assert together[0].fields[: len(alone[0].fields)] == alone[0].fields
+
+
+def test_replies_that_do_not_fit_into_one_packet_come_in_several():
+    """A client that asks for the device's name six times had ended the emulator."""
+    several, alone = replies(*[f.DEVICE_INFO] * 6), replies(f.DEVICE_INFO)
+    assert len(several) > 1
+    assert sum((packet.fields for packet in several), ()) == alone[0].fields * 6
