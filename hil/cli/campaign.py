@@ -28,7 +28,7 @@ from hil.cli.campaign_runs import (
 from hil.cli.options import OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
-from hil.vocabulary.files import write_text
+from hil.vocabulary.files import make_folder, write_text
 from hil.vocabulary.reading import read_json
 
 if TYPE_CHECKING:
@@ -146,10 +146,8 @@ def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
         raise ConfigError(f"{path}: there is no campaign to resume")
     if not resume:
         try:
-            out.mkdir(parents=True, exist_ok=True)
+            make_folder(out)
             path.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
-        except (FileExistsError, NotADirectoryError):
-            raise ConfigError(f"{out}: is a file, or lies in one", remedy="choose another --out") from None
         except OSError as error:
             raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
         return

@@ -30,7 +30,7 @@ from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, DataError, RecordingError
-from hil.vocabulary.files import where_else
+from hil.vocabulary.files import make_folder, where_else
 from hil.vocabulary.progress import Report, silent
 
 _LEFT_OUT = "Recordings and figures were not kept; the same run without --keep results makes them."
@@ -162,9 +162,7 @@ def _past(options: RunOptions, header: Entry, config: BenchConfig) -> PastRun | 
                 f"{folder}: holds the results of another run", remedy="choose another --out, or --resume"
             )
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-        except (FileExistsError, NotADirectoryError):
-            raise ConfigError(f"{folder}: is a file, or lies in one", remedy="choose another --out") from None
+            make_folder(folder)
         except OSError as error:
             raise ConfigError(
                 f"{folder}: cannot be created ({error.strerror})", remedy=where_else(error)

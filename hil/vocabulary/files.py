@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hil.vocabulary.errors import DataError, HilError
+from hil.vocabulary.errors import ConfigError, DataError, HilError
 
 _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
@@ -48,6 +48,19 @@ def put_whole(path: Path, content: bytes) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder for results, with those above it, if it is not there.
+
+    Raises:
+        ConfigError: it is a file, or lies in one.
+        OSError: it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise ConfigError(f"{folder}: is a file, or lies in one", remedy="choose another --out") from None
 
 
 def check_folder(path: Path) -> None:
