@@ -76,20 +76,15 @@ def run_pass(
 
 @cache
 def compiled_pass() -> Pass | None:
-    """`run_pass` as machine code; None without numba."""
+    """`run_pass` as machine code, loaded or compiled now; None without numba."""
     if not is_installed("fast"):
         return None
-    from hil.vocabulary.kernels import compiled_with_parts
+    from hil.vocabulary.kernels import compile_for, compiled_with_parts
 
-    return compiled_with_parts(run_pass)
-
-
-def compile_pass() -> None:
-    """Compile `run_pass` now, by a pass over no block, so that the first fit finds it ready."""
-    run = compiled_pass()
-    if run is not None:
-        four, z, one = np.ones(4), np.ones(16), np.zeros((1, 1, 3))
-        run(
-            FRICTION, four, 1.0, 1.0, z, np.ones((2, 4)), COLD, np.zeros((1, 1, 8)), np.zeros((1, 3)), one,
-            np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)),
-        )  # fmt: skip
+    run = compiled_with_parts(run_pass)
+    four, z, one = np.ones(4), np.ones(16), np.zeros((1, 1, 3))
+    compile_for(
+        run, FRICTION, four, 1.0, 1.0, z, np.ones((2, 4)), COLD, np.zeros((1, 1, 8)), np.zeros((1, 3)), one,
+        np.zeros(1, dtype=np.int64), np.ones((1, 3)), np.zeros((3, 1)), one, np.zeros((1, 1, 3, 16)),
+    )  # fmt: skip
+    return run

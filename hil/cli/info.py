@@ -24,27 +24,30 @@ _PACKAGES = (
 
 def _compile() -> None:
     """Have numba compile everything, half of it in a process beside."""
+    from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
-    from hil.estimator.smoother import compile_backward
+    from hil.estimator.smoother import load_smoother
+    from hil.estimator.unscented import points_of
 
     with ProcessPoolExecutor(1, get_context("spawn")) as beside:
         others = beside.submit(_compile_others)
         load_filter(alone=True)
-        compile_backward()
+        load_filter(points_of(EstimatorConfig(kind="ukf")), alone=True)
+        load_smoother()
         others.result()
 
 
 def _compile_others() -> None:
     """First what the filter waits for, then both plants and the pass of a calibration."""
     from hil.bench import open_bench
-    from hil.calibration.passes import compile_pass
-    from hil.estimator.ahead import compile_late
+    from hil.calibration.passes import compiled_pass
+    from hil.estimator.ahead import compile_beside
 
-    compile_late()
+    compile_beside()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
-    compile_pass()
+    compiled_pass()
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:

@@ -33,13 +33,14 @@ def make_estimator(
         return OdometryEstimator(config, geometry, surface)
     from hil.estimator.fusion import CompiledEngine, Engine, FusionEstimator
     from hil.estimator.layout import parameters
+    from hil.estimator.unscented import points_of
 
     given = parameters(config, geometry, surface)
     engine: Engine
     if config.engine == "filterpy":
         from hil.estimator.filterpy_engine import FilterpyEngine
 
-        engine = FilterpyEngine(given)
+        engine = FilterpyEngine(given, config)
     else:
-        engine = CompiledEngine(given)
+        engine = CompiledEngine(given, points_of(config))
     return FusionEstimator(config, geometry, surface, engine, diagnostics=diagnostics)

@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
-from types import FrameType
 from typing import Any
 
 import numpy as np
 
-from hil.estimator.events import advance, moments
+from hil.estimator.events import advance, compare, moments
 from hil.estimator.history import enter
 from hil.estimator.layout import MEMORY, PARAMETERS, ROW, ROW_FLOATS
 from hil.estimator.retraction import settle
 from hil.estimator.sensors import MARK, account, admit, let_in, new_frame, observe, remember
 from hil.estimator.state import AUX, ROWS, STATES
+from hil.estimator.unscented import Points, Weights
 from hil.vocabulary.kernels import compile_for, on_compiling
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -33,36 +31,47 @@ _PAR, _MEMORY, _ROW = (np.zeros(1, kind)[0] for kind in (PARAMETERS, MEMORY, ROW
 _X, _P, _TWO = np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(2)
 _ROWS, _AUX, _CROSS, _OWN = np.zeros(ROWS), np.zeros(AUX), np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
 _INTS, _DATA = np.zeros(1, np.int64), np.zeros((1, ROW_FLOATS))
-_LATE: tuple[Call, ...] = (
-    (settle, (MARK, _X, _P, _ROWS, _ROWS, _AUX, 0, _PAR, _X, _P, _ROWS, _CROSS, _OWN, _CROSS)),
-    (observe, (MARK, 0.0, _MEMORY, _ROW, _PAR, _ROWS, _ROWS, _AUX)),
-    (enter, (_INTS, _INTS, _INTS, _INTS, _DATA, 0, 0, 0, _INTS, _INTS, _INTS, _DATA)),
-)
-_EARLY: tuple[Call, ...] = (
-    (advance, (_X, _P, 0.0, _PAR, _TWO)),
-    (moments, (MARK, _X, _P, _AUX, _PAR, 0, _ROWS, _CROSS, _OWN)),
-    (account, (MARK, _MEMORY, _ROWS, _ROWS, _ROWS, 0, 0.0, 0.0)),
-    (admit, (MARK, 0.0, _MEMORY, _ROW, _PAR)),
-    (let_in, (MARK, 0.0, 0.0, _P, _MEMORY, _PAR)),
-    (new_frame, (MARK, 0.0, _X, _P, _MEMORY, _ROW, _PAR)),
-    (remember, (MARK, 0.0, _X, _P, _MEMORY, _ROW, _PAR)),
-)
+_KINDS: dict[str, Points] = {"ekf": None, "ukf": Weights(0.0, 0.0, 0.0)}
 
 
-def compile_late() -> None:
-    """What a process beside compiles."""
-    for kernel, arguments in _LATE:
+def here(points: Points) -> tuple[Call, ...]:
+    """What the process that needs the filter compiles before the event loop itself."""
+    return (
+        (observe, (MARK, 0.0, _MEMORY, _ROW, _PAR, _ROWS, _ROWS, _AUX)),
+        (advance, (_X, _P, 0.0, _PAR, points, _TWO)),
+        (account, (MARK, _MEMORY, _ROWS, _ROWS, _ROWS, 0, 0.0, 0.0)),
+        (admit, (MARK, 0.0, _MEMORY, _ROW, _PAR)),
+        (let_in, (MARK, 0.0, 0.0, _P, _MEMORY, _PAR)),
+        (new_frame, (MARK, 0.0, _X, _P, _MEMORY, _ROW, _PAR)),
+        (remember, (MARK, 0.0, _X, _P, _MEMORY, _ROW, _PAR)),
+    )
+
+
+def beside(points: Points) -> tuple[Call, ...]:
+    """What the other one compiles meanwhile."""
+    return (
+        (moments, (MARK, _X, _P, _AUX, _PAR, points, 0, _ROWS, _CROSS, _OWN)),
+        (settle, (MARK, _X, _P, _ROWS, _ROWS, _AUX, 0, _PAR, _X, _P, _ROWS, _CROSS, _OWN, _CROSS)),
+        (compare, (MARK, 0.0, _X, _P, _MEMORY, _ROW, _PAR, points)),
+        (enter, (_INTS, _INTS, _INTS, _INTS, _DATA, 0, 0, 0, _INTS, _INTS, _INTS, _DATA)),
+    )
+
+
+def compile_beside(kind: str = "ekf") -> None:
+    """Compile that half, for `ekf` or `ukf`."""
+    for kernel, arguments in beside(_KINDS[kind]):
         compile_for(kernel, *arguments)
 
 
 @contextlib.contextmanager
-def by_halves(*, alone: bool = False) -> Iterator[None]:
+def by_halves(points: Points, *, alone: bool = False) -> Iterator[None]:
     """Within, `hil.estimator.events.run` is loaded, or else compiled by this process and one beside it.
 
     Args:
+        points: of the UKF; None for the EKF.
         alone: the other half is seen to elsewhere.
     """
-    beside: list[subprocess.Popen[bytes]] = []
+    helpers: list[subprocess.Popen[bytes]] = []
     begun = False
 
     def begin() -> None:
@@ -71,54 +80,22 @@ def by_halves(*, alone: bool = False) -> Iterator[None]:
             return
         begun = True
         if not alone and _cores() > 1:
+            command = [sys.executable, "-m", __name__, "ekf" if points is None else "ukf"]
             quiet = subprocess.DEVNULL
-            beside.append(subprocess.Popen([sys.executable, "-m", __name__], stdout=quiet, stderr=quiet))
-        for kernel, arguments in _EARLY:
+            helpers.append(subprocess.Popen(command, stdout=quiet, stderr=quiet))
+        for kernel, arguments in here(points):
             compile_for(kernel, *arguments)
 
     try:
-        with interrupts_heeded(), on_compiling(begin):
+        with on_compiling(begin):
             yield
     except BaseException:
-        for process in beside:
+        for process in helpers:
             process.terminate()
         raise
     finally:
-        for process in beside:
+        for process in helpers:
             process.wait()
-
-
-@contextlib.contextmanager
-def interrupts_heeded() -> Iterator[None]:
-    """Within, Ctrl-C ends a compilation wherever it strikes: LLVM calls Python, and loses what is raised."""
-    handler, shown = signal.getsignal(signal.SIGINT), sys.unraisablehook
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
-        yield
-        return
-    struck = False
-
-    def strike(number: int, frame: FrameType | None) -> None:
-        nonlocal struck
-        struck = True
-        handler(number, frame)
-
-    def show(lost: sys.UnraisableHookArgs) -> None:
-        if not issubclass(lost.exc_type, KeyboardInterrupt):
-            shown(lost)
-
-    signal.signal(signal.SIGINT, strike)
-    sys.unraisablehook = show
-    try:
-        yield
-    except Exception:
-        if struck:
-            raise KeyboardInterrupt from None
-        raise
-    finally:
-        signal.signal(signal.SIGINT, handler)
-        sys.unraisablehook = shown
-    if struck and handler is signal.default_int_handler:
-        raise KeyboardInterrupt
 
 
 def _cores() -> int:
@@ -126,4 +103,4 @@ def _cores() -> int:
 
 
 if __name__ == "__main__":
-    compile_late()
+    compile_beside(*sys.argv[1:])

@@ -15,10 +15,10 @@ import numpy as np
 from hil.estimator.small_matrices import downdate
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 
-@compiled
+@inner
 def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array) -> float:
     """Normalised innovation squared of all rows together: the sum of each row's given those before it.
 
@@ -49,7 +49,7 @@ def joint_nis(innovation: Array, own: Array, var: Array, count: int, nis: Array)
     return total
 
 
-@compiled
+@inner
 def condition(
     x: Array, p: Array, nu: Array, cross: Array, own: Array, var: Array, count: int, gate: float, nis: Array
 ) -> int:
@@ -98,7 +98,7 @@ def condition(
     return used
 
 
-@compiled
+@inner
 def guard(p: Array) -> int:
     """Zero variances of p (n, n) that rounding made negative, with their correlations; count them."""
     repaired = 0

@@ -32,28 +32,28 @@ from hil.estimator.sensors.sensor import DUPLICATE, NEW_FRAME, USED
 from hil.estimator.sensors.wheels import nominal
 from hil.estimator.small_matrices import put, put_rows, seen
 from hil.estimator.state import STATES
-from hil.estimator.unscented import advance_unscented, moments_unscented
+from hil.estimator.unscented import Points, advance_unscented, moments_unscented
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import compiled, inner
 
 NONE_ACCEPTED = -1.0
 """A gate that no row passes."""
 
 
-@compiled
-def advance(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
+@inner
+def advance(x: Array, p: Array, dt_s: float, par: Parameters, points: Points, nominal: Array) -> None:
     """Prediction of a state (20,) and its covariance (20, 20) by `dt_s` >= 0, in place; `nominal` (2,)."""
     if dt_s <= 0.0:
         return
-    if par.filter.unscented > 0.0:
-        advance_unscented(x, p, dt_s, par, nominal)
-    else:
+    if points is None:
         advance_linear(x, p, dt_s, par.process, nominal)
+    else:
+        advance_unscented(x, p, dt_s, par, points, nominal)
 
 
-@compiled
+@inner
 def moments(
-    number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
+    number: int, x: Array, p: Array, aux: Array, par: Parameters, points: Points, count: int,
     mean: Array, cross: Array, own: Array,
 ) -> None:  # fmt: skip
     """Mean, cross covariance and covariance of the predicted rows; linear rows need no sigma points.
@@ -64,13 +64,14 @@ def moments(
         p: (20, 20) covariance.
         aux: (5,) figures of `observe`.
         par: of all kernels.
+        points: of the UKF.
         count: number of rows.
         mean: (8,) filled with the rows that the state predicts.
         cross: (8, 20) filled with their covariance with the state.
         own: (8, 8) filled with their covariance.
     """
-    if par.filter.unscented > 0.0 and BENT[number]:
-        moments_unscented(number, x, p, aux, par, count, mean, cross, own)
+    if points is not None and BENT[number]:
+        moments_unscented(number, x, p, aux, par, points, count, mean, cross, own)
         return
     predicted(number, x, aux, par, mean)
     h = par.work.h[:]
@@ -79,8 +80,10 @@ def moments(
     seen(p, h, count, cross, own)
 
 
-@compiled
-def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters) -> None:
+@inner
+def compare(
+    number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, points: Points
+) -> None:
     """Update with one sample at its own time; the state is already there.
 
     Args:
@@ -91,6 +94,7 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         m: memory; all three changed in place.
         row: the sample.
         par: of all kernels.
+        points: of the UKF.
     """
     w = par.work
     z, var, aux, nu, nis, before = w.z[:], w.var[:], w.aux[:], w.nu[:], w.nis[:], w.before[:]
@@ -101,13 +105,13 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         return
     nis[:] = -1.0
     put(before, x)
-    unsure = is_unsure(number, p, par)
+    unsure = points is None and is_unsure(number, p)
     if unsure:
         spread = np.zeros((STATES, STATES))
         settle(number, before, p, z, var, aux, count, par, x, spread, nu, cross, own, w.h[:])
     else:
         mean[:] = 0.0
-        moments(number, x, p, aux, par, count, mean, cross, own)
+        moments(number, x, p, aux, par, points, count, mean, cross, own)
         innovation(number, z, mean, var, count, nu)
     put(shown, nu)
     gate = par.filter.gate_row
@@ -127,7 +131,7 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
         carry(point, x, p)
     else:
         condition(x, p, nu, cross, own, var, count, gate, nis)
-        if par.filter.unscented <= 0.0:
+        if points is None:
             follow(before, x)
             carry(before, x, p)
     m.accepted += account(number, m, shown, nis, var, count, gate, par.filter.samples)
@@ -136,7 +140,8 @@ def compare(number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventR
 @compiled
 def run(
     marks: Ints, start: int, zero_ns: int, t_ns: Ints, numbers: Ints, rows: Records,
-    x: Array, p: Array, m: Records, pars: Records, now_ns: int, now_x: Array, now_p: Array, now_m: Records,
+    x: Array, p: Array, m: Records, pars: Records, points: Points, now_ns: int, now_x: Array, now_p: Array,
+    now_m: Records,
 ) -> None:  # fmt: skip
     """Go through the events of a ring from `start` on, and predict the newest state to `now_ns`.
 
@@ -153,6 +158,7 @@ def run(
         p: (capacity, 20, 20) covariances, and
         m: (capacity,) memories; filled from `start` on.
         pars: (1,) parameters of all kernels.
+        points: of the UKF; None makes this the EKF, in machine code of its own.
         now_ns: where this is later than the newest event, the state is predicted to it.
         now_x: (20,) and
         now_p: (20, 20) and
@@ -167,14 +173,14 @@ def run(
         m[i] = m[j]
         number, stamp = numbers[i], float(t_ns[i] - zero_ns)
         nominal(stamp, x[i], m[i].wheels, par.wheels, rolling)
-        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, rolling)
+        advance(x[i], p[i], (t_ns[i] - t_ns[j]) * 1e-9, par, points, rolling)
         if number == MARK:
             continue
         use = admit(number, stamp, m[i], rows[i], par)
         if use == DUPLICATE:
             m[i].duplicates += 1.0
         if use == USED:
-            compare(number, stamp, x[i], p[i], m[i], rows[i], par)
+            compare(number, stamp, x[i], p[i], m[i], rows[i], par, points)
             if let_in(number, par.filter.limit, stamp, p[i], m[i], par):
                 use = NEW_FRAME
         if use == NEW_FRAME:
@@ -189,4 +195,4 @@ def run(
     ahead_ns = now_ns - t_ns[last]
     if ahead_ns > 0:
         nominal(float(now_ns - zero_ns), now_x, m[last].wheels, par.wheels, rolling)
-        advance(now_x, now_p, ahead_ns / 1e9, par, rolling)
+        advance(now_x, now_p, ahead_ns / 1e9, par, points, rolling)

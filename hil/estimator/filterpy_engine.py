@@ -16,20 +16,19 @@ import numpy as np
 import numpy.typing as npt
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 
+from hil.config.estimator import EstimatorConfig
+from hil.estimator import events, motion, retraction, sensors
 from hil.estimator.conditioning import guard
-from hil.estimator.events import NONE_ACCEPTED, compare
+from hil.estimator.events import NONE_ACCEPTED
 from hil.estimator.fusion import Engine, Now
 from hil.estimator.history import History
-from hil.estimator.motion import move, transition
 from hil.estimator.process import add_noise
 from hil.estimator.records import Records
-from hil.estimator.retraction import carry, follow, is_unsure
 from hil.estimator.sensors import (
     GATED_TOGETHER,
     MARK,
     account,
     admit,
-    innovation,
     jacobian,
     let_in,
     new_frame,
@@ -43,9 +42,13 @@ from hil.estimator.small_matrices import square_root
 from hil.estimator.state import AUX, ROWS, SCALE, STATES
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import compiled, entry
 
 Bools = npt.NDArray[np.bool_]
+
+compare, innovation = entry(events.compare), entry(sensors.innovation)
+move, transition = entry(motion.move), entry(motion.transition)
+is_unsure, follow, carry = entry(retraction.is_unsure), entry(retraction.follow), entry(retraction.carry)
 
 
 def _symmetric(p: Array) -> Array:
@@ -167,14 +170,16 @@ def noise_at(x: Array, dt_s: float, par: Records) -> Array:
 class FilterpyEngine(Engine):
     """Runs events through filterpy's EKF or UKF."""
 
-    def __init__(self, par: Records) -> None:
+    def __init__(self, par: Records, config: EstimatorConfig) -> None:
         by, process, n = par[0].filter, par[0].process, STATES
         self._par, self._slip_s, self._scaled = par, float(process.slip_s), float(process.scaled)
         self._scale, self._nominal = 0.0, np.zeros(2)
         self._gate_row, self._gate_pose = float(by.gate_row), float(by.gate_pose)
-        self._unscented = bool(by.unscented)
+        self._unscented = config.kind == "ukf"
         if self._unscented:
-            points = MerweScaledSigmaPoints(n, by.alpha, by.beta, by.kappa, sqrt_method=upper_root)
+            points = MerweScaledSigmaPoints(
+                n, config.alpha, config.beta, config.kappa, sqrt_method=upper_root
+            )
             self._filter: Any = UnscentedKalmanFilter(n, ROWS, 1.0, hx=None, fx=self._moved, points=points)
         else:
             self._filter = ExtendedKalmanFilter(n, ROWS)
@@ -227,8 +232,8 @@ class FilterpyEngine(Engine):
         """
         r = Rows(np.zeros(ROWS), np.zeros(ROWS), np.zeros(AUX), 0)
         use, r.count = before(number, t_ns, m, row, self._par, r.z, r.var, r.aux)
-        if r.count > 0 and is_unsure(number, p, self._par[0]):
-            compare(number, t_ns, x, p, m[0], row[0], self._par[0])
+        if r.count > 0 and not self._unscented and is_unsure(number, p):
+            compare(number, t_ns, x, p, m[0], row[0], self._par[0], None)
         elif r.count > 0:
             self._compare(number, x, p, m, r)
         after(number, use, t_ns, x, p, m, row, self._par)

@@ -16,7 +16,7 @@ from hil.estimator.records import Four, Record, Records, dtype_of, filled
 from hil.robot.contact_laws import FRICTION_EPSILON, LEAST_ROLLED
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 STILL_M = 2.5e-5
 _POWERS = np.array([2.0, 1.5, 1.5, 1.5, 1.2, 1.2, 1.2, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
@@ -53,7 +53,7 @@ def contacts(geometry: WheelGeometry) -> Records:
     return filled(dtype_of(Contacts), contact_values(geometry))
 
 
-@compiled
+@inner
 def weighted_twist(u: Array, weight: Array, wheels: Contacts) -> Array:
     """Body displacement (3,) (m, m, rad) that fits wheel vectors (8,) m with one weight (4,) per wheel."""
     total, sx, sy, srr = 0.0, 0.0, 0.0, 0.0
@@ -71,7 +71,7 @@ def weighted_twist(u: Array, weight: Array, wheels: Contacts) -> Array:
     return np.array([(bx + sy * turn) / total, (by - sx * turn) / total, turn])
 
 
-@compiled
+@inner
 def friction_weights(u: Array, wheels: Contacts) -> Array:
     """Weight (4,) of each contact at the least-dissipation displacement of wheel vectors (8,)."""
     weight = np.ones(4)
@@ -88,7 +88,7 @@ def friction_weights(u: Array, wheels: Contacts) -> Array:
     return weight
 
 
-@compiled
+@inner
 def friction_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     """Displacement (3,) of the newest step (8,), weighted by the friction over the window's sum (8,)."""
     still = 0.0
@@ -99,7 +99,7 @@ def friction_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     return weighted_twist(u, friction_weights(window, wheels), wheels)
 
 
-@compiled
+@inner
 def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     """Displacement (3,) of the newest step (8,) at which creep forces balance; see `hil.robot.contact_laws`.
 
@@ -136,7 +136,7 @@ def creep_twist(u: Array, window: Array, wheels: Contacts) -> Array:
     return np.array([b0 / a00 - l10 * left - l20 * turn, left, turn])
 
 
-@compiled
+@inner
 def windowed_twist(u: Array, window: Array, decay: float, wheels: Contacts, creeping: bool) -> Array:
     """Displacement (3,) of the newest step by either law; `window` (8,) fades by `decay` and takes it."""
     for i in range(8):

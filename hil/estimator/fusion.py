@@ -36,6 +36,7 @@ from hil.estimator.state import (
     TWIST,
     YAW_SLIP,
 )
+from hil.estimator.unscented import Points
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
 from hil.vocabulary.interfaces import Estimator
@@ -85,30 +86,38 @@ class Engine(Protocol):
 
 
 @cache
-def load_filter(*, alone: bool = False) -> None:
-    """Load the machine code of `run`, which EKF and UKF have in common; without one it is compiled.
+def load_filter(points: Points = None, *, alone: bool = False) -> None:
+    """Load the machine code of `run`; without one it is compiled.
 
     Args:
+        points: None for the EKF; which ones the UKF has does not matter.
         alone: see `by_halves`.
     """
     h, now, par = History(0, 1), Now(), np.zeros(1, PARAMETERS)
-    with by_halves(alone=alone):
-        compile_for(run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, 0, now.x, now.p, now.m)
+    with by_halves(points, alone=alone):
+        compile_for(
+            run, h.marks, 0, 0, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m, par, points, 0, now.x, now.p, now.m
+        )
 
 
 class CompiledEngine(Engine):
-    """The kernels of `hil.estimator.events`; making the first one loads or compiles them."""
+    """The kernels of `hil.estimator.events`; making the first one loads or compiles them.
 
-    def __init__(self, par: Records) -> None:
-        load_filter()
-        self._par = par
+    Args:
+        par: see `hil.estimator.layout.parameters`.
+        points: of the UKF; None for the EKF.
+    """
+
+    def __init__(self, par: Records, points: Points) -> None:
+        load_filter(points)
+        self._par, self._points = par, points
 
     def run(self, history: History, begin: int, zero_ns: int, now_ns: int, now: Now) -> None:
         """One call for the whole stretch."""
         h = history
         run(
             h.marks, begin, zero_ns, h.t_ns, h.numbers, h.rows, h.x, h.p, h.m,
-            self._par, now_ns, now.x, now.p, now.m,
+            self._par, self._points, now_ns, now.x, now.p, now.m,
         )  # fmt: skip
 
 

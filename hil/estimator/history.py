@@ -16,13 +16,13 @@ from hil.estimator.sensors import MARK
 from hil.estimator.small_matrices import put
 from hil.estimator.state import STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import compiled, inner
 
 CAPACITY = 2048
 FIRST, COUNT, LATE, DUPLICATE = range(4)
 
 
-@compiled
+@inner
 def earlier(
     a_ns: int, a_number: int, a_seq: int, a: Array, b_ns: int, b_number: int, b_seq: int, b: Array
 ) -> int:
@@ -45,7 +45,7 @@ def earlier(
     return 0
 
 
-@compiled
+@inner
 def insert(
     first: int, count: int, t_ns: Ints, numbers: Ints, seqs: Ints, data: Array,
     new_ns: int, new_number: int, new_seq: int, new: Array,
@@ -74,7 +74,7 @@ def insert(
     return place
 
 
-@compiled
+@inner
 def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> None:
     """Forget events older than the span, and more of them where `room` new ones would not fit."""
     capacity = t_ns.shape[0]
@@ -87,7 +87,7 @@ def let_go(marks: Ints, t_ns: Ints, span_ns: int, now_ns: int, room: int) -> Non
         marks[COUNT] -= 1
 
 
-@compiled
+@inner
 def in_order(t_ns: Ints, number: int) -> Ints:
     """Places of the first `number` stamps, the earliest first; of like ones that which came first.
 

@@ -31,17 +31,11 @@ class FilterParameters(Record):
     """How rows become an update.
 
     Attributes:
-        unscented: 1 for sigma points, 0 for derivatives.
-        alpha, beta, kappa: spread of the sigma points.
         gate_row, gate_pose: largest normalised innovation squared of one row, and of a pose.
         limit: rejections in a row after which a sensor is let in again.
         samples: length of the running mean of normalised innovations.
     """
 
-    unscented: float
-    alpha: float
-    beta: float
-    kappa: float
     gate_row: float
     gate_pose: float
     limit: float
@@ -125,8 +119,7 @@ def parameters(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -
     gates = config.gates
     values: dict[str, Any] = {
         "filter": {
-            "unscented": config.kind == "ukf", "alpha": config.alpha, "beta": config.beta,
-            "kappa": config.kappa, "gate_row": gates.one_dof if gates.on else _NO_GATE,
+            "gate_row": gates.one_dof if gates.on else _NO_GATE,
             "gate_pose": gates.three_dof if gates.on else _NO_GATE, "limit": gates.reanchor_after,
             "samples": config.time.nis_samples,
         },

@@ -30,13 +30,13 @@ from hil.estimator.state import (
     Y,
 )  # fmt: skip
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 Slopes: TypeAlias = tuple[float, float, float, float]
 """Derivatives of a displacement by heading, speed ahead, speed to the left and yaw rate."""
 
 
-@compiled
+@inner
 def sinc(h: float) -> float:
     """sin(h) / h."""
     if abs(h) < 1e-3:
@@ -44,7 +44,7 @@ def sinc(h: float) -> float:
     return math.sin(h) / h
 
 
-@compiled
+@inner
 def sinc_slope(h: float) -> float:
     """Derivative of sin(h) / h; the series is used where the closed form cancels."""
     if abs(h) < 1e-2:
@@ -52,7 +52,7 @@ def sinc_slope(h: float) -> float:
     return (math.cos(h) - math.sin(h) / h) / h
 
 
-@compiled
+@inner
 def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[float, float]:
     """Displacement at heading `theta` by a body twist (ahead, left, omega) in `dt_s`."""
     h = 0.5 * omega * dt_s
@@ -61,7 +61,7 @@ def shift(theta: float, ahead: float, left: float, omega: float, dt_s: float) ->
     return k * (c * ahead - s * left), k * (s * ahead + c * left)
 
 
-@compiled
+@inner
 def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: float) -> tuple[Slopes, Slopes]:
     """Derivative of both numbers of `shift` by heading and twist."""
     h = 0.5 * omega * dt_s
@@ -75,19 +75,19 @@ def shift_slopes(theta: float, ahead: float, left: float, omega: float, dt_s: fl
     )
 
 
-@compiled
+@inner
 def times(size: float, a: Slopes) -> Slopes:
     """Each derivative `size` times as large."""
     return size * a[0], size * a[1], size * a[2], size * a[3]
 
 
-@compiled
+@inner
 def wall_shift(x: Array, dt_s: float) -> tuple[float, float]:
     """Displacement of the pose in the wall frame of a state (20,)."""
     return shift(x[THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
 
 
-@compiled
+@inner
 def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Array) -> tuple[float, float]:
     """Displacement of the second pose of x (20,); `scale`: of the mean, points differ; nominal (2,)."""
     east, north = shift(x[SIGHT_THETA], x[V_X], x[V_Y], x[OMEGA], dt_s)
@@ -96,7 +96,7 @@ def sight_shift(x: Array, dt_s: float, scaled: float, scale: float, nominal: Arr
     return size * east + more * far_east, size * north + more * far_north
 
 
-@compiled
+@inner
 def fade(x: Array, dt_s: float, decay: float) -> None:
     """Headings and slip velocity of the state (20,) after `dt_s`: what moves linearly."""
     x[THETA] += x[OMEGA] * dt_s
@@ -105,7 +105,7 @@ def fade(x: Array, dt_s: float, decay: float) -> None:
     x[SLIP_Y] *= decay
 
 
-@compiled
+@inner
 def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: float, decay: float) -> None:
     """Move both poses of the state (20,) by their displacements, and what moves linearly."""
     x[X] += wall[0]
@@ -115,14 +115,14 @@ def go(x: Array, wall: tuple[float, float], sight: tuple[float, float], dt_s: fl
     fade(x, dt_s, decay)
 
 
-@compiled
+@inner
 def move(x: Array, dt_s: float, slip_s: float, scaled: float, scale: float, nominal: Array) -> None:
     """State (20,) after `dt_s`: SE(2) exponential of the body twist, decay of the slip velocity."""
     wall, sight = wall_shift(x, dt_s), sight_shift(x, dt_s, scaled, scale, nominal)
     go(x, wall, sight, dt_s, math.exp(-dt_s / slip_s))
 
 
-@compiled
+@inner
 def slopes(
     x: Array, dt_s: float, scaled: float, nominal: Array
 ) -> tuple[Slopes, Slopes, Slopes, Slopes, tuple[float, float]]:
@@ -134,7 +134,7 @@ def slopes(
     return a, b, times(size, c), times(size, d), far
 
 
-@compiled
+@inner
 def transition(x: Array, dt_s: float, slip_s: float, scaled: float, nominal: Array) -> Array:
     """Derivative (20, 20) of `move` by the state."""
     f = np.eye(STATES)

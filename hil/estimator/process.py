@@ -31,7 +31,7 @@ from hil.estimator.state import (
     Y,
 )
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 FADING = (THETA, SIGHT_THETA, SLIP_X, SLIP_Y)
 MOVING = (X, Y, THETA, SIGHT_X, SIGHT_Y, SIGHT_THETA, SLIP_X, SLIP_Y)
@@ -86,7 +86,7 @@ def process_values(config: EstimatorConfig, surface: str) -> dict[str, float]:
     }  # fmt: skip
 
 
-@compiled
+@inner
 def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     """Noise of the twist in both poses: what moves them is one and the same."""
     q, turn = par.acceleration, par.angular_acceleration
@@ -114,7 +114,7 @@ def _add_motion(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None
     p[SIGHT_THETA, THETA] += turn * third
 
 
-@compiled
+@inner
 def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     """Add the process noise of a step that began at state x (20,) to p (20, 20), exact in its length."""
     rolled = math.sqrt(x[V_X] * x[V_X] + x[V_Y] * x[V_Y]) * dt_s
@@ -132,7 +132,7 @@ def add_noise(x: Array, p: Array, dt_s: float, par: ProcessParameters) -> None:
     p[SIGHT_THETA, SIGHT_THETA] += par.sight_turn * dt_s
 
 
-@compiled
+@inner
 def mirror(p: Array, rows: tuple[int, ...]) -> None:
     """Make p (20, 20) symmetric by some of its rows, in rising order; of two the upper one counts."""
     check_size(p)
@@ -145,7 +145,7 @@ def mirror(p: Array, rows: tuple[int, ...]) -> None:
             p[j, i] = p[i, j]
 
 
-@compiled
+@inner
 def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
     """F P F' of what `fade` does, p (20, 20) in place: rows that change, then columns, of these rows only."""
     check_size(p)
@@ -162,7 +162,7 @@ def fade_covariance(p: Array, dt_s: float, decay: float) -> None:
     mirror(p, FADING)
 
 
-@compiled
+@inner
 def advance_linear(x: Array, p: Array, dt_s: float, par: ProcessParameters, nominal: Array) -> None:
     """Extended Kalman prediction of x (20,), p (20, 20), in place: F P F' by rows and columns that change."""
     check_size(p)

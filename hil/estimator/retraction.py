@@ -21,7 +21,7 @@ from hil.estimator.sensors import GATED_TOGETHER, innovation, jacobian, predicte
 from hil.estimator.small_matrices import check_size, put, put_rows, seen
 from hil.estimator.state import CLONE_X, ROWS, STATES, THETA, X
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 POSES = (X, CLONE_X)
 """Where the poses in the wall frame begin."""
@@ -29,14 +29,13 @@ UNSURE_RAD = 0.05
 _TURNS = 8
 
 
-@compiled
-def is_unsure(number: int, p: Array, par: Parameters) -> bool:
+@inner
+def is_unsure(number: int, p: Array) -> bool:
     """Whether a pose meets a heading, covariance p (20, 20), too unsure for one linearisation."""
-    unscented = par.filter.unscented > 0.0
-    return GATED_TOGETHER[number] and not unscented and p[THETA, THETA] > UNSURE_RAD * UNSURE_RAD
+    return GATED_TOGETHER[number] and p[THETA, THETA] > UNSURE_RAD * UNSURE_RAD
 
 
-@compiled
+@inner
 def lean(before: Array, point: Array, v: Array, way: float) -> None:
     """Correction (20,) at `before` as one at `point` (way 1), or back (way -1), in place."""
     for place in POSES:
@@ -44,7 +43,7 @@ def lean(before: Array, point: Array, v: Array, way: float) -> None:
         v[place + 1] += way * (point[place] - before[place]) * v[place + 2]
 
 
-@compiled
+@inner
 def follow(before: Array, x: Array) -> None:
     """Turn `before` (20,) with a correction added into one corrected along the circle, x (20,), in place."""
     for place in POSES:
@@ -56,7 +55,7 @@ def follow(before: Array, x: Array) -> None:
         x[place + 1] = before[place + 1] + s * east + c * north
 
 
-@compiled
+@inner
 def carry(before: Array, x: Array, p: Array) -> None:
     """Covariance (20, 20) at `before` as one at x: errors of a heading have another lever there; in place."""
     check_size(p)
@@ -75,7 +74,7 @@ def carry(before: Array, x: Array, p: Array) -> None:
             p[i, place], p[i, place + 1] = p[place, i], p[place + 1, i]
 
 
-@compiled
+@inner
 def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
     """Carry what later samples say, late (20,), spread (20, 20), back through `carry`, as `pull_update`."""
     for place in POSES:
@@ -87,7 +86,7 @@ def pull_carry(before: Array, x: Array, late: Array, spread: Array) -> None:
             spread[place + 2, i] += east * spread[place + 1, i] - north * spread[place, i]
 
 
-@compiled
+@inner
 def settle(
     number: int, x: Array, p: Array, z: Array, var: Array, aux: Array, count: int, par: Parameters,
     point: Array, spread: Array, nu: Array, cross: Array, own: Array, h: Array,

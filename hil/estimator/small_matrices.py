@@ -20,12 +20,12 @@ import numpy as np
 
 from hil.estimator.state import ROWS, STATES
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import AVAILABLE, compiled
+from hil.vocabulary.kernels import AVAILABLE, compiled, inner
 
 _ZERO_PIVOT = 1e-14
 
 
-@compiled
+@inner
 def check_size(p: Array) -> None:
     """Refuse what is not (20, 20), so that the compiler knows: loops along the rows are thrice as quick.
 
@@ -162,9 +162,9 @@ def spread_arrays(root: Array, odd: Array, count: int, weight: float, cross: Arr
     cross[:count] = odd[: len(root), :count].T @ (weight * root)
 
 
-put = compiled(put_loops) if AVAILABLE else put_arrays
-put_rows = compiled(put_rows_loops) if AVAILABLE else put_rows_arrays
-downdate = compiled(downdate_loops) if AVAILABLE else downdate_arrays
+put = inner(put_loops) if AVAILABLE else put_arrays
+put_rows = inner(put_rows_loops) if AVAILABLE else put_rows_arrays
+downdate = inner(downdate_loops) if AVAILABLE else downdate_arrays
 square_root = compiled(square_root_loops) if AVAILABLE else square_root_arrays
-seen = compiled(seen_loops) if AVAILABLE else seen_arrays
-spread = compiled(spread_loops) if AVAILABLE else spread_arrays
+seen = inner(seen_loops) if AVAILABLE else seen_arrays
+spread = inner(spread_loops) if AVAILABLE else spread_arrays

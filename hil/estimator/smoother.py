@@ -9,6 +9,7 @@ model (tests hold it against the batch solution). Offline only.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import cache
 
 import numpy as np
 
@@ -39,7 +40,7 @@ from hil.estimator.start import start_of
 from hil.estimator.state import AUX, MOTION, POSE, ROWS, STATES, TWIST
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import compile_for, compiled, inner
 from hil.vocabulary.signals import Measurements, RobotState
 
 _SEGMENT = 512
@@ -64,6 +65,7 @@ def smooth(
     Returns:
         One state per cycle, with pose, twist and their covariance; no diagnostics.
     """
+    load_smoother()
     linear = config.model_copy(update={"kind": "ekf"})
     par = parameters(linear, geometry, surface)
     segments = _segments(*_ordered(linear, measurements, start.t_ns), start.t_ns)
@@ -85,12 +87,13 @@ def smooth(
     return tuple(reversed(states))
 
 
-def compile_backward() -> None:
-    """Compile `backward` now, by a pass over nothing: the first run that is smoothed finds it ready."""
+@cache
+def load_smoother() -> None:
+    """Load the machine code of `backward`; without one it is compiled."""
     one, row = np.zeros(1, dtype=np.int64), np.zeros((1, STATES))
     square = np.zeros((1, STATES, STATES))
-    backward(
-        0, one, one, np.zeros(1, ROW), row, square, np.zeros(1, MEMORY), np.zeros(1, PARAMETERS),
+    compile_for(
+        backward, 0, one, one, np.zeros(1, ROW), row, square, np.zeros(1, MEMORY), np.zeros(1, PARAMETERS),
         row[0].copy(), square[0].copy(), row.copy(), np.zeros((1, MOTION, MOTION)),
     )  # fmt: skip
 
@@ -133,7 +136,7 @@ class _Segment:
         x[0], p[0], m[0] = x0, p0, m0[0]
         run(
             np.array([0, n, 0, 0]), 1, self.zero_ns, self.t_ns, self.numbers, self.rows, x, p, m, par,
-            self.t_ns[-1], x0.copy(), p0.copy(), m0.copy(),
+            None, self.t_ns[-1], x0.copy(), p0.copy(), m0.copy(),
         )  # fmt: skip
         return x, p, m
 
@@ -146,7 +149,7 @@ def _segments(keys: Ints, data: Array, start_ns: int) -> list[_Segment]:
     return [_Segment(start_ns, t_ns[cut], numbers[cut], rows[cut]) for cut in cuts]
 
 
-@compiled
+@inner
 def pull_update(
     number: int, t_ns: float, x: Array, p: Array, m: Memory, row: EventRow, par: Parameters, after: Array,
     late: Array, spread: Array,
@@ -170,7 +173,7 @@ def pull_update(
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
     cross, own = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
     nu, point = np.zeros(ROWS), x.copy()
-    if is_unsure(number, p, par):
+    if is_unsure(number, p):
         settle(number, x, p, z, var, aux, count, par, point, p.copy(), nu, cross, own, h)
     else:
         predicted(number, x, aux, par, mean)

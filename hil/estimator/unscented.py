@@ -16,9 +16,10 @@ in which nothing cancels. What the model leaves linear keeps its covariance exac
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import NamedTuple, TypeAlias
 
-from hil.estimator.layout import FilterParameters, Parameters, Work
+from hil.config.estimator import EstimatorConfig
+from hil.estimator.layout import Parameters, Work
 from hil.estimator.motion import fade, sight_shift, wall_shift
 from hil.estimator.process import add_noise, fade_covariance, mirror
 from hil.estimator.sensors import predicted
@@ -35,7 +36,7 @@ from hil.estimator.state import (
     Y,
 )
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 PLACES = (X, Y, SIGHT_X, SIGHT_Y)
 """The numbers of the state that do not move linearly."""
@@ -55,14 +56,19 @@ class Weights(NamedTuple):
     centre: float
 
 
-@compiled
-def weights(n: int, points: FilterParameters) -> Weights:
-    """Weights for `n` states."""
-    total = points.alpha * points.alpha * (n + points.kappa)
-    return Weights(math.sqrt(total), 1.0 / total, points.beta - points.alpha * points.alpha)
+Points: TypeAlias = Weights | None
+"""Sigma points of the UKF; None for the EKF, which has none."""
 
 
-@compiled
+def points_of(config: EstimatorConfig) -> Points:
+    """Sigma points of a configuration."""
+    if config.kind != "ukf":
+        return None
+    total = config.alpha * config.alpha * (STATES + config.kappa)
+    return Weights(math.sqrt(total), 1.0 / total, config.beta - config.alpha * config.alpha)
+
+
+@inner
 def parts(high: Array, low: Array, centre: Array, odd: Array, even: Array) -> None:
     """Odd and even parts (8,) of values (8,) at two opposite points and the centre."""
     for i in range(ROWS):
@@ -70,7 +76,7 @@ def parts(high: Array, low: Array, centre: Array, odd: Array, even: Array) -> No
         even[i] = 0.5 * ((high[i] - centre[i]) + (low[i] - centre[i]))
 
 
-@compiled
+@inner
 def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: Array) -> None:
     """Sum up the parts of `count` values: offset of the mean, cross and own.
 
@@ -98,10 +104,10 @@ def collect(w: Weights, root: Array, count: int, work: Work, cross: Array, own: 
     spread(root, odd[:], count, w.reach * w.pair, cross)
 
 
-@compiled
-def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal: Array) -> None:
+@inner
+def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, w: Weights, nominal: Array) -> None:
     """Unscented prediction of x (20,), p (20, 20), in place: points for the position, the rest is linear."""
-    w, work, by = weights(STATES, par.filter), par.work, par.process
+    work, by = par.work, par.process
     root, up, down, high, low = work.root[:CURVED], work.up[:], work.down[:], work.high, work.low
     centre, scale = work.centre, x[SCALE]
     square_root(p, root)
@@ -137,13 +143,13 @@ def advance_unscented(x: Array, p: Array, dt_s: float, par: Parameters, nominal:
     fade(x, dt_s, decay)
 
 
-@compiled
+@inner
 def moments_unscented(
-    number: int, x: Array, p: Array, aux: Array, par: Parameters, count: int,
+    number: int, x: Array, p: Array, aux: Array, par: Parameters, w: Weights, count: int,
     mean: Array, cross: Array, own: Array,
 ) -> None:  # fmt: skip
     """Mean (8,), covariance with the state (8, 20) and covariance (8, 8) of rows, as `events.moments`."""
-    w, work = weights(STATES, par.filter), par.work
+    work = par.work
     root, up, down, high, low = work.root[:], work.up[:], work.down[:], work.high[:], work.low[:]
     square_root(p, root)
     high[:], low[:] = 0.0, 0.0

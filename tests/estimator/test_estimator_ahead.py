@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from hil.estimator import ahead
-from hil.vocabulary.kernels import compile_for
+from hil.estimator.unscented import Weights
+from hil.vocabulary.kernels import compile_for, interrupts_heeded
 
 numba = pytest.importorskip("numba")
 
@@ -19,9 +20,12 @@ from estimator_drives import drive
 from hil.config.estimator import EstimatorConfig
 from hil.estimator import ahead, make_estimator
 from hil.estimator.events import run
+from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
 
-for kernel, arguments in (*ahead._EARLY, *ahead._LATE):
+POINTS = [points_of(EstimatorConfig(kind=kind)) for kind in ("ekf", "ukf")]
+calls = [call for points in POINTS for call in (*ahead.here(points), *ahead.beside(points))]
+for kernel, arguments in calls:
     ahead.compile_for(kernel, *arguments)
 cycles = drive(seconds=0.5, seed=3)
 for kind in ("ekf", "ukf"):
@@ -29,8 +33,8 @@ for kind in ("ekf", "ukf"):
     estimator.reset(cycles.start)
     for measurements in cycles.measurements:
         estimator.update(measurements)
-for kernel in (run, *(kernel for kernel, _ in (*ahead._EARLY, *ahead._LATE))):
-    print(kernel.py_func.__name__, len(kernel.signatures))
+for kernel in {run, *(kernel for kernel, _ in calls)}:
+    print(kernel.__name__, len(getattr(kernel, "machine_code", kernel).signatures))
 """
 
 
@@ -50,7 +54,7 @@ def started(monkeypatch):
             found.append("ended")
 
     monkeypatch.setattr(subprocess, "Popen", Nothing)
-    monkeypatch.setattr(ahead, "_EARLY", ())
+    monkeypatch.setattr(ahead, "here", lambda points: ())
     monkeypatch.setattr(ahead, "_cores", lambda: 2)
     return found
 
@@ -61,38 +65,40 @@ def new_kernel():
 
 
 def test_what_is_compiled_ahead_is_what_the_filter_calls(pytestconfig):
-    """Each kernel has one form: another one would be compiled beside it, and the time would be lost."""
+    """Each kernel has one form, or one for each filter: another would be compiled beside it, in vain."""
     told = subprocess.run(
         [sys.executable, "-c", ONE_FORM_EACH], cwd=pytestconfig.rootpath / "tests" / "estimator",
         capture_output=True, text=True, check=True, timeout=200,
     )  # fmt: skip
     forms = dict(line.split() for line in told.stdout.splitlines())
-    assert len(forms) == 1 + len(ahead._EARLY) + len(ahead._LATE)
-    assert set(forms.values()) == {"1"}
+    assert len(forms) == 1 + len(ahead.here(None)) + len(ahead.beside(None))
+    assert {name for name, count in forms.items() if count != "1"} == {"run", "advance", "moments", "compare"}
+    assert set(forms.values()) == {"1", "2"}
 
 
-def test_a_process_beside_helps_once_where_there_is_something_to_compile(started):
-    with ahead.by_halves():
+@pytest.mark.parametrize(("kind", "points"), [("ekf", None), ("ukf", Weights(1.0, 1.0, 1.0))])
+def test_a_process_beside_helps_once_where_there_is_something_to_compile(started, kind, points):
+    with ahead.by_halves(points):
         compile_for(new_kernel(), np.zeros(3))
         compile_for(new_kernel(), 1.0)
-    assert started == [HELP, "waited for"]
+    assert started == [[*HELP, kind], "waited for"]
 
 
 def test_a_process_beside_ends_with_one_that_is_interrupted(started):
     def interrupted():
-        with ahead.by_halves():
+        with ahead.by_halves(None):
             compile_for(new_kernel(), 1.0)
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         interrupted()
-    assert started == [HELP, "ended", "waited for"]
+    assert started == [[*HELP, "ekf"], "ended", "waited for"]
 
 
 @pytest.mark.parametrize("then", [RuntimeError("no compiled object yet"), None])
 def test_an_interrupt_that_is_lost_on_the_way_is_one_all_the_same(then):
     def lost():
-        with ahead.interrupts_heeded():
+        with interrupts_heeded():
             with contextlib.suppress(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
             if then is not None:
@@ -108,7 +114,7 @@ def test_who_puts_interrupts_off_is_left_to_it(monkeypatch):
     struck = []
     before = signal.signal(signal.SIGINT, lambda *_: struck.append(1))
     try:
-        with ahead.interrupts_heeded():
+        with interrupts_heeded():
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
@@ -116,22 +122,22 @@ def test_who_puts_interrupts_off_is_left_to_it(monkeypatch):
 
 
 def test_an_error_without_an_interrupt_stays_what_it_is():
-    with pytest.raises(RuntimeError, match="of its own"), ahead.interrupts_heeded():
+    with pytest.raises(RuntimeError, match="of its own"), interrupts_heeded():
         raise RuntimeError("of its own")
 
 
 def test_nobody_is_asked_to_help_where_there_is_nothing_to_compile(started):
     kernel = new_kernel()
     compile_for(kernel, 1.0)
-    with ahead.by_halves():
+    with ahead.by_halves(None):
         compile_for(kernel, 1.0)
     assert started == []
 
 
 def test_nobody_is_asked_on_a_single_core_or_where_another_helps_already(started, monkeypatch):
-    with ahead.by_halves(alone=True):
+    with ahead.by_halves(None, alone=True):
         compile_for(new_kernel(), 1.0)
     monkeypatch.setattr(ahead, "_cores", lambda: 1)
-    with ahead.by_halves():
+    with ahead.by_halves(None):
         compile_for(new_kernel(), 1.0)
     assert started == []

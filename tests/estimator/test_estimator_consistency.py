@@ -5,21 +5,22 @@ import pytest
 from estimator_drives import drive
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
-from hil.estimator.conditioning import condition, joint_nis
+from hil.estimator import conditioning, events, make_estimator, motion, process, sensors
 from hil.estimator.consistency import autocorrelation, band, nees, whiteness
-from hil.estimator.events import advance, moments
 from hil.estimator.layout import ROW, first_memory, parameters
-from hil.estimator.motion import move
-from hil.estimator.process import add_noise
-from hil.estimator.sensors import NUMBERS, predicted
-from hil.estimator.sensors.tracker import new_frame
-from hil.estimator.sensors.wheels import clone_pose
+from hil.estimator.sensors import NUMBERS, tracker, wheels
 from hil.estimator.small_matrices import square_root
 from hil.estimator.smoother import smooth
 from hil.estimator.state import CLONE, MOTION, POSE, ROWS, SCALE, STATES, V_X, V_Y, prior_variances
+from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.kernels import entry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
+
+advance, moments, predicted = entry(events.advance), entry(events.moments), entry(sensors.predicted)
+move, add_noise = entry(motion.move), entry(process.add_noise)
+condition, joint_nis = entry(conditioning.condition), entry(conditioning.joint_nis)
+new_frame, clone_pose = entry(tracker.new_frame), entry(wheels.clone_pose)
 
 DT_S = 0.01
 VARIANCE = {
@@ -34,7 +35,7 @@ class World:
 
     def __init__(self, kind, seed, heading_sigma=0.02):
         config = EstimatorConfig(kind=kind)
-        self.par = parameters(config, WheelGeometry.nominal(), "wall")[0]
+        self.par, self.points = parameters(config, WheelGeometry.nominal(), "wall")[0], points_of(config)
         self.rng = np.random.default_rng(seed)
         self.x, self.p = np.zeros(STATES), np.diag(prior_variances(config, "wall"))
         self.x[V_X] = 0.1
@@ -60,7 +61,7 @@ class World:
         rolling = self.x[V_X : V_Y + 1].copy()
         move(self.true, DT_S, self.par.process.slip_s, 1.0, self.x[SCALE], self.true[V_X : V_Y + 1].copy())
         self.true += self.drawn(noise)
-        advance(self.x, self.p, DT_S, self.par, rolling)
+        advance(self.x, self.p, DT_S, self.par, self.points, rolling)
 
     def sense(self, sensor):
         number, count = NUMBERS[sensor], len(VARIANCE[sensor])
@@ -70,7 +71,7 @@ class World:
         z[:count] += np.sqrt(VARIANCE[sensor]) * self.rng.normal(size=count)
         cross, own, var = np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS)), np.zeros(ROWS)
         var[:count] = VARIANCE[sensor]
-        moments(number, self.x, self.p, aux, self.par, count, mean, cross, own)
+        moments(number, self.x, self.p, aux, self.par, self.points, count, mean, cross, own)
         nu[:count] = (z - mean)[:count]
         self.nis[sensor].append(joint_nis(nu, own, var, count, np.zeros(ROWS)))
         condition(self.x, self.p, nu, cross, own, var, count, np.inf, np.zeros(ROWS))

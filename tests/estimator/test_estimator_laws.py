@@ -4,20 +4,24 @@ import numpy as np
 import pytest
 
 from hil.config.estimator import EstimatorConfig
-from hil.estimator import make_estimator
+from hil.estimator import conditioning, events, make_estimator, motion, sensors
+from hil.estimator import process as model
 from hil.estimator import small_matrices as small
-from hil.estimator.conditioning import condition
-from hil.estimator.events import advance, compare
 from hil.estimator.layout import ROW, first_memory, parameters
-from hil.estimator.motion import move, transition
-from hil.estimator.process import add_noise, advance_linear
 from hil.estimator.records import dtype_of, filled
-from hil.estimator.sensors import NUMBERS, jacobian, predicted, tracker
-from hil.estimator.sensors.wheels import clone_pose
+from hil.estimator.sensors import NUMBERS, tracker, wheels
 from hil.estimator.state import CLONE, OMEGA, POSE, ROWS, STATES, prior_variances
 from hil.estimator.state import SCALE as STATE_SCALE
+from hil.estimator.unscented import points_of
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.kernels import entry
 from hil.vocabulary.signals import Measurements, PoseMeasurement, RobotState, Stamp
+
+advance, compare = entry(events.advance), entry(events.compare)
+move, transition = entry(motion.move), entry(motion.transition)
+add_noise, advance_linear = entry(model.add_noise), entry(model.advance_linear)
+predicted, jacobian = entry(sensors.predicted), entry(sensors.jacobian)
+condition, clone_pose = entry(conditioning.condition), entry(wheels.clone_pose)
 
 SCALE = np.array([1, 1, 1, 0.1, 0.1, 0.3, 1, 1, 1, 5e-3, 0.01, 0.01, 2e-3, 2e-3, 0.05, 0.05, 5e-3, 1, 1, 1])
 ROLLING = np.array([0.07, -0.04])
@@ -111,10 +115,10 @@ def test_a_new_camera_frame_shows_what_the_camera_shows_and_spreads_its_uncertai
     par = kernel_parameters(tracker={"position_m": 2e-3, "heading_rad": 3e-3, "scale_sigma": 0.01}).tracker
     x, p = some_state(rng), some_covariance(rng)
     z = np.array([0.4, -0.2, 0.3])
-    tracker.new_frame(0.0, x, p, first_memory()[0].tracker, seen_pose(z), par)
+    entry(tracker.new_frame)(0.0, x, p, first_memory()[0].tracker, seen_pose(z), par)
     mean, h = np.zeros(ROWS), np.zeros((ROWS, STATES))
-    tracker.predicted(x, np.zeros(2), par, mean)
-    tracker.jacobian(x, np.zeros(2), par, h)
+    entry(tracker.predicted)(x, np.zeros(2), par, mean)
+    entry(tracker.jacobian)(x, np.zeros(2), par, h)
     assert np.allclose(mean[:3], z, atol=1e-12)
     assert np.allclose((h @ p @ h.T)[:3, :3], np.diag([4e-6, 4e-6, 9e-6]), atol=1e-12)
 
@@ -181,11 +185,12 @@ def test_several_updates_after_one_prediction(kind):
     par = parameters(config, WheelGeometry.nominal(), "floor")[0]
     x, p, m = np.zeros(STATES), np.zeros((STATES, STATES)), first_memory()[0]
     p[0, 0] = 1.0
-    advance(x, p, 1e-6, par, np.zeros(2))
+    points = points_of(config)
+    advance(x, p, 1e-6, par, points, np.zeros(2))
     row = np.zeros(1, ROW)[0]
     row["mocap"] = 1.0, 0.0, 0.0, 3.0, 1.0
     for n in (1, 2, 3, 4):
-        compare(NUMBERS["mocap"], 1e3, x, p, m, row, par)
+        compare(NUMBERS["mocap"], 1e3, x, p, m, row, par, points)
         assert x[0] == pytest.approx(n / (n + 1), abs=1e-9)
         assert p[0, 0] == pytest.approx(1 / (n + 1), abs=1e-9)
 
@@ -226,7 +231,7 @@ def hard_steps(kind, count, seed=0):
         gyro={"rate_rad_s": 1e-6},
         gates={"on": False},
     )
-    par = parameters(config, WheelGeometry.nominal(), "wall")[0]
+    par, points = parameters(config, WheelGeometry.nominal(), "wall")[0], points_of(config)
     sharp = kernel_parameters(tracker={"position_m": 1e-6, "heading_rad": 1e-6}).tracker
     rng = np.random.default_rng(seed)
     x, m = np.zeros(STATES), first_memory()[0]
@@ -234,13 +239,13 @@ def hard_steps(kind, count, seed=0):
     p[:6, :6] = 1e2 * np.eye(6)
     names, noise = ("mocap", "gyro", "tracker", "gyro"), 1e-6 * rng.normal(size=(1000, 3))
     worst, row = 0.0, np.zeros(1, ROW)[0]
-    tracker.new_frame(0.0, x, p, m.tracker, seen_pose(np.zeros(3)), sharp)
+    entry(tracker.new_frame)(0.0, x, p, m.tracker, seen_pose(np.zeros(3)), sharp)
     for k in range(count):
-        advance(x, p, 0.0025, par, x[3:5].copy())
+        advance(x, p, 0.0025, par, points, x[3:5].copy())
         a, b, c = noise[k % 1000]
         row["mocap"] = row["tracker"] = a, b, c, 3.0, 1.0
         row["gyro"] = a, b, 0.0, 0.0
-        compare(NUMBERS[names[k % 4]], k * 2.5e6, x, p, m, row, par)
+        compare(NUMBERS[names[k % 4]], k * 2.5e6, x, p, m, row, par, points)
         if k % 10 == 0:
             clone_pose(x, p)
         if k % 997 == 0 or k < 50:

@@ -10,15 +10,25 @@ import sys
 import numpy as np
 import pytest
 
-from hil.vocabulary.kernels import AVAILABLE, compiled, compiled_with_parts, fingerprint, parts, plain
+from hil.vocabulary.kernels import (
+    AVAILABLE,
+    compile_for,
+    compiled,
+    compiled_with_parts,
+    entry,
+    fingerprint,
+    inner,
+    parts,
+    plain,
+)
 
 INNER = """
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import {kind}
 
-STEP = {}
+STEP = {added}
 
 
-@compiled
+@{kind}
 def step(x):
     return x + STEP
 """
@@ -57,9 +67,12 @@ def package(tmp_path):
     (folder / "__init__.py").write_text("")
     (folder / "third.py").write_text(THIRD)
 
-    def write(form, added):
+    def write(form, added, kind):
         how, call = FORMS[form]
-        for name, text in (("inner", INNER.format(added)), ("outer", OUTER.format(how=how, call=call))):
+        for name, text in (
+            ("inner", INNER.format(added=added, kind=kind)),
+            ("outer", OUTER.format(how=how, call=call)),
+        ):
             path = folder / f"{name}.py"
             if not path.exists() or path.read_text() != text:  # older numba goes by when a file was written
                 path.write_text(text)
@@ -68,8 +81,10 @@ def package(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("form", FORMS)
-def test_an_edited_inner_file_changes_what_the_outer_kernel_says(package, form, tmp_path):
+@pytest.mark.parametrize(
+    ("form", "kind"), [("through_another", "compiled"), ("constant", "compiled"), ("alias", "inner")]
+)
+def test_an_edited_inner_file_changes_what_the_outer_kernel_says(package, form, kind, tmp_path):
     pytest.importorskip("numba")
     environment = {
         **os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONDONTWRITEBYTECODE": "1",
@@ -77,7 +92,7 @@ def test_an_edited_inner_file_changes_what_the_outer_kernel_says(package, form, 
     }  # fmt: skip
 
     def says(added):
-        package(form, added)
+        package(form, added, kind)
         code = "from kernels.outer import outer; print(outer(1.0), sum(outer.stats.cache_hits.values()))"
         done = subprocess.run(
             [sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True
@@ -136,6 +151,18 @@ def test_what_has_no_fingerprint_is_refused_when_the_kernel_is_defined(body, sco
         pytest.skip("numba is not installed")
     with pytest.raises(TypeError, match=why):
         compiled(made(body, **scope))
+
+
+def test_an_inner_kernel_is_compiled_for_kernels_and_plain_for_python():
+    pytest.importorskip("numba")
+    halve = inner(made("0.5 * x"))
+    outer, of_python = compiled(made("g(x) + 1.0", g=halve)), entry(halve)
+    assert (outer(3.0), of_python(3.0), halve(3.0)) == (2.5, 1.5, 1.5)
+    assert [len(kernel.signatures) for kernel in (outer, of_python, halve.machine_code)] == [1, 1, 1]
+    compile_for(halve, 3)
+    assert len(halve.machine_code.signatures) == 2
+    assert halve(np.float32(3.0)) == 1.5  # in Python any type will do, and none is compiled for
+    assert len(halve.machine_code.signatures) == 2
 
 
 def test_mathematics_needs_no_fingerprint():

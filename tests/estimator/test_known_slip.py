@@ -8,8 +8,11 @@ from test_camera_scale import CREEP, MATCHED, climb, followed
 
 from hil.config.estimator import EstimatorConfig
 from hil.estimator.layout import first_memory, parameters
-from hil.estimator.sensors.wheels import known_slip
+from hil.estimator.sensors import wheels
 from hil.robot.kinematics import WheelGeometry
+from hil.vocabulary.kernels import entry
+
+known_slip = entry(wheels.known_slip)
 
 KNOWN = {
     "known_up": (-0.034, 0.001, 0.01), "known_down": (-0.036, -0.001, 0.02),

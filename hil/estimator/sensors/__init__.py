@@ -14,7 +14,7 @@ from hil.estimator.sensors import gyro, mocap, tracker, wheels
 from hil.estimator.sensors.sensor import Sensor
 from hil.estimator.state import ROWS
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 SENSORS: tuple[Sensor, ...] = (wheels, gyro, tracker, mocap)
 
@@ -45,7 +45,7 @@ def _by_number(name: str, arguments: str) -> Callable[..., Any]:
         lines.append(f"    if number == {number}:\n        return {name}_{number}({', '.join(passed)})")
     lines[-1] = lines[-1].replace(f"if number == {len(SENSORS)}:", "else:")
     exec(compile("\n".join(lines), __file__, "exec"), scope)
-    kernel: Callable[..., Any] = compiled(scope[name])
+    kernel: Callable[..., Any] = inner(scope[name])
     return kernel
 
 
@@ -60,7 +60,7 @@ remember = _by_number("remember", "t_ns, x, p, m, row, par")
 undo = _by_number("undo", "t_ns, x, m, row, par, late, spread")
 
 
-@compiled
+@inner
 def innovation(number: int, z: Array, mean: Array, var: Array, count: int, nu: Array) -> None:
     """Fill `nu` (8,) with measured minus predicted rows, angles by the shorter way round.
 

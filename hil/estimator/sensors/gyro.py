@@ -25,7 +25,7 @@ from hil.estimator.sensors.sensor import (
 from hil.estimator.state import BIAS, OFFSET, OMEGA, THETA
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 from hil.vocabulary.signals import GyroMeasurement
 
 NAME = "gyro"
@@ -114,13 +114,13 @@ def pack(sample: GyroMeasurement, row: Array) -> str:
     return ""
 
 
-@compiled
+@inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     """Every sample is usable, once."""
     return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
 
 
-@compiled
+@inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """Rate and gravity heading."""
     z[RATE], z[GRAVITY] = row.rate_rad_s, row.heading_rad
@@ -131,21 +131,21 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     return 2
 
 
-@compiled
+@inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """Rate plus bias, heading plus offset."""
     out[RATE] = x[OMEGA] + x[BIAS]
     out[GRAVITY] = x[THETA] + x[OFFSET]
 
 
-@compiled
+@inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted`."""
     h[RATE, OMEGA] = h[RATE, BIAS] = 1.0
     h[GRAVITY, THETA] = h[GRAVITY, OFFSET] = 1.0
 
 
-@compiled
+@inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """Each row in its own tally, and only where it was there."""
     m.innovation_rad_s = nu[RATE]
@@ -161,7 +161,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
     return used
 
 
-@compiled
+@inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """Heading and offset are no longer trusted, or rate and bias."""
     if m.gravity.in_row >= limit:
@@ -177,7 +177,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
     return False
 
 
-@compiled
+@inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """The stamp."""
     m.t_ns = t_ns

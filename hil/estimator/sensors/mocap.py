@@ -20,7 +20,7 @@ from hil.estimator.sensors.sensor import (
 from hil.estimator.state import THETA, X, Y
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 NAME = "mocap"
 BENT = False
@@ -62,7 +62,7 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
     return {"used": c.use, "position": c.position_m**2, "heading": c.heading_rad**2}
 
 
-@compiled
+@inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     """Every tracked pose is usable, once."""
     if is_repeated(t_ns, m.t_ns):
@@ -73,32 +73,32 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     return REFUSED
 
 
-@compiled
+@inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """The pose."""
     return read(row, par.position, par.heading, z, var)
 
 
-@compiled
+@inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """The pose."""
     out[0], out[1], out[2] = x[X], x[Y], x[THETA]
 
 
-@compiled
+@inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted`."""
     h[0, X] = h[1, Y] = h[2, THETA] = 1.0
 
 
-@compiled
+@inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally."""
     m.innovation_m = math.hypot(nu[0], nu[1])
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
-@compiled
+@inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """The pose is no longer trusted."""
     if m.tally.in_row < limit:
@@ -109,7 +109,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
     return False
 
 
-@compiled
+@inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """The stamp."""
     m.t_ns = t_ns

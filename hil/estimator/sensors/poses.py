@@ -10,7 +10,7 @@ from hil.estimator.records import Record
 from hil.estimator.sensors.sensor import FARTHEST_M, FARTHEST_RAD
 from hil.estimator.state import CLONE_X, THETA, X
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 from hil.vocabulary.signals import PoseMeasurement
 
 POSE_ROWS = 3
@@ -41,7 +41,7 @@ def pack_pose(sample: PoseMeasurement, row: Array) -> str:
     return ""
 
 
-@compiled
+@inner
 def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> int:
     """The pose as three rows with these variances, m^2 and rad^2."""
     z[0], z[1], z[2] = row.x_m, row.y_m, row.heading_rad
@@ -50,7 +50,7 @@ def read(row: PoseRow, var_m: float, var_rad: float, z: Array, var: Array) -> in
     return POSE_ROWS
 
 
-@compiled
+@inner
 def shake(p: Array, var_m: float, var_rad: float) -> None:
     """Let the pose be off by so much more: its clone with it, since wheels tell only what lies between.
 

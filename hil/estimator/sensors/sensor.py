@@ -18,7 +18,7 @@ from hil.config.estimator import EstimatorConfig
 from hil.estimator.records import Record
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 FARTHEST_M, FARTHEST_RAD = 1e3, 1e6
 """What is finite but beyond any robot would leave no digits for the covariance."""
@@ -49,7 +49,7 @@ class Tally(Record):
     reanchored: float
 
 
-@compiled
+@inner
 def tally(own: Tally, nis: float, used: int, rows: int, samples: float) -> None:
     """Count accepted and rejected rows of a sample; its innovation enters a mean over `samples`."""
     own.accepted += used
@@ -64,7 +64,7 @@ def tally(own: Tally, nis: float, used: int, rows: int, samples: float) -> None:
         own.in_row += 1.0
 
 
-@compiled
+@inner
 def account_together(own: Tally, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """`Sensor.account` of rows that pass together or not at all."""
     total, usable, used = 0.0, 0, 0
@@ -77,18 +77,18 @@ def account_together(own: Tally, nis: Array, var: Array, count: int, gate: float
     return used
 
 
-@compiled
+@inner
 def is_repeated(t_ns: float, last_ns: float) -> bool:
     """Whether a stamp is that of the last sample (negative: there was none)."""
     return last_ns >= 0.0 and t_ns - last_ns < SAME_NS
 
 
-@compiled
+@inner
 def no_frame(t_ns: float, x: Array, p: Array, m: Record, row: Record, par: Record) -> None:
     """`Sensor.new_frame` of a sensor that has no frame of its own."""
 
 
-@compiled
+@inner
 def undo_nothing(
     t_ns: float, x: Array, m: Record, row: Record, par: Record, late: Array, spread: Array
 ) -> None:

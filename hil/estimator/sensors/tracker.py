@@ -25,7 +25,7 @@ from hil.estimator.sensors.sensor import (
 from hil.estimator.state import ROWS, SIGHT_X
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 
 NAME = "tracker"
 BENT = False
@@ -105,14 +105,14 @@ def values(config: EstimatorConfig, geometry: WheelGeometry, surface: str) -> di
     }  # fmt: skip
 
 
-@compiled
+@inner
 def weigh(row: Row, par: Parameters, z: Array, var: Array) -> int:
     """The pose as three rows, with less weight below the best quality."""
     factor = DOUBTED if row.quality < _BEST_QUALITY else 1.0
     return read(row, par.position * factor, par.heading * factor, z, var)
 
 
-@compiled
+@inner
 def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """Let the frame begin at this pose: it is what the camera shows, but for its noise."""
     z, var = np.zeros(ROWS), np.zeros(ROWS)
@@ -126,7 +126,7 @@ def new_frame(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramet
     m.frame_t_ns = t_ns
 
 
-@compiled
+@inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     """A pose of too little quality is dropped; a step that the robot cannot have made starts a new frame."""
     if is_repeated(t_ns, m.t_ns):
@@ -146,34 +146,34 @@ def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     return USED
 
 
-@compiled
+@inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """The pose."""
     return weigh(row, par, z, var)
 
 
-@compiled
+@inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """The pose in the camera's frame."""
     for i in range(POSE_ROWS):
         out[i] = x[SIGHT_X + i]
 
 
-@compiled
+@inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted`."""
     for i in range(POSE_ROWS):
         h[i, SIGHT_X + i] = 1.0
 
 
-@compiled
+@inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally."""
     m.innovation_m, m.innovation_rad = math.hypot(nu[0], nu[1]), nu[ANGLE_ROW]
     return account_together(m.tally, nis, var, count, gate, samples)
 
 
-@compiled
+@inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """A new frame after too many rejections, and with baselines when one has ended.
 
@@ -187,14 +187,14 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
     return par.baseline_s > 0.0 and (t_ns - m.frame_t_ns) * 1e-9 >= par.baseline_s
 
 
-@compiled
+@inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """The pose."""
     m.t_ns = t_ns
     m.x_m, m.y_m, m.heading_rad = row.x_m, row.y_m, row.heading_rad
 
 
-@compiled
+@inner
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
     """Back through a new frame, where one began at this pose: it has nothing of the state before."""
     if m.frame_t_ns != t_ns:

@@ -53,7 +53,7 @@ from hil.estimator.state import (
 )
 from hil.robot.kinematics import WheelGeometry, forward_matrix, projection
 from hil.vocabulary.geometry import Array
-from hil.vocabulary.kernels import compiled
+from hil.vocabulary.kernels import inner
 from hil.vocabulary.signals import WheelMeasurement
 
 NAME = "wheels"
@@ -191,7 +191,7 @@ def pack(sample: WheelMeasurement, row: Array) -> str:
     return "" if any(valid) else "not_finite"
 
 
-@compiled
+@inner
 def clone_pose(x: Array, p: Array) -> None:
     """Clone the pose and its correlations."""
     check_size(p)
@@ -204,13 +204,13 @@ def clone_pose(x: Array, p: Array) -> None:
             p[j, CLONE_X + i] = p[j, X + i]
 
 
-@compiled
+@inner
 def admit(t_ns: float, m: Memory, row: Row, par: Parameters) -> int:
     """Every read is usable, once."""
     return DUPLICATE if is_repeated(t_ns, m.t_ns) else USED
 
 
-@compiled
+@inner
 def body_rows(
     u: Array, noise: Array, count: int, dt_s: float, m: Memory, par: Parameters, z: Array, var: Array
 ) -> int:
@@ -248,7 +248,7 @@ def body_rows(
     return BODY_ROWS
 
 
-@compiled
+@inner
 def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
     """Slip (3,) of a step of `dt_s` that is known beforehand: m, m, rad, body frame.
 
@@ -273,7 +273,7 @@ def known_slip(m: Memory, par: Parameters, dt_s: float) -> Array:
     return out
 
 
-@compiled
+@inner
 def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Array, aux: Array) -> int:
     """Wheel displacements since the last read as eight or three rows."""
     dt = (t_ns - m.t_ns) * 1e-9
@@ -318,7 +318,7 @@ def observe(t_ns: float, m: Memory, row: Row, par: Parameters, z: Array, var: Ar
     return rows
 
 
-@compiled
+@inner
 def nominal(t_ns: float, x: Array, m: Memory, par: Parameters, out: Array) -> None:
     """Fill the velocity (2,) of the body, m/s: by the wheels last, the state's own where they are silent."""
     if m.t_ns < 0.0 or (t_ns - m.t_ns) * 1e-9 > par.longest_gap_s:
@@ -327,7 +327,7 @@ def nominal(t_ns: float, x: Array, m: Memory, par: Parameters, out: Array) -> No
         out[0], out[1] = m.ahead_m_s, m.left_m_s
 
 
-@compiled
+@inner
 def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
     """Rows from the displacement between the cloned pose and the present one, less the slip."""
     dt, rho = aux[0], aux[1]
@@ -344,7 +344,7 @@ def predicted(x: Array, aux: Array, par: Parameters, out: Array) -> None:
         out[j] = f[j, 0] * dx + f[j, 1] * dy + f[j, 2] * turn
 
 
-@compiled
+@inner
 def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
     """Derivative of `predicted`: first (3, 20) of the body displacement, then of the rows."""
     dt, rho = aux[0], aux[1]
@@ -375,7 +375,7 @@ def jacobian(x: Array, aux: Array, par: Parameters, h: Array) -> None:
             h[j, i] = f[j, 0] * d[0, i] + f[j, 1] * d[1, i] + f[j, 2] * d[2, i]
 
 
-@compiled
+@inner
 def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: float, samples: float) -> int:
     """All rows in one tally, and of eight equations those of each wheel that were left out."""
     m.innovation_m = math.hypot(nu[0], nu[1])
@@ -393,7 +393,7 @@ def account(m: Memory, nu: Array, nis: Array, var: Array, count: int, gate: floa
     return used
 
 
-@compiled
+@inner
 def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> bool:
     """The twist is no longer trusted."""
     if m.tally.in_row < limit:
@@ -406,7 +406,7 @@ def let_in(limit: float, t_ns: float, p: Array, m: Memory, par: Parameters) -> b
     return False
 
 
-@compiled
+@inner
 def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Parameters) -> None:
     """The read, and the pose at which it was made."""
     m.t_ns = t_ns
@@ -418,7 +418,7 @@ def remember(t_ns: float, x: Array, p: Array, m: Memory, row: Row, par: Paramete
     clone_pose(x, p)
 
 
-@compiled
+@inner
 def undo(t_ns: float, x: Array, m: Memory, row: Row, par: Parameters, late: Array, spread: Array) -> None:
     """Back through the cloning of the pose."""
     for i in range(3):

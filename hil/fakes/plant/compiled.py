@@ -34,11 +34,11 @@ def compiled_advance() -> Advance:
     Raises:
         ImportError: numba is not installed.
     """
-    from hil.vocabulary.kernels import compiled_with_parts
+    from hil.vocabulary.kernels import compile_for, compiled_with_parts
 
     advance: Any = compiled_with_parts(kernel.advance)
     vectors = (np.zeros(size) for size in (kernel.PATCHES, kernel.STATE_SIZE, kernel.COMMANDS_SIZE))
-    advance(0, 1.0, *vectors)
+    compile_for(advance, 0, 1.0, *vectors)
     (machine_code,) = advance.overloads.values()
     return machine_code.entry_point  # type: ignore[no-any-return]
 
