@@ -33,7 +33,8 @@ MEANINGS = {
     "duplicate": "messages that come twice, at random",
     "baud_mismatch": "the line runs at another rate than the host",
     "bus_off": "the CAN controller has left the bus",
-    "unplug": "cable or adapter gone; the port fails as a real one does",
+    "unplug": "cable or adapter gone; the port fails as a real one does; a T265 comes back only when it is "
+    "opened again",
     "brownout": "supply below what the device needs; it starts anew afterwards",
     "reset": "starts anew, once",
     "jump": "a step, once: of a heading, an encoder or a pose; motion capture exchanges its two bodies",

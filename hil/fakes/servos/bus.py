@@ -254,7 +254,7 @@ class ServoBus(SerialChip, Scheduled):
                 _mixed((piece, piece)) if ids.count(servo.id) > 1 else piece
                 for piece, (_, servo) in zip(pieces, places, strict=True)
             ]
-        if len(pieces) == len(wanted) and self._faults.none:
+        if len(pieces) == len(wanted) and not self._faults.acting(t_ns):
             return [Reply(ready_ns, b"".join(pieces))]
         return self._spaced(pieces, places, wanted, ready_ns, t_ns)
 
