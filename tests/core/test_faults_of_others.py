@@ -10,8 +10,8 @@ from hil.vocabulary.signals import ServoSetpoint
 CYCLES, RATE_HZ = 60, 100
 LATER = (
     "servos:stuck", "servo.drive_FL:off", "servo.steer_BR:slow", "servos:drop", "imu:garbage",
-    "tracker:stuck", "mocap:drop", "encoders:corrupt", "encoder.BL:wrong", "adhesion:wrong", "thrust:slow", "load_cells:jump",
-    "plant:adhesion_loss",
+    "tracker:stuck", "mocap:drop", "encoders:corrupt", "encoder.BL:wrong", "adhesion:wrong",
+    "thrust:slow", "load_cells:jump", "plant:adhesion_loss",
 )  # fmt: skip
 
 
