@@ -8,7 +8,8 @@ version 0.1 had: servos, encoders, IMU, camera, motion capture; `wall` drives a 
 supervisor and recording, by all devices of each tree; `wall_of_five` the same by those five devices. A
 cycle's processor time is the 10th percentile of the turns; how much faster is the median over the turns, each
 against the other tree's turn of the same cycles.
-Without `--against` only this tree is measured.
+Without `--against` only this tree is measured. `--pause 0.008` sleeps so long after every cycle, as a loop in
+real time does: what the same steps take of a processor that has done something else meanwhile.
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ HERE = Path(__file__).resolve().parents[1]
 
 
 class Turns:
-    """Waits to be called, and ends each turn by telling its processor time."""
+    """Waits to be called, and ends each turn by telling its processor time; may pause after every cycle."""
 
-    def __init__(self) -> None:
-        self._cycles = 0
+    def __init__(self, pause_s: float) -> None:
+        self._cycles, self._pause_s = 0, pause_s
         self._wait()
 
     def _wait(self) -> None:
@@ -47,6 +48,8 @@ class Turns:
     def cycle(self) -> None:
         """One control cycle is over."""
         self._cycles += 1
+        if self._pause_s > 0.0:
+            time.sleep(self._pause_s)
         if self._cycles % TURN_CYCLES:
             return
         print(time.process_time() - self._began_s, flush=True)
@@ -140,9 +143,10 @@ def in_turns(processes: dict[str, subprocess.Popen[str]]) -> dict[str, list[floa
     return taken
 
 
-def compare(trees: dict[str, Path], work: str, seconds: float) -> dict[str, float]:
+def compare(trees: dict[str, Path], work: str, seconds: float, pause_s: float) -> dict[str, float]:
     """Processor time of a cycle by tree, us, and times real time."""
     command = [sys.executable, __file__, "--turns-of", work, "--seconds", str(seconds)]
+    command += ["--pause", str(pause_s)]
     taken = in_turns({name: started(command, tree) for name, tree in trees.items()})
     result: dict[str, float] = {}
     for name, values in taken.items():
@@ -160,16 +164,21 @@ def main() -> None:
     )
     parser.add_argument("--against", type=Path, help="another source tree")
     parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--pause", type=float, default=0.0, help="after every cycle, s")
     parser.add_argument("--only", choices=tuple(WORKS))
     parser.add_argument("--turns-of", choices=tuple(WORKS), help=argparse.SUPPRESS)
     arguments = parser.parse_args()
     if arguments.turns_of:
-        return WORKS[arguments.turns_of](arguments.seconds, Turns().cycle)
+        return WORKS[arguments.turns_of](arguments.seconds, Turns(arguments.pause).cycle)
     trees = {"now": HERE}
     if arguments.against is not None:
         trees["before"] = arguments.against.resolve()
     chosen = [arguments.only] if arguments.only else list(WORKS)
-    print(json.dumps({work: compare(trees, work, arguments.seconds) for work in chosen}, indent=1))
+    print(
+        json.dumps(
+            {work: compare(trees, work, arguments.seconds, arguments.pause) for work in chosen}, indent=1
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -82,11 +82,11 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
         HilError: something was wrong before anything could move.
     """
     check_folder(asked.folder)
+    state = state_of(asked.folder, asked.options(), resume=asked.resume)
     config = asked.source.config
     record = Path(config.record.folder) if config.record.folder else (asked.folder / RECORD).resolve()
     source = asked.source.changed(overrides={"record.folder": str(record)})
     source.check_faults()
-    state = state_of(asked.folder, asked.options(), resume=asked.resume)
     _check_all(asked, source, config)
     run = _Running(replace(asked, source=source), state, config)
     code, stopped = run.all()
