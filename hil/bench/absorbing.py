@@ -37,13 +37,17 @@ def absorb(record: RobotRecord, source: Path, config: BenchConfig, now: str) -> 
     Raises:
         ConfigError: it is none of these, did not pass its validation, or is of another robot.
     """
-    parts = _of_record(RobotRecord(source), config) if source.is_dir() else _of_file(source, config, now)
+    parts = (
+        _of_record(RobotRecord(source), record, config) if source.is_dir() else _of_file(source, config, now)
+    )
     return record.add(parts, identity(config), created=now, why=f"{source.name} was applied")
 
 
-def _of_record(other: RobotRecord, config: BenchConfig) -> dict[str, NewPart]:
+def _of_record(other: RobotRecord, record: RobotRecord, config: BenchConfig) -> dict[str, NewPart]:
     file = other.read()
     check_robot(file, identity(config), other.path)
+    if record.path.exists():
+        check_robot(file, record.read().robot, other.path)
     return {
         name: NewPart(part.model_copy(update={"files": {}, "made_with": {}}),
                       {key: other.path_of(part, key) for key in part.files})

@@ -40,11 +40,14 @@ def command(
     from hil.procedure.acceptance import Acceptance, accept
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
-    from hil.report.acceptance_page import write_acceptance
+    from hil.report.acceptance_page import DATA, write_acceptance
+    from hil.vocabulary.errors import ConfigError
     from hil.vocabulary.files import check_folder
 
     folder = results_folder("accept", out, None)
     check_folder(folder)
+    if (folder / DATA).exists():
+        raise ConfigError(f"{folder}: holds an acceptance", remedy="choose another --out")
     interrupts = Interrupts(lambda text: click.echo(f"hil: {text}", err=True))
     source = BenchSource(
         bench, emulate=emulate, seed=seed, realtime=realtime, faults=faults, watch=watching()

@@ -101,5 +101,7 @@ def _text(told: dict[str, Any]) -> str:
         stopped = told["stopped"]
         lines.append(f"stopped at {stopped['procedure']} ({stopped['verdict']}): {stopped['why']}")
         lines.append(f"what to do: {stopped['do']}")
+    if told["stopped"] is None and not told["wall"]:
+        lines.append("no line was driven on a wall: what the record brings is not verified")
     lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, the page {told['page']}")
     return "\n".join(lines)

@@ -12,6 +12,9 @@ from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS
 
 _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAIL", "red")}
 
+_LEAST_WATCH_S = 0.1
+"""Within less a slow device says nothing, which is not its fault."""
+
 
 @click.command()
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
@@ -22,7 +25,7 @@ _MARKS = {"ok": ("ok", "green"), "warning": ("warn", "yellow"), "failure": ("FAI
 @click.option(
     "--watch",
     "watch_s",
-    type=FiniteRange(0.0, 3600.0),
+    type=FiniteRange(_LEAST_WATCH_S, 3600.0),
     default=2.0,
     show_default=True,
     help="Seconds that each device is read.",

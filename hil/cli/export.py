@@ -29,9 +29,11 @@ def command(
     """
     from hil.recording.export import write_table
     from hil.recording.mcap_reader import read_cycles
+    from hil.vocabulary.files import check_ending
 
     chosen = kind or ("parquet" if out is not None and out.suffix == ".parquet" else "csv")
     target = out or recording.with_suffix(f".{chosen}")
+    check_ending(target, f".{chosen}")
     problems: list[str] = []
     if topics is None:
         records = list(read_cycles(recording, problems))

@@ -70,9 +70,10 @@ def command(
     Example: hil replay recording.mcap --page replay.html
     """
     from hil.replay.recordings import open_recording
-    from hil.vocabulary.files import check_file
+    from hil.vocabulary.files import check_ending, check_file
 
     if page is not None:
+        check_ending(page, ".html")
         check_file(page)
     opened = open_recording(recording, bench=bench, calibration=calibration, topics=topics)
     result: dict[str, Any] = {"recording": str(recording)}

@@ -36,7 +36,10 @@ def show(record: Path, version: int | None, page: Path | None, as_json: bool) ->
     from hil.config.record import RobotRecord
     from hil.report.commission_page import write_robot_page
     from hil.report.robot_table import part_rows
+    from hil.vocabulary.files import check_ending
 
+    if page is not None:
+        check_ending(page, ".html")
     found = RobotRecord(record)
     file = found.read() if version is None else found.find(version).file
     rows, history = part_rows(file, date.today()), found.history()

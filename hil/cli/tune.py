@@ -13,7 +13,7 @@ import click
 from hil.cli.options import OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import ConfigError, DataError, UsageError
-from hil.vocabulary.files import check_file, write_text
+from hil.vocabulary.files import check_ending, check_file, put_whole, refused
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
@@ -56,7 +56,12 @@ def command(
     from hil.estimator.tuning import score, tune
 
     if out is not None:
+        check_ending(out, ".toml")
         check_file(out)
+    if twice := {path.resolve() for path in recordings} & {path.resolve() for path in check}:
+        raise UsageError(
+            f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
+        )
     config, runs = _read(recordings, bench, calibration)
     held = _read(check, bench, calibration)[1] if check else []
     pair: tuple[Score, Score] | None = None
@@ -88,17 +93,21 @@ def _read(
     for path in paths:
         opened = open_recording(path, bench=bench, calibration=calibration)
         _same_robot(path, opened.header, opened.bench.config)
-        config = config or opened.bench.config
+        config, found = config or opened.bench.config, list[TruthRun]()
         for run in opened.runs:
             if run.start is None:
                 raise DataError(str(path), "does not say how its run began")
-            runs.append(
+            found.append(
                 TruthRun(
                     tuple(r.measurements for r in run.records), run.start.state,
                     Motion(tuple(run.records)).mocap, opened.bench.geometry,
                     opened.bench.config.environment.kind,
                 )
             )  # fmt: skip
+        usable = [run for run in found if run.can_be_checked()]
+        if not usable:
+            raise UsageError(f"{path}: has no ground truth to tune on", expected="motion capture in it")
+        runs += usable
     if config is None:
         raise UsageError("no recording given")
     return config, runs
@@ -144,7 +153,10 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
         tree.setdefault("estimator", {}).setdefault(table, {})[key] = float(f"{value:.4g}")
     if "schema" in tree:
         validate(tree, str(out))
-    write_text(out, tomli_w.dumps(tree))
+    try:
+        put_whole(out, tomli_w.dumps(tree).encode())
+    except OSError as error:
+        raise refused(out, error) from None
 
 
 def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:

@@ -59,10 +59,16 @@ Switch = Annotated[bool, BeforeValidator(_true_or_false)]
 """`true` or `false`; no word or number that may mean one of them."""
 
 
+_ROUNDING = 1e-12
+
+
 def _unit(value: Quaternion) -> Quaternion:
+    """Of norm 1, and the same again when it is read back: what has norm 1 but for rounding stays as it is."""
     norm = math.sqrt(sum(v * v for v in value))
     if not 0.99 < norm < 1.01:
         raise ValueError(f"the quaternion (w, x, y, z) has norm {norm:.3g}, not 1")
+    if abs(norm - 1.0) < _ROUNDING:
+        return value
     w, x, y, z = value
     return (w / norm, x / norm, y / norm, z / norm)
 

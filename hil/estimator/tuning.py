@@ -46,6 +46,12 @@ class TruthRun:
     geometry: WheelGeometry
     surface: str
 
+    def can_be_checked(self) -> bool:
+        """Whether truth is known anywhere behind the first instant that is checked."""
+        begin_ns = self.start.t_ns + CHECK_EVERY_NS
+        late = np.array([m.t_ns >= begin_ns for m in self.measurements])
+        return bool(np.any(np.isfinite(self.truth[late]).all(axis=1)))
+
 
 @dataclass(frozen=True)
 class Score:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from hil.vocabulary.errors import ConfigError, DataError, HilError
+from hil.vocabulary.errors import ConfigError, DataError, HilError, UsageError
 
 _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
@@ -79,6 +79,18 @@ def check_file(path: Path) -> None:
     _probe(path, path.parent)
     if path.exists() and not os.access(path, os.W_OK):
         raise DataError(str(path), "cannot be written (Permission denied)", remedy=_NOT_YOURS)
+
+
+def check_ending(path: Path, *endings: str) -> None:
+    """Make sure that the name of a file to write says what will be in it; no recording is written over so.
+
+    A device, as /dev/stdout, may have any name.
+
+    Raises:
+        UsageError: another ending.
+    """
+    if path.suffix.lower() not in endings and (path.is_file() or not path.exists()):
+        raise UsageError(f"{path}: is no name for it", expected="one that ends with " + " or ".join(endings))
 
 
 def _probe(path: Path, folder: Path) -> None:

@@ -138,6 +138,10 @@ def test_its_result_is_listed_and_opened_as_any_other(hil, bench, tmp_path, caps
     )  # fmt: skip
     assert main(["results", "open", "--in", str(tmp_path), "--no-browser", "out"]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "out" / "accept.html")
+    signed = (tmp_path / "out" / "accept.html").read_bytes()
+    assert main(["accept", "--out", str(tmp_path / "out")]) == 2
+    assert "holds an acceptance; choose another --out" in capsys.readouterr().err
+    assert (tmp_path / "out" / "accept.html").read_bytes() == signed
 
 
 def test_when_no_device_answers_each_is_named_and_nothing_else_is_tried(hil, bench):

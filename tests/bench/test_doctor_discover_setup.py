@@ -116,6 +116,7 @@ def test_an_ill_can_bus_is_told_from_an_ill_node(capsys, opened_at_s):
 
 def test_what_a_person_reads_has_a_remedy(capsys):
     assert main(["doctor", "--watch", "0.5", "--fault", "servo.steer_FR:off"]) == 3
+    assert main(["doctor", "--watch", "0"]) == 2
     out = capsys.readouterr().out
     assert "FAIL servos" in out
     assert "expected" in out

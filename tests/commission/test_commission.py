@@ -87,8 +87,11 @@ def test_what_has_passed_is_not_repeated(tiny):
     assert code == 0
     assert again["wall"] == told["wall"]
     assert {p: p.stat().st_mtime_ns for p in folder.rglob("result.json")} == before
-    with pytest.raises(ConfigError, match="differs in seed"):
+    with pytest.raises(ConfigError, match=r"differs in seed \(1 then, 2 now\)"):
         commission(asked(folder, resume=True, source=SOURCE.changed(seed=2)))
+    concrete = SOURCE.changed(overrides={"environment.surface": "concrete"})
+    with pytest.raises(ConfigError, match=r"differs in overrides.*concrete"):
+        commission(asked(folder, resume=True, source=concrete))
     with pytest.raises(ConfigError, match="holds a commissioning"):
         commission(asked(folder))
 

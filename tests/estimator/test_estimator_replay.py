@@ -46,6 +46,27 @@ def test_the_table_holds_all_four_and_the_filters_beat_odometry(recording, tmp_p
     assert "NEES: the squared error over the variance" in written
 
 
+@pytest.mark.parametrize(
+    ("words", "ending"),
+    [
+        (("export", "{}", "--out", "{}"), ".csv"),
+        (("export", "{}", "--format", "csv", "--out", "table.parquet"), ".csv"),
+        (("replay", "{}", "--estimator", "odometry", "--page", "{}"), ".html"),
+        (("tune", "{}", "--evaluations", "2", "--out", "{}"), ".toml"),
+    ],
+)
+def test_a_recording_is_not_written_over_by_what_is_made_of_it(recording, words, ending, capsys):
+    before = recording.read_bytes()
+    assert main([word.format(recording) for word in words]) == 2
+    assert f"expected one that ends with {ending}" in capsys.readouterr().err
+    assert recording.read_bytes() == before
+
+
+def test_what_is_fitted_is_not_held_out(recording, capsys):
+    assert main(["tune", str(recording), "--check", str(recording), "--evaluations", "2"]) == 2
+    assert "is fitted and held out at once; expected other recordings" in capsys.readouterr().err
+
+
 def test_a_choice_of_estimators(recording, capsys):
     assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
     lines = capsys.readouterr().out.splitlines()

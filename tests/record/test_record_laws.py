@@ -6,7 +6,9 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
+from pydantic import TypeAdapter
 
 from hil.bench import open_bench
 from hil.bench.absorbing import absorb
@@ -14,6 +16,7 @@ from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.record import Figure, NewPart, Part, RobotRecord
 from hil.config.record.overlay import identity
+from hil.config.values import UnitQuaternion
 from hil.procedure import BenchSource
 from hil.vocabulary.errors import ConfigError
 
@@ -272,6 +275,26 @@ def test_pieces_of_a_bench_file_of_earlier_versions_are_taken(record, tmp_path):
     assert load(record).tracker.scale == 1.007
 
 
+def test_the_record_of_another_emulated_robot_gives_no_parts(tmp_path, record):
+    """The bench names no seed, so that the two records are held against each other."""
+    mine, other = RobotRecord(tmp_path / "mine"), RobotRecord(tmp_path / "other")
+    for kept, seed in ((mine, 3), (other, 4)):
+        add(kept, robot=identity(WALL, seed), zeros=part(ZEROS))
+    with pytest.raises(ConfigError, match="another robot") as raised:
+        absorb(mine, other.folder, WALL, "2026-11-22T13:00:00+00:00")
+    assert "of seed 4" in str(raised.value)
+    assert mine.read().version == 1
+
+
+def test_a_rotation_is_the_same_however_often_it_is_read():
+    """A record keeps six digits of it, which are not of norm 1; a run that is resumed reads its own again."""
+    rotation = TypeAdapter(UnitQuaternion).validate_python
+    for turn in np.random.default_rng(1).normal(scale=0.05, size=(300, 3)):
+        true = np.array([1.0, *turn])
+        once = rotation(np.round(true / np.linalg.norm(true), 6).tolist())
+        assert rotation(once) == once
+
+
 def test_the_commands_show_compare_and_roll_back(record, capsys):
     add(record, camera=part({"tracker.scale": 0.99}, figures={"scale": Figure(value=0.99, sigma=0.0005)}))
     folder = str(record.folder)
@@ -284,6 +307,9 @@ def test_the_commands_show_compare_and_roll_back(record, capsys):
     assert main(["robot", "rollback", folder]) == 0
     assert load(record).tracker.scale == 1.004
     assert main(["robot", "apply", folder]) == 2
+    assert main(["robot", "show", folder, "--page", str(record.path)]) == 2
+    assert "is no name for it; expected one that ends with .html" in capsys.readouterr().err
+    assert record.read().version == 1
     assert main(["robot", "show", folder + "_gone"]) == 2
     assert "no record of a robot there" in capsys.readouterr().err
 

@@ -6,6 +6,7 @@ what to do. The same code runs in virtual time, at the wire and on the real robo
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -66,7 +67,8 @@ class Commission:
         """What a resumed one must have alike."""
         source = self.source
         return {"bench": str(source.bench), "emulate": source.emulate, "seed": source.seed,
-                "quick": self.quick, "realtime": source.realtime, "faults": list(source.faults)}  # fmt: skip
+                "quick": self.quick, "realtime": source.realtime, "faults": list(source.faults),
+                "overrides": json.loads(json.dumps(dict(source.overrides)))}  # fmt: skip
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:

@@ -72,7 +72,12 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
         raise ConfigError(f"{path}: is no state of a commissioning", remedy="start anew with another --out")
     before = tree.get("options")
     told = before if isinstance(before, dict) else {}
-    different = [key for key in options if told.get(key) != options[key]]
+    told = {"overrides": {}, **told}
+    different = [
+        f"{key} ({told.get(key)!r} then, {options[key]!r} now)"
+        for key in options
+        if told.get(key) != options[key]
+    ]
     if different:
         raise ConfigError(
             f"{path}: the interrupted commissioning differs in {', '.join(different)}",
