@@ -10,6 +10,7 @@ from hil.devices.adhesion.dronecan import library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.in_world import KeptInWorld
+from hil.drivers.can_link import CanLink
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
@@ -89,6 +90,21 @@ def test_a_command_for_others_is_not_obeyed(theirs):
     made, node, _ = theirs
     spin(made, node, 1.0, ESC.RawCommand(cmd=[]))
     assert made.node.fan.speed_rpm == 0.0
+
+
+def test_a_node_that_asks_who_others_are_has_not_said_who_it_is(fan_world, driver, monkeypatch):
+    asked = dronecan.uavcan.protocol.GetNodeInfo.Request()
+    ((frame_id, data),) = libraries.frames_of(
+        asked, source=42, transfer_id=0, priority=30, dest_node_id=10,
+        service_not_message=True, request_not_response=True,
+    )  # fmt: skip
+    question = can.Message(arbitration_id=frame_id, data=data, is_extended_id=True)
+    take = CanLink.take
+    monkeypatch.setattr(CanLink, "take", lambda link, *wait: [(0, question), *take(link, *wait)])
+    with fan_world() as made:
+        fan = driver(made.clock)
+        fan.open()
+        assert fan.identity()["model"].startswith("org.vesc.emulated")
 
 
 @pytest.mark.parametrize("command", ["duty", "rpm"])

@@ -92,7 +92,7 @@ class DroneCanFan(MotorFan[DroneCanConfig]):
                 if kind == "uavcan.equipment.esc.Status":
                     indices.setdefault(int(payload.esc_index), set()).add(source)
                 elif kind == "uavcan.protocol.GetNodeInfo" and source == config.node_id:
-                    info = _described(payload)
+                    info = info if transfer.request_not_response else _described(payload)
             if info and config.node_id in indices.get(config.esc_index, set()) and now_ns >= least_ns:
                 break
         return nodes, indices, info
