@@ -34,6 +34,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         DataError: missing columns, damaged file, no usable rows.
     """
     data = read_bytes(path)
+    _check_text(path, data)
     header, _, _ = data.partition(b"\n")
     columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
     needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
@@ -58,6 +59,21 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         sha256=(hashlib.sha256(data).hexdigest(),),
         nominal=nominal,
     )
+
+
+def _check_text(path: Path, data: bytes) -> None:
+    """Name what spreadsheets make of a table, and what a torn one may have, by its own name."""
+    header = data.partition(b"\n")[0]
+    if b"\0" in header:
+        raise DataError(str(path), "is not UTF-8 text", expected="CSV as UTF-8, not UTF-16 or a spreadsheet")
+    if b"\r" in data and b"\n" not in data:
+        raise DataError(str(path), "has lines that end with \\r alone", expected="\\n or \\r\\n")
+    if b"," not in header and (b";" in header or b"\t" in header):
+        raise DataError(str(path), "has no comma in its header", expected="columns that commas separate")
+    if b'"' in data:
+        for number, line in enumerate(data.split(b"\n"), start=1):
+            if line.count(b'"') % 2:
+                raise DataError(str(path), f"line {number} has a quote that is not closed")
 
 
 def _table(path: Path, data: bytes, width: int) -> Array:

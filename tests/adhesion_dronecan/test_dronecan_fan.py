@@ -10,9 +10,9 @@ from hil.devices.adhesion.dronecan import library as libraries
 from hil.devices.adhesion.dronecan.config import DroneCanConfig
 from hil.devices.adhesion.dronecan.driver import DroneCanFan
 from hil.devices.adhesion.in_world import KeptInWorld
-from hil.drivers.can_link import CanLink
 from hil.drivers.adhesion.keeper.dialects import dialect
 from hil.drivers.adhesion.keeper.spec import Spec
+from hil.drivers.can_link import CanLink
 from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, UsageError
 from hil.vocabulary.signals import Status
 

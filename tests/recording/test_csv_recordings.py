@@ -217,6 +217,23 @@ def test_bad_files_are_named(tmp_path):
         read_recordings([tmp_path / "void"])
 
 
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [
+        (lambda text: text.encode("utf-16"), "is not UTF-8 text"),
+        (lambda text: text.replace("\n", "\r").encode(), r"has lines that end with \\r alone"),
+        (lambda text: text.replace(",", ";").encode(), "has no comma in its header"),
+        (lambda text: text.replace("\n", '\n"', 2).encode(), "line 2 has a quote that is not closed"),
+    ],
+)
+def test_what_a_spreadsheet_makes_of_a_table_is_named(tmp_path, spoil, said):
+    path = tmp_path / "line_x_1.csv"
+    names = "t,phi1,phi2,phi3,phi4,delta1,delta2,delta3,delta4,x,y,theta"
+    path.write_bytes(spoil("\n".join([names, *[",".join(["0.1"] * 12)] * 3, ""])))
+    with pytest.raises(DataError, match=said):
+        read_recordings([path])
+
+
 def test_damaged_public_files_are_named(tmp_path):
     write_pair(tmp_path, compress=True)
     odom, absolute = tmp_path / "odom_3.csv.gz", tmp_path / "abs_3.csv.gz"
