@@ -24,30 +24,30 @@ _PACKAGES = (
 
 def _compile() -> None:
     """Have numba compile everything, half of it in a process beside."""
+    from hil.calibration.passes import compiled_pass
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
-    from hil.estimator.smoother import load_smoother
     from hil.estimator.unscented import points_of
 
     with ProcessPoolExecutor(1, get_context("spawn")) as beside:
         others = beside.submit(_compile_others)
         load_filter(alone=True)
         load_filter(points_of(EstimatorConfig(kind="ukf")), alone=True)
-        load_smoother()
+        compiled_pass()
         others.result()
 
 
 def _compile_others() -> None:
-    """First what the filter waits for, then both plants and the pass of a calibration."""
+    """First what the filter waits for, then both plants and the smoother."""
     from hil.bench import open_bench
-    from hil.calibration.passes import compiled_pass
     from hil.estimator.ahead import compile_beside
+    from hil.estimator.smoother import load_smoother
 
     compile_beside()
     for plant in ("own",) if lacks("mujoco") else ("own", "mujoco"):
         with open_bench("emulated", overrides={"emulation.plant": plant}) as bench:
             bench.observe(0.1, feedback="odometry")
-    compiled_pass()
+    load_smoother()
 
 
 def _devices() -> dict[str, list[dict[str, str]]]:
