@@ -90,7 +90,7 @@ def test_what_has_passed_is_not_repeated(tiny):
     with pytest.raises(ConfigError, match=r"differs in seed \(1 then, 2 now\)"):
         commission(asked(folder, resume=True, source=SOURCE.changed(seed=2)))
     concrete = SOURCE.changed(overrides={"environment.surface": "concrete"})
-    with pytest.raises(ConfigError, match=r"differs in overrides.*concrete"):
+    with pytest.raises(ConfigError, match=r"differs in settings.*concrete"):
         commission(asked(folder, resume=True, source=concrete))
     with pytest.raises(ConfigError, match="holds a commissioning"):
         commission(asked(folder))

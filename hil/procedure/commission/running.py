@@ -68,7 +68,7 @@ class Commission:
         source = self.source
         return {"bench": str(source.bench), "emulate": source.emulate, "seed": source.seed,
                 "quick": self.quick, "realtime": source.realtime, "faults": list(source.faults),
-                "overrides": json.loads(json.dumps(dict(source.overrides)))}  # fmt: skip
+                "settings": json.loads(json.dumps(dict(source.overrides)))}  # fmt: skip
 
 
 def commission(asked: Commission) -> tuple[dict[str, Any], int]:

@@ -72,7 +72,7 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
         raise ConfigError(f"{path}: is no state of a commissioning", remedy="start anew with another --out")
     before = tree.get("options")
     told = before if isinstance(before, dict) else {}
-    told = {"overrides": {}, **told}
+    told = {"settings": {}, **told}
     different = [
         f"{key} ({told.get(key)!r} then, {options[key]!r} now)"
         for key in options
