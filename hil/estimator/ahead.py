@@ -15,13 +15,14 @@ from typing import Any
 
 import numpy as np
 
+from hil.config.estimator import EstimatorConfig
 from hil.estimator.events import advance, compare, moments
 from hil.estimator.history import enter
 from hil.estimator.layout import MEMORY, PARAMETERS, ROW, ROW_FLOATS
 from hil.estimator.retraction import settle
 from hil.estimator.sensors import MARK, account, admit, let_in, new_frame, observe, remember
 from hil.estimator.state import AUX, ROWS, STATES
-from hil.estimator.unscented import Points, Weights
+from hil.estimator.unscented import Points, points_of
 from hil.vocabulary.kernels import compile_for, on_compiling
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -31,7 +32,6 @@ _PAR, _MEMORY, _ROW = (np.zeros(1, kind)[0] for kind in (PARAMETERS, MEMORY, ROW
 _X, _P, _TWO = np.zeros(STATES), np.zeros((STATES, STATES)), np.zeros(2)
 _ROWS, _AUX, _CROSS, _OWN = np.zeros(ROWS), np.zeros(AUX), np.zeros((ROWS, STATES)), np.zeros((ROWS, ROWS))
 _INTS, _DATA = np.zeros(1, np.int64), np.zeros((1, ROW_FLOATS))
-_KINDS: dict[str, Points] = {"ekf": None, "ukf": Weights(0.0, 0.0, 0.0)}
 
 
 def here(points: Points) -> tuple[Call, ...]:
@@ -59,7 +59,7 @@ def beside(points: Points) -> tuple[Call, ...]:
 
 def compile_beside(kind: str = "ekf") -> None:
     """Compile that half, for `ekf` or `ukf`."""
-    for kernel, arguments in beside(_KINDS[kind]):
+    for kernel, arguments in beside(points_of(EstimatorConfig.model_validate({"kind": kind}))):
         compile_for(kernel, *arguments)
 
 

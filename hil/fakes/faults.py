@@ -10,7 +10,7 @@ refused, and so is an option outside the range that `hil.fakes.fault_options` gi
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Container, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -247,6 +247,10 @@ class FaultPlan:
         """All faults active on a device, in the order given."""
         return tuple(f for f in self._faults if f.device == device and f.active(t_ns))
 
+    def acting(self, devices: Container[str], t_ns: int) -> bool:
+        """Whether any fault acts on any of these devices."""
+        return any(f.device in devices and f.active(t_ns) for f in self._faults)
+
 
 class FaultsOf:
     """The faults of a plan that concern one device.
@@ -257,13 +261,17 @@ class FaultsOf:
     """
 
     def __init__(self, plan: FaultPlan, names: Iterable[str]) -> None:
-        self._names = frozenset(names)
+        self._plan, self._names = plan, frozenset(names)
         self.empty = True
         self.find, self.active, self.has = plan.find, plan.active, plan.has
 
     def follow(self, devices: Iterable[str]) -> None:
         """Faults of these devices are planned now."""
         self.empty = self.empty and self._names.isdisjoint(devices)
+
+    def acting(self, t_ns: int) -> bool:
+        """Whether any of them acts now."""
+        return not self.empty and self._plan.acting(self._names, t_ns)
 
 
 class Once:

@@ -34,14 +34,14 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
         DataError: missing columns, damaged file, no usable rows.
     """
     data = read_bytes(path)
-    _check_text(path, data)
-    header, _, _ = data.partition(b"\n")
+    header, _, body = data.partition(b"\n")
+    _check_text(path, data, header)
     columns = [c.strip() for c in header.decode("utf-8", "replace").lstrip("\ufeff").split(",")]
     needed = ("t", *WHEEL_COLUMNS, *TRUTH_COLUMNS)
     missing = [c for c in needed if c not in columns]
     if missing:
         raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
-    table = _table(path, data, len(columns))
+    table = _table(path, data, body, len(columns))
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")
     rates = all(c in columns for c in RATE_COLUMNS)
@@ -61,9 +61,8 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     )
 
 
-def _check_text(path: Path, data: bytes) -> None:
+def _check_text(path: Path, data: bytes, header: bytes) -> None:
     """Name what spreadsheets make of a table, and what a torn one may have, by its own name."""
-    header = data.partition(b"\n")[0]
     if b"\0" in header:
         raise DataError(str(path), "is not UTF-8 text", expected="CSV as UTF-8, not UTF-16 or a spreadsheet")
     if b"\r" in data and b"\n" not in data:
@@ -76,9 +75,9 @@ def _check_text(path: Path, data: bytes) -> None:
                 raise DataError(str(path), f"line {number} has a quote that is not closed")
 
 
-def _table(path: Path, data: bytes, width: int) -> Array:
-    """Rows (n, width)."""
-    found = numbers_at_once(data.partition(b"\n")[2].replace(b"\r\n", b"\n"), width)
+def _table(path: Path, data: bytes, body: bytes, width: int) -> Array:
+    """Rows (n, width) of a file, whose `body` is what stands below its header."""
+    found = numbers_at_once(body.replace(b"\r\n", b"\n"), width)
     if found is not None:
         return found
     rows = []

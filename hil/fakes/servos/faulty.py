@@ -54,8 +54,7 @@ class ServoFaults:
     ) -> None:
         self._rng, self._models = rng, models
         self._names = [(bus, f"servo.{SERVOS[j]}", f"servo.{ids[j]}") for j in range(len(ids))]
-        self._known = frozenset(chain.from_iterable(self._names))
-        self._plan = plan.of(*self._known)
+        self._plan = plan.of(*chain.from_iterable(self._names))
         self._once = Once()
         self._frozen: dict[int, Measured] = {}
         self._slid: dict[int, tuple[int, float]] = {}
@@ -70,7 +69,7 @@ class ServoFaults:
 
     def acting(self, t_ns: int) -> bool:
         """Whether any fault of bus or servos acts now."""
-        return not self.none and any(self._plan.active(name, t_ns) for name in self._known)
+        return self._plan.acting(t_ns)
 
     def find(self, joint: int, kind: str, t_ns: int) -> Fault | None:
         """The active fault of that kind on a servo under any of its names.
