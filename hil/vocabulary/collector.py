@@ -17,23 +17,24 @@ def without_collector() -> Iterator[None]:
 
     What was made meanwhile counts as old afterwards, so that nobody looks through it at once either. Python
     would never look through it then, and whoever drives many benches one after the other would keep the
-    records of all: so everything is looked through whenever it has doubled.
+    records of all that hang on a cycle: so where much has piled up, everything is looked through first.
     """
     was_enabled = gc.isenabled()
+    _look_through()
     gc.disable()
     try:
         yield
     finally:
         if not gc.get_freeze_count():
-            _look_through()
+            gc.freeze()
+            gc.unfreeze()  # whatever there is has become old
         if was_enabled:
             gc.enable()
 
 
 def _look_through() -> None:
+    """Look for garbage when there is twice as much of everything as there was after the last time."""
     global _kept
-    gc.freeze()
-    gc.unfreeze()  # whatever there is has become old
     if sys.getallocatedblocks() > 2 * _kept + _MANY:
         gc.collect()
         _kept = sys.getallocatedblocks()

@@ -18,6 +18,7 @@ from hil.vocabulary.kernels import (
     entry,
     fingerprint,
     inner,
+    on_compiling,
     parts,
     plain,
 )
@@ -163,6 +164,32 @@ def test_an_inner_kernel_is_compiled_for_kernels_and_plain_for_python():
     assert len(halve.machine_code.signatures) == 2
     assert halve(np.float32(3.0)) == 1.5  # in Python any type will do, and none is compiled for
     assert len(halve.machine_code.signatures) == 2
+
+
+def scattered(x):
+    """Sums and products whose order shows in the last bit."""
+    total = np.zeros(3)
+    for k in range(x.size):
+        total += math.sin(x[k]) * x[k : k + 3].sum() / (1.0 + x[k] * x[k])
+    return total
+
+
+def test_little_effort_of_the_compiler_gives_the_same_bits_and_is_asked_for_our_kernels_alone(monkeypatch):
+    numba = pytest.importorskip("numba")
+    monkeypatch.delenv("NUMBA_OPT", raising=False)
+    others, efforts = int(numba.config.OPT), []
+    x = np.random.default_rng(0).normal(size=100)
+    results = []
+    for wanted in (None, "3"):
+        if wanted is not None:
+            monkeypatch.setenv("NUMBA_OPT", wanted)
+        kernel = numba.njit(scattered)
+        with on_compiling(lambda: efforts.append(int(numba.config.OPT))):
+            compile_for(kernel, x)
+        results.append(kernel(x).tobytes())
+        assert numba.config.OPT == others
+    assert set(efforts) == {1, others}
+    assert results == [scattered(x).tobytes()] * 2
 
 
 def test_mathematics_needs_no_fingerprint():

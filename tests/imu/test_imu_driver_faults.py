@@ -1,6 +1,8 @@
 """Every failure of the emulated BNO055 ends as data with a status, a repair, or a named device error."""
 
 import contextlib
+import gc
+import weakref
 
 import numpy as np
 import pytest
@@ -37,6 +39,29 @@ def test_bus_overruns_are_repeated_within_the_cycle(imu_bench):
     good = sum(s.status is Status.OK for s in samples)
     assert good > 0.98 * len(samples)
     assert len(samples) > 400
+
+
+def test_a_reply_that_was_repeated_keeps_nothing_of_its_caller_alive(imu_bench):
+    """An error that is kept would keep all who called, and all that they have recorded."""
+
+    class Recorded:
+        pass
+
+    bench = imu_bench(overrun_probability=0.25, config={"fusion_mode": "ndof"})
+    bench.driver.open()
+    asked = len(bench.written)
+
+    def ran():
+        recorded = Recorded()
+        run(bench, 1)
+        return weakref.ref(recorded)
+
+    gc.disable()
+    try:
+        assert ran()() is None
+    finally:
+        gc.enable()
+    assert len(bench.written) - asked > 110  # of 100 requests, some were repeated
 
 
 @pytest.mark.parametrize("fault", ["imu:reset@1", "imu:brownout@1+0.2", "imu:off@1+0.2"])

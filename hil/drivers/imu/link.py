@@ -114,16 +114,16 @@ class Link:
         self._port.write(request)
 
     def _repeat(self, request: bytes, length: int, deadline_ns: int) -> bytes:
-        for _ in range(_MAX_ATTEMPTS):
+        left = _MAX_ATTEMPTS
+        while True:
+            left -= 1
             try:
                 return self._exchange(request, length)
-            except ExchangeError as error:
-                failure = error
-            again_ns = self._clock.now_ns() + self._gap_ns
-            if again_ns >= deadline_ns:
-                break
+            except ExchangeError:
+                again_ns = self._clock.now_ns() + self._gap_ns
+                if not left or again_ns >= deadline_ns:
+                    raise
             self._clock.sleep_until_ns(again_ns)
-        raise failure
 
     def _exchange(self, request: bytes, length: int) -> bytes:
         try:

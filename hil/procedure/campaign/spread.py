@@ -26,6 +26,8 @@ J = TypeVar("J")
 R = TypeVar("R")
 
 _RETRIES = 2
+_UNWATCHED = {"distributed.worker.profile.enabled": False, "distributed.admin.tick.interval": "1s"}
+"""Dask looks at the stack of each worker a hundred times a second, for a page that nobody opens here."""
 
 
 def spread(
@@ -96,6 +98,7 @@ def _reason(error: BaseException) -> str:
 @contextmanager
 def _client(workers: int, scheduler: str) -> Iterator[Client]:
     try:
+        from dask import config
         from distributed import Client, LocalCluster
     except ImportError:
         raise UsageError(
@@ -120,7 +123,7 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
     }  # fmt: skip
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
-        with _interrupts_put_off():
+        with _interrupts_put_off(), config.set(_UNWATCHED):
             cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
             client = stack.enter_context(Client(cluster))
         yield client
