@@ -140,6 +140,27 @@ def test_lost_and_short_frames_mark_only_their_axes(encoder_bench, drain, probab
     assert halves <= {s.status for s in samples}
 
 
+def test_a_set_that_lacks_a_frame_does_not_wait_for_the_next(encoder_bench, drain):
+    """A pause in which the bus overflowed would hand it to whoever reads first afterwards."""
+    bench = encoder_bench(options=IDEAL)
+    bench.driver.open()
+    last = drain(bench, 20)[-1]
+    take, frames = bench.driver._bus.take, []
+    while not frames:  # one frame of the next set comes through
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 20_000)
+        frames += [f for f in (take(),) if f is not None]
+    bench.driver._bus.take = lambda: frames.pop() if frames else None
+    assert bench.driver.read() == ()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 90_000_000)
+    assert bench.driver.read() == ()
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + 20_000_000)
+    (half,) = bench.driver.read()
+    assert half.stamp.seq == last.stamp.seq + 1
+    assert half.status == (Status.OK, Status.OK, Status.TIMEOUT, Status.TIMEOUT)
+    assert bench.clock.now_ns() - half.stamp.t_ns > 100_000_000
+    assert bench.driver.incomplete == 1
+
+
 def test_duplicates_are_seen_once(encoder_bench, drain):
     bench = encoder_bench("encoders:duplicate,probability=1")
     bench.driver.open()

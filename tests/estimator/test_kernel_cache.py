@@ -187,7 +187,7 @@ def test_little_effort_of_the_compiler_gives_the_same_bits_and_is_asked_for_our_
         with on_compiling(lambda: efforts.append(int(numba.config.OPT))):
             compile_for(kernel, x)
         results.append(kernel(x).tobytes())
-        assert numba.config.OPT == others
+        assert others == numba.config.OPT
     assert set(efforts) == {1, others}
     assert results == [scattered(x).tobytes()] * 2
 

@@ -28,6 +28,8 @@ _MOST_PASSED_OVER = 256
 _ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _GONE_NS = 100_000_000
+_OVER_NS = 100_000_000
+"""So long after its first frame no more is expected of a set: they come within milliseconds."""
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 
@@ -158,6 +160,9 @@ class As5045Encoders(Sensor[EncoderSample]):
                 self.passed_over += _ERROR_COUNTS
                 continue
             if message is None:
+                if self._sequence is not None and now_ns - self._arrival_ns > _OVER_NS:
+                    sample = self._cut_short(now_ns)
+                    samples += () if sample is None else (sample,)
                 return samples
             sample = self._take(message, now_ns)
             if sample is not None:
@@ -248,8 +253,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         arrival_ns = self._arrivals.arrival_ns(message.timestamp, host_ns)
         if sequence != self._sequence:
             if self._sequence is not None:
-                self.incomplete += 1
-                sample = self._finish(host_ns)
+                sample = self._cut_short(host_ns)
             self._sequence, self._arrival_ns, self._words = sequence, arrival_ns, [-1] * 4
         known = self._words
         for wheel, word in words:
@@ -272,6 +276,11 @@ class As5045Encoders(Sensor[EncoderSample]):
             self.error_frames += 1
         elif layout is not None and not (message.is_extended_id or message.is_remote_frame):
             self.malformed += 1
+
+    def _cut_short(self, host_ns: int) -> EncoderSample | None:
+        """As `_finish`, of a set of which nothing more is to come."""
+        self.incomplete += 1
+        return self._finish(host_ns)
 
     def _finish(self, host_ns: int) -> EncoderSample | None:
         """The sample of the present set; None while start-up garbage is dropped."""
