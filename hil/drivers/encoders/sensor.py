@@ -29,7 +29,7 @@ _ERROR_COUNTS = 16
 _WAIT_S = 0.02
 _GONE_NS = 100_000_000
 _OVER_NS = 100_000_000
-"""So long after its first frame no more is expected of a set: they come within milliseconds."""
+"""So long after its first frame no more is expected of a set; longer where sets are rarer than that."""
 _OPEN_SETS = 3
 _MOST_LISTED = 8
 
@@ -59,6 +59,7 @@ class As5045Encoders(Sensor[EncoderSample]):
         self._resumed_at = 0
         self._identity: dict[str, str] = {}
         self._fail_ns = nanoseconds(config.fail_after_s)
+        self._over_ns = max(_OVER_NS, nanoseconds(1.0 / config.rate_hz))
         self._forget()
 
     def _forget(self) -> None:
@@ -160,7 +161,7 @@ class As5045Encoders(Sensor[EncoderSample]):
                 self.passed_over += _ERROR_COUNTS
                 continue
             if message is None:
-                if self._sequence is not None and now_ns - self._arrival_ns > _OVER_NS:
+                if self._sequence is not None and now_ns - self._arrival_ns > self._over_ns:
                     sample = self._cut_short(now_ns)
                     samples += () if sample is None else (sample,)
                 return samples
