@@ -5,7 +5,6 @@ Sub-commands live one to a module and are imported only when called, so that `hi
 
 from __future__ import annotations
 
-import gc
 import importlib
 import importlib.util
 import json
@@ -19,6 +18,7 @@ import click
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
 from hil.cli.output import Answered, Output, error_as_json
+from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_ABORTED, Aborted, HilError, UsageError
 from hil.vocabulary.reading import printable
 from hil.vocabulary.stop_signals import deaf_from_now_on
@@ -26,9 +26,6 @@ from hil.vocabulary.stop_signals import deaf_from_now_on
 # Set before numpy is imported by a command: its matrices here are small, and threads of the linear
 # algebra library then cost up to ten times what they bring when another process uses a core.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-_OBJECTS = 10_000
-"""New objects after which Python looks for garbage; after its own 700 a start takes a tenth longer."""
 
 COMMANDS = {
     "accept": "the first day: doctor, contract of every device, turning wheels, one page to sign",
@@ -134,7 +131,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def script() -> None:
     """Console entry point."""
-    gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
+    seldom()
     try:
         output = Output()
     except Aborted as error:

@@ -23,6 +23,7 @@ from hil.estimator.retraction import settle
 from hil.estimator.sensors import MARK, account, admit, let_in, new_frame, observe, remember
 from hil.estimator.state import AUX, ROWS, STATES
 from hil.estimator.unscented import Points, points_of
+from hil.vocabulary.collector import seldom
 from hil.vocabulary.kernels import compile_for, on_compiling
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
@@ -103,4 +104,5 @@ def _cores() -> int:
 
 
 if __name__ == "__main__":
+    seldom()
     compile_beside(*sys.argv[1:])

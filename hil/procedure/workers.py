@@ -13,6 +13,8 @@ from multiprocessing.pool import Pool
 from types import TracebackType
 from typing import TypeVar
 
+from hil.vocabulary.collector import seldom
+
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
@@ -48,9 +50,11 @@ class Workers:
         if not jobs:
             return iter(())
         if self._pool is None:
-            self._pool = multiprocessing.get_context("spawn").Pool(self.processes, _ignore_interrupts)
+            self._pool = multiprocessing.get_context("spawn").Pool(self.processes, _begin)
         return self._pool.imap(work, jobs)
 
 
-def _ignore_interrupts() -> None:
+def _begin() -> None:
+    """The first that a worker does: what its jobs need is imported afterwards."""
+    seldom()
     signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -25,7 +25,12 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 
+from hil.vocabulary.when_asked import import_when_asked
+
 F = TypeVar("F", bound=Callable[..., Any])
+
+# numba loads scipy, which asks numpy for all of its names: half of that time was for Fortran's wrappers
+import_when_asked(np, "f2py")
 
 try:
     import numba
