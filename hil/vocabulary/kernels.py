@@ -118,20 +118,33 @@ def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
     """
     if numba is not None:
         made: Any = getattr(kernel, "machine_code", kernel)
-        with interrupts_heeded(), _little_effort():
+        with interrupts_heeded(), _little_effort:
             made.compile(tuple(map(numba.typeof, arguments)))
 
 
-@contextmanager
-def _little_effort() -> Iterator[None]:
-    """Within, LLVM optimises less; what others compile is left alone."""
-    before = numba.config.OPT
-    if "NUMBA_OPT" not in os.environ:
-        numba.config.OPT = type(before)(_LLVM_EFFORT)
-    try:
-        yield
-    finally:
-        numba.config.OPT = before
+class _LittleEffort:
+    """Within, by however many threads, LLVM optimises less; what others compile is left alone."""
+
+    def __init__(self) -> None:
+        self._lock, self._within = threading.Lock(), 0
+        self._before: Any = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            if not self._within:
+                self._before = numba.config.OPT
+                if "NUMBA_OPT" not in os.environ:
+                    numba.config.OPT = type(self._before)(_LLVM_EFFORT)
+            self._within += 1
+
+    def __exit__(self, *error: object) -> None:
+        with self._lock:
+            self._within -= 1
+            if not self._within:
+                numba.config.OPT = self._before
+
+
+_little_effort = _LittleEffort()
 
 
 @contextmanager

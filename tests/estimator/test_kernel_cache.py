@@ -6,6 +6,7 @@ import math
 import os
 import subprocess
 import sys
+import threading
 
 import numpy as np
 import pytest
@@ -190,6 +191,35 @@ def test_little_effort_of_the_compiler_gives_the_same_bits_and_is_asked_for_our_
         assert others == numba.config.OPT
     assert set(efforts) == {1, others}
     assert results == [scattered(x).tobytes()] * 2
+
+
+class Compiling:
+    """Takes as long to compile as it is let."""
+
+    def __init__(self):
+        self.begun, self.go = threading.Event(), threading.Event()
+        self.thread = threading.Thread(target=compile_for, args=(self,))
+        self.thread.start()
+        assert self.begun.wait(10)
+
+    def compile(self, types):
+        self.begun.set()
+        assert self.go.wait(10)
+
+    def end(self):
+        self.go.set()
+        self.thread.join(10)
+
+
+def test_two_threads_that_compile_leave_the_compilers_effort_as_it_was(monkeypatch):
+    numba = pytest.importorskip("numba")
+    monkeypatch.delenv("NUMBA_OPT", raising=False)
+    others = int(numba.config.OPT)
+    first, second = Compiling(), Compiling()
+    first.end()
+    assert numba.config.OPT == 1
+    second.end()
+    assert others == numba.config.OPT
 
 
 def test_mathematics_needs_no_fingerprint():
