@@ -30,6 +30,8 @@ from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
 from hil.vocabulary.geometry import Array, ArrayLike
 
+VECTORS = (*np.zeros((4, 1)), np.zeros(1, np.int64), *np.zeros((3, 1)), np.zeros((1, 5)))
+"""What `prepare` is given, by type."""
 _SETTLE_S = 0.4
 _AT_REST = 1e-3
 
@@ -77,15 +79,8 @@ class MujocoRobot(SteppedBody):
             data.qvel, data.ctrl, built.model.pair_friction,
         )  # fmt: skip
         self._prepare, self._finish = _kernels()
-        self._load_kernels()
         self._settle()
         self._put(pose)
-
-    def _load_kernels(self) -> None:
-        """Run them once on copies: machine code that is loaded when the first motor turns comes too late."""
-        c, s, q, p, a, qpos, qvel, ctrl, friction = map(np.array, self._vectors)
-        self._prepare(c, s, q, p, a, qpos, qvel, ctrl, friction)
-        self._finish(c, s, a, qpos, qvel)
 
     def _settle(self) -> None:
         """Stand the robot on its wheels, held against its weight along the surface, and see how it stands.
@@ -239,9 +234,10 @@ class MujocoRobot(SteppedBody):
 
 @cache
 def _kernels() -> tuple[Callable[..., float], Callable[..., None]]:
-    """`prepare` and `finish`, compiled where numba is installed."""
+    """`prepare` and `finish`; machine code for the types of `VECTORS` where numba is installed."""
     if not numba_available():
         return mk.prepare, mk.finish
-    from hil.vocabulary.kernels import compiled_with_parts
+    from hil.vocabulary.kernels import machine_code
 
-    return compiled_with_parts(mk.prepare), compiled_with_parts(mk.finish)
+    c, s, _, _, a, qpos, qvel, *_ = VECTORS
+    return machine_code(mk.prepare, *VECTORS), machine_code(mk.finish, c, s, a, qpos, qvel)

@@ -9,7 +9,6 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Callable
 from functools import cache
-from typing import Any
 
 import numpy as np
 
@@ -28,19 +27,13 @@ def numba_available() -> bool:
 def compiled_advance() -> Advance:
     """The compiled physics; the first call on a machine compiles, later ones load the cache.
 
-    What is given is the machine code for these types. numba's own choice by the types of every call takes
-    four times as long, as long as half a step of the physics.
-
     Raises:
         ImportError: numba is not installed.
     """
-    from hil.vocabulary.kernels import compile_for, compiled_with_parts
+    from hil.vocabulary.kernels import machine_code
 
-    advance: Any = compiled_with_parts(kernel.advance)
     vectors = (np.zeros(size) for size in (kernel.PATCHES, kernel.STATE_SIZE, kernel.COMMANDS_SIZE))
-    compile_for(advance, 0, 1.0, *vectors)
-    (machine_code,) = advance.overloads.values()
-    return machine_code.entry_point  # type: ignore[no-any-return]
+    return machine_code(kernel.advance, 0, 1.0, *vectors)
 
 
 def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: Array) -> None:
