@@ -122,7 +122,7 @@ def load_bench(
     _anchor(tree, Path.cwd())
     for name in _to_emulate(tree, emulate):
         tree[name]["backend"] = "emulated"
-    config = validate(tree, origin)
+    config = validate(tree, origin, tuple(overrides or {}))
     check_record(record, config, seed)
     return config
 
@@ -187,8 +187,8 @@ def _to_emulate(tree: Mapping[str, Any], emulate: str | tuple[str, ...] | None) 
     return names
 
 
-def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
-    """Model of a parsed file; raises `ConfigError` with all problems."""
+def validate(tree: Mapping[str, Any], origin: str, overrides: Sequence[str] = ()) -> BenchConfig:
+    """Model of a parsed file; raises `ConfigError` with all problems, and names `overrides` among them."""
     problems = [*told_where_now(tree), *area_twice(tree)]
     present = lifted(tree)
     config: BenchConfig | None
@@ -201,7 +201,10 @@ def validate(tree: Mapping[str, Any], origin: str) -> BenchConfig:
         problems += [f"{path}: {text}" for path, text in contradictions(config)]
         if not problems:
             return config
-    raise ConfigError(f"{origin}: {len(problems)} problem(s)", problems=tuple(problems))
+    told = [problem.partition(":")[0] for problem in problems]
+    set_over_it = [d for d in overrides if any(path == d or path.startswith(f"{d}.") for path in told)]
+    beside = f" with {', '.join(f'bench.{dotted}' for dotted in set_over_it)}" if set_over_it else ""
+    raise ConfigError(f"{origin}{beside}: {len(problems)} problem(s)", problems=tuple(problems))
 
 
 def _what_is_right(tree: dict[str, Any], wrong: list[tuple[int | str, ...]]) -> BenchConfig | None:

@@ -83,6 +83,7 @@ def test_a_hundred_times_unplugged_nothing_is_lost_and_nothing_left(plug):
 
 
 def test_one_that_does_not_come_back_ends_the_run_with_what_to_do(plug):
+    before = threading.active_count()
     sensor = Replugged(plug, CLOCK, patience_s=0.1)
     sensor.open()
     plug.plugged = False
@@ -90,7 +91,7 @@ def test_one_that_does_not_come_back_ends_the_run_with_what_to_do(plug):
         wait_for(sensor.read)
     assert sensor.read() == ()  # who goes on reading waits anew
     sensor.close()
-    assert threading.active_count() == 1
+    assert threading.active_count() == before
 
 
 @pytest.mark.parametrize("error", [DeviceError, lambda *_, **__: KeyError("of a library")])
@@ -116,12 +117,13 @@ def test_a_port_that_has_gone_is_not_waited_for_in_vain(plug):
 
 
 def test_closing_ends_the_waiting(plug):
+    before = threading.active_count()
     sensor = Replugged(plug, CLOCK)
     sensor.open()
     plug.plugged = False
     sensor.read()
     sensor.close()
-    assert threading.active_count() == 1
+    assert threading.active_count() == before
 
 
 def test_in_virtual_time_a_lost_sensor_is_an_error(plug, encoder_world):

@@ -60,6 +60,16 @@ def test_every_problem_is_told_at_once(bench):
         assert part in text
 
 
+def test_what_was_set_over_the_file_is_told_apart_from_what_it_says(bench):
+    bench.write_text(GOOD + "whim = 3\n")
+    with pytest.raises(ConfigError) as error:
+        load_bench(bench, overrides={"loop.rate_hz": -1, "imu.baud": 115200, "safety": {"fancy": 1}})
+    heading = str(error.value).splitlines()[0]
+    assert heading.endswith("bench.toml with bench.loop.rate_hz, bench.safety: 2 problem(s)")
+    with pytest.raises(ConfigError, match=r"bench\.toml: 1 problem"):
+        load_bench(bench, overrides={"imu.baud": 115200})
+
+
 @pytest.mark.parametrize(
     ("text", "message"), [("schema = ", "not valid TOML"), ("schema = 1\n", "name: missing")]
 )

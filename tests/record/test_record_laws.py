@@ -310,8 +310,9 @@ def test_the_commands_show_compare_and_roll_back(record, capsys):
     assert main(["robot", "show", folder, "--page", str(record.path)]) == 2
     assert "is no name for it; expected one that ends with .html" in capsys.readouterr().err
     assert record.read().version == 1
-    assert main(["robot", "show", folder + "_gone"]) == 2
-    assert "no record of a robot there" in capsys.readouterr().err
+    for words in (["show"], ["rollback"], ["apply", "--version", "1"]):
+        assert main(["robot", *words, folder + "_gone"]) == 2
+        assert "no record of a robot there" in capsys.readouterr().err
 
 
 def test_a_bench_opens_with_what_the_record_knows(record):

@@ -84,11 +84,14 @@ class RobotRecord:
                 other or name files that are gone.
         """
         if not self.exists():
-            raise ConfigError(
-                f"{self.folder}: no record of a robot there", expected=f"a folder with {IN_PLACE}",
-                remedy="make one with `hil commission`",
-            )  # fmt: skip
+            raise self._nothing_there()
         return self._read(self.path)
+
+    def _nothing_there(self) -> ConfigError:
+        return ConfigError(
+            f"{self.folder}: no record of a robot there", expected=f"a folder with {IN_PLACE}",
+            remedy="make one with `hil commission`",
+        )  # fmt: skip
 
     def _read(self, path: Path) -> RecordFile:
         file = read_version(path, f"hil robot rollback {self.folder}")
@@ -138,10 +141,10 @@ class RobotRecord:
         for kept in found:
             if kept.file.version == version:
                 return kept
+        if not found:
+            raise self._nothing_there()
         numbers = ", ".join(str(v.file.version) for v in found)
-        raise ConfigError(
-            f"{self.folder}: no version {version}", expected=f"one of {numbers}" if numbers else ""
-        )
+        raise ConfigError(f"{self.folder}: no version {version}", expected=f"one of {numbers}")
 
     def add(
         self, parts: Mapping[str, NewPart], robot: Identity, *, created: str, why: str
@@ -229,6 +232,8 @@ class RobotRecord:
         """
         if version is None:
             found = self.history().versions
+            if not found:
+                raise self._nothing_there()
             here = [v.file.version for v in found if v.in_place]
             earlier = [v.file.version for v in found if not here or v.file.version < here[0]]
             if not earlier:
