@@ -192,6 +192,18 @@ def test_a_robot_as_delivered_ends_within_8_mm(tmp_path, capsys, seed):
     assert set(told["procedures"].values()) <= {"PASS", "MARGINAL"}
 
 
+def test_who_has_ended_it_is_told_how_it_goes_on_and_not_to_mend_anything(tmp_path):
+    interrupts = Interrupts()
+
+    def strike(what, done, total):
+        interrupts.handle(signal.SIGINT)
+
+    with interrupts.deferred():
+        told, code = commission(asked(tmp_path / "out", interrupts=interrupts, report=strike))
+    assert (told["verdict"], code) == ("ABORTED", 4)
+    assert told["stopped"]["do"].startswith(f"hil commission --resume --out {tmp_path / 'out'}, with")
+
+
 def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
     """Nobody answers then: a stop that waited for the answer would never come."""
     interrupts = Interrupts()

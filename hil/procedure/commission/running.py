@@ -211,13 +211,14 @@ class _Running:
         """Where it stopped, why, and what to do."""
         why = result.error.message if result.error is not None else missed(result.measurements)
         again = f"hil commission --resume --out {self._asked.folder}"
+        first = f"look at {result.folder / 'report.html'} and mend what it names; then "
         return {
             "procedure": stage.name,
             "verdict": result.verdict.value,
             "why": why,
             "report": str(result.folder / "report.html"),
-            "do": f"look at {result.folder / 'report.html'} and mend what it names; then {again}, with the "
-            "other options as before. What was found up to here is in the record and stays.",
+            "do": f"{'' if result.verdict is Verdict.ABORTED else first}{again}, with the other options as "
+            "before. What was found up to here is in the record and stays.",
         }
 
 
