@@ -14,12 +14,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.campaign_files import files_of
+from hil.cli.campaign_plan import RUNS, SCHEMA, keep_plan
 from hil.cli.campaign_runs import (
     Delivery,
     Job,
     Setup,
     arrived,
-    files_of,
     finished,
     lost,
     run_case,
@@ -27,17 +28,17 @@ from hil.cli.campaign_runs import (
 )
 from hil.cli.options import OUT
 from hil.cli.progress import reporting
-from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, ConfigError, UsageError
-from hil.vocabulary.files import make_folder, write_text
-from hil.vocabulary.reading import read_json
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
+from hil.vocabulary.files import write_text
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
     from hil.procedure.outputs import Keep
 
-SCHEMA = 1
-PLAN, CSV, PAGE, ROWS, RUNS = "plan.json", "campaign.csv", "campaign.html", "rows", "runs"
+CSV, PAGE, ROWS = "campaign.csv", "campaign.html", "rows"
+_SHOWN = 5
+"""So many broken runs are named on the terminal."""
 
 
 @click.command()
@@ -83,9 +84,12 @@ def command(
             raise UsageError("--resume needs the folder of the campaign", remedy="name it with --out")
         out = Path("out") / f"campaign_{proc.name}" / datetime.now().strftime("%Y%m%d-%H%M%S")
     out = out.absolute()
-    _keep_plan(out, proc, setup, resume)
-    rows = _run(setup, proc, cases, out, workers, scheduler)
-    tree = _write(out, proc, setup, cases, rows)
+    keep_plan(out, proc, setup, cases, resume=resume)
+    try:
+        rows = _run(setup, proc, cases, out, workers, scheduler)
+        tree = _write(out, proc, setup, cases, rows)
+    except DataError as error:
+        raise Aborted(str(error), remedy="make room, then go on with --resume") from None
     if as_json:
         click.echo(json.dumps(tree, allow_nan=False))
     else:
@@ -135,33 +139,6 @@ def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
             )  # fmt: skip
 
 
-def _keep_plan(out: Path, proc: Procedure, setup: Setup, resume: bool) -> None:
-    """Write the plan of a new campaign, or hold it against that of the one to go on with."""
-    shared = {key: value for key, value in vars(setup).items() if key not in ("answers", "keep", "places")}
-    plan = json.loads(json.dumps({"schema": SCHEMA, "procedure": proc.name, **shared}))
-    path = out / PLAN
-    if not resume and path.exists() and (out / RUNS).exists():
-        raise ConfigError(f"{out}: holds a campaign", remedy="choose another --out, or --resume")
-    if resume and not path.exists():
-        raise ConfigError(f"{path}: there is no campaign to resume")
-    if not resume:
-        try:
-            make_folder(out)
-            path.write_text(json.dumps(plan, indent=1) + "\n", encoding="utf-8")
-        except OSError as error:
-            raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
-        return
-    before = read_json(path)
-    if not isinstance(before, dict):
-        raise ConfigError(f"{path}: is not the plan of a campaign")
-    different = [key for key in plan if before.get(key) != plan[key]]
-    if different:
-        raise ConfigError(
-            f"{path}: the campaign differs in {', '.join(different)}",
-            remedy="resume with the same options (--seeds and --vary may grow), or start anew",
-        )
-
-
 def _run(
     setup: Setup, proc: Procedure, cases: Sequence[Case], out: Path, workers: int, scheduler: str
 ) -> list[Row]:
@@ -171,6 +148,8 @@ def _run(
     jobs = [Job(setup, case, str(out / RUNS / case.name)) for case in cases]
     rows = {job.case: row for job in jobs if (row := finished(job)) is not None}
     missing = [job for job in jobs if job.case not in rows]
+    for row in rows.values():
+        write_rows(out / ROWS, row, over=False)
 
     def stop(signum: int, frame: FrameType | None) -> None:
         raise ended("ended by SIGTERM")
@@ -255,5 +234,9 @@ def _text(tree: dict[str, Any]) -> str:
         for m in group["measurements"]:
             span = f"[{number(m['min'])} to {number(m['max'])}]"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
+    broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
+    lines += [f"{row['verdict']} {row['case']}: {row['error']}" for row in broken[:_SHOWN]]
+    if len(broken) > _SHOWN:
+        lines.append(f"{len(broken) - _SHOWN} more such runs are in {CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
     return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])

@@ -2,19 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.vocabulary.errors import EXIT_USAGE, HilError, RecordingError
+from hil.vocabulary.errors import EXIT_USAGE, ConfigError, HilError, RecordingError
 
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
-    from hil.procedure.campaign import Case, Parcel, Row
+    from hil.procedure.campaign import Case, Row
     from hil.procedure.declaration import Procedure
     from hil.procedure.outputs import Keep
 
@@ -107,39 +108,6 @@ class Delivery:
     content: bytes = b""
 
 
-def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
-    """Everything that the cases read from files here, packed for workers that do not see them.
-
-    Raises:
-        ConfigError: a file that cannot be read, or more than workers are sent.
-    """
-    import tomli_w
-
-    from hil.config.loading import bench_files, find_bench, path_keys
-    from hil.procedure.campaign import names, parcel
-    from hil.procedure.scripts import file_and_name
-    from hil.vocabulary.reading import put_dotted
-
-    texts = [setup.calibration, setup.answers]
-    if Path(script := file_and_name(setup.script)[0]).is_file():
-        texts.append(script)
-    for case in cases:
-        _, overrides = setup.split(case)
-        texts += [str(overrides[key]) for key in path_keys() if key in overrides]
-        texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
-    named = {text: Path(text).absolute() for text in texts if text}
-    bench = setup.bench or proc.bench
-    if not Path(bench).is_file():
-        return parcel(named)
-    tree, _ = find_bench(bench)
-    inner = bench_files(tree, Path(bench).parent)
-    named |= {str(path.absolute()): path.absolute() for path in inner.values()}
-    packed = names(named)
-    for key, path in inner.items():
-        put_dotted(tree, key, packed[str(path.absolute())], "path")
-    return parcel(named, {bench: tomli_w.dumps(tree)})
-
-
 def run_case(job: Job) -> Row:
     """One case to its results folder (in a worker)."""
     try:
@@ -151,10 +119,14 @@ def run_case(job: Job) -> Row:
 
 def run_case_elsewhere(job: Job) -> Delivery:
     """One case in a worker that shares no files with the campaign; a full disk there loses this run alone."""
+    from distributed import Reschedule
+
     from hil.procedure.campaign.cluster import address, luggage
     from hil.procedure.campaign.parcel import packed
 
     here = luggage(job.luggage)
+    if not here.exists():
+        raise Reschedule  # to another worker: this one is of another make, and about to leave
     try:
         with tempfile.TemporaryDirectory(prefix="run-", dir=here.parent) as folder:
             places = {text: str(here / name) for text, name in job.setup.places.items()}
@@ -166,6 +138,8 @@ def run_case_elsewhere(job: Job) -> Delivery:
             except RecordingError as error:
                 return Delivery(lost(job, f"worker {address()}: {error}"))
             except HilError as error:
+                if folder in str(error):
+                    return Delivery(lost(job, f"worker {address()}: {error}"))
                 return Delivery(_failed(job, "ERROR", str(error), error.exit_code))
             if _no_room(tree, own.folder):
                 return Delivery(lost(job, f"worker {address()}: {tree['error']['message']}"))
@@ -193,7 +167,6 @@ def arrived(delivery: Delivery) -> Row:
 
 def _result(job: Job) -> dict[str, Any]:
     """Run one case; gives the tree of its `result.json`."""
-    from hil.procedure.journal import NAME
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
     from hil.procedure.scripts import file_and_name, load_procedure
@@ -208,22 +181,38 @@ def _result(job: Job) -> dict[str, Any]:
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
         started=datetime.now().astimezone().isoformat(timespec="seconds"),
-        resume=(folder / NAME).exists(), keep=setup.keep,
+        resume=_begun(folder), keep=setup.keep,
     )  # fmt: skip
     result = run_procedure(proc, source, options)
     write_run_page(folder)
     return result.to_json()
 
 
+def _begun(folder: Path) -> bool:
+    """Whether a run that can go on is there; one that cannot is put aside, and begins anew."""
+    from hil.procedure.journal import NAME, read_journal
+
+    if not folder.exists() or not any(folder.iterdir()):
+        return False
+    try:
+        read_journal(folder / NAME)
+    except ConfigError:
+        taken = {path.name for path in folder.parent.iterdir()}
+        aside = (f"{folder.name}.damaged-{k}" for k in itertools.count(1))
+        folder.rename(folder.with_name(next(name for name in aside if name not in taken)))
+        return False
+    return True
+
+
 def finished(job: Job) -> Row | None:
-    """The row of a case that has run to its verdict before; None for one that has not."""
+    """The row of a case that has run to its verdict before; None for one that lacked room, or has not."""
     from hil.report.result_file import read_result
 
     try:
         tree = read_result(Path(job.folder))
     except HilError:
         return None
-    return _row(job, tree) if tree["verdict"] in FINISHED else None
+    return _row(job, tree) if tree["verdict"] in FINISHED and not _no_room(tree, job.folder) else None
 
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import signal
 import subprocess
@@ -74,6 +75,21 @@ def write(file, data):
 
 def dask_setup(worker):
     mcap_file._WholeWrites.write = write
+'''
+FULL_AT_THE_END = '''
+"""A worker whose disk is full when the page of a run is written."""
+import errno
+from pathlib import Path
+
+usual = Path.write_text
+
+def write(path, *arguments, **options):
+    if path.name == "report.html":
+        raise OSError(errno.ENOSPC, "No space left on device")
+    return usual(path, *arguments, **options)
+
+def dask_setup(worker):
+    Path.write_text = write
 '''
 OTHER = '''
 """A worker with another version of the package."""
@@ -231,8 +247,9 @@ def test_a_cluster_of_another_make_is_refused(cluster, here, capsys, preload, to
 
 @pytest.mark.long
 @pytest.mark.timeout(300)
-def test_a_full_disk_at_a_worker_loses_its_runs_alone_until_they_are_resumed(cluster, here, capsys):
-    cluster.worker("one", FULL, here)
+@pytest.mark.parametrize("full", [FULL, FULL_AT_THE_END], ids=["recording", "page"])
+def test_a_full_disk_at_a_worker_loses_its_runs_alone_until_they_are_resumed(cluster, here, capsys, full):
+    cluster.worker("one", full, here)
     options = ("--seeds", "0:2", "--scheduler", cluster.address, "--out", "far")
     code, tree, _ = campaign(capsys, *options)
     assert (code, tree["verdicts"]) == (2, {"LOST": 2}), tree["rows"]
@@ -252,6 +269,18 @@ def once(folder, act):
         act()
 
     Thread(target=look, daemon=True).start()
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_a_worker_of_another_make_that_comes_later_is_named_and_gets_no_runs(cluster, here, capsys, caplog):
+    cluster.worker("one", BLIND, here)
+    once(here / "far", lambda: cluster.worker("two", OTHER))
+    options = ("--seeds", "0:16", "--set", "hold_s=3", "--scheduler", cluster.address, "--out", "far")
+    code, tree, said = campaign(capsys, *options)
+    assert (code, tree["verdicts"]) == (0, {"PASS": 16}), said
+    assert re.search(r"worker tcp://[\d.:]+: has hil 0\.0\.7, this computer .*it gets no runs", caplog.text)
+    assert cluster.workers() == 1
 
 
 @pytest.mark.long
@@ -278,5 +307,6 @@ def test_a_scheduler_that_vanishes_is_named_and_what_is_finished_is_kept(cluster
     assert code == 4
     assert f"Dask scheduler '{cluster.address}' has gone" in said
     assert "--resume" in said
+    assert "Traceback" not in said
     finished = {p.parent.name for p in (here / "far").rglob("result.json")}
     assert 0 < len(finished) < 40

@@ -1,6 +1,7 @@
 """`hil campaign` over a procedure of a user's own."""
 
 import csv
+import errno
 import json
 import os
 import re
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import resources
 from urllib.parse import quote
 
 import pytest
@@ -128,6 +130,120 @@ def test_it_goes_on_where_it_was_and_may_grow(campaign, tmp_path):
     assert (code, [row["verdict"] for row in tree["rows"]]) == (0, ["PASS"] * 3)
     assert (runs / "seed=0" / "result.json").stat().st_mtime_ns == untouched
     assert json.loads((runs / "seed=1" / "result.json").read_text())["resumed"] == 1
+
+
+def no_verdict(run):
+    """A run that was killed as it began."""
+    (run / "result.json").unlink()
+    (run / "journal.jsonl").write_text("")
+
+
+def torn_result(run):
+    text = (run / "result.json").read_text()
+    (run / "result.json").write_text(text[: len(text) // 2])
+
+
+def no_journal(run):
+    (run / "result.json").unlink()
+    (run / "journal.jsonl").unlink()
+
+
+@pytest.mark.parametrize("damage", [no_verdict, torn_result, no_journal])
+def test_a_run_that_cannot_go_on_is_put_aside_and_begins_anew(campaign, tmp_path, damage):
+    _, before, _ = campaign("--seeds", "0:2", "--workers", "0", "--out", "o")
+    run = tmp_path / "o" / "runs" / "seed=1"
+    damage(run)
+    left = {p.name: p.read_bytes() for p in run.iterdir() if p.is_file()}
+    for _ in range(2):
+        code, tree, _ = campaign("--seeds", "0:2", "--workers", "0", "--out", "o", "--resume")
+        assert (code, tree["verdicts"]) == (0, {"PASS": 2})
+    assert [r["measurements"] for r in tree["rows"]] == [r["measurements"] for r in before["rows"]]
+    (aside,) = run.parent.glob("seed=1.damaged-*")
+    assert {p.name: p.read_bytes() for p in aside.iterdir() if p.is_file()} == left
+
+
+def test_a_run_that_lacked_room_is_run_again(campaign, tmp_path):
+    campaign("--seeds", "0", "--workers", "0", "--out", "o")
+    result = tmp_path / "o" / "runs" / "seed=0" / "result.json"
+    tree = json.loads(result.read_text())
+    error = {"type": "RecordingError", "step": "rest", "message": "x.mcap: cannot be written"}
+    result.write_text(json.dumps({**tree, "verdict": "ERROR", "exit_code": 4, "error": error}))
+    code, tree, _ = campaign("--seeds", "0", "--workers", "0", "--out", "o", "--resume")
+    assert (code, tree["verdicts"]) == (0, {"PASS": 1})
+
+
+def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(campaign, tmp_path):
+    profile = resources.files("hil.config.profiles").joinpath("emulated.toml").read_text()
+    (tmp_path / "bench.toml").write_text(profile)
+    options = ("--bench", "bench.toml", "--workers", "0", "--keep", "results", "--out", "o")
+    assert campaign("--seeds", "0", *options)[0] == 0
+    for name in ("rest.py", "bench.toml"):
+        file = tmp_path / name
+        before = file.read_text()
+        file.write_text(before + "\n# changed\n")
+        code, _, said = campaign("--seeds", "0:2", *options, "--resume")
+        assert (code, f"{file} changed since the campaign began" in said) == (2, True), said
+        file.write_text(before)
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
+    more = ("--vary", "fault=none,late.toml", "--resume")
+    assert campaign("--seeds", "0:2", *options, *more)[0] == 0
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 50.0\n')
+    assert campaign("--seeds", "0:2", *options, *more)[0] == 2
+
+
+def test_runs_whose_plan_is_lost_are_no_other_campaigns(campaign, tmp_path):
+    campaign("--seeds", "0", "--workers", "0", "--keep", "results", "--out", "o")
+    (tmp_path / "o" / "plan.json").unlink()
+    code, _, said = campaign("--seeds", "0", "--set", "gain=2", "--workers", "0", "--out", "o")
+    assert (code, "holds a campaign" in said) == (2, True)
+    code, _, said = campaign("--seeds", "0", "--workers", "0", "--out", "o", "--resume")
+    assert (code, "no campaign to resume" in said) == (2, True)
+
+
+def test_rows_that_are_missing_or_torn_are_written_when_it_goes_on(campaign, tmp_path):
+    pytest.importorskip("pyarrow")
+    campaign("--seeds", "0:3", "--workers", "0", "--keep", "results", "--out", "o")
+    rows = sorted((tmp_path / "o" / "rows").glob("*.parquet"))
+    whole = [row.read_bytes() for row in rows]
+    rows[0].unlink()
+    rows[1].write_bytes(whole[1][:-3])
+    campaign("--seeds", "0:3", "--workers", "0", "--out", "o", "--resume")
+    assert [row.read_bytes() for row in rows] == whole
+
+
+def test_a_full_disk_ends_it_with_what_to_do(campaign, monkeypatch):
+    pytest.importorskip("pyarrow")
+
+    def full(path, content):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patch:
+        patch.setattr("hil.procedure.campaign.rows.put_whole", full)
+        code, _, said = campaign("--seeds", "0:2", "--workers", "0", "--keep", "results", "--out", "o")
+    assert code == 4
+    assert "rows: cannot be written (No space left on device); make room, then go on with --resume" in said
+    assert campaign("--seeds", "0:2", "--workers", "0", "--out", "o", "--resume")[0] == 0
+
+
+def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
+    options = (
+        "--seeds",
+        "0:7",
+        "--workers",
+        "0",
+        "--keep",
+        "results",
+        "--fault",
+        "servos:off@0",
+        "--out",
+        "o",
+    )
+    assert main(["campaign", script, *options]) == 3
+    lines = capsys.readouterr().out.splitlines()
+    named = [line for line in lines if line.startswith("ERROR seed=")]
+    assert len(named) == 5
+    assert all("servo" in line for line in named)
+    assert "2 more such runs are in campaign.csv" in lines
 
 
 @pytest.mark.parametrize(

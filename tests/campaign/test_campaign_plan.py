@@ -19,7 +19,9 @@ def test_seeds(text, seeds):
     assert parse_seeds(text) == seeds
 
 
-@pytest.mark.parametrize("text", ["", "a", "4:2", "3:3", "1,,2", "-1", "0:99999999999"])
+@pytest.mark.parametrize(
+    "text", ["", "a", "4:2", "3:3", "1,,2", "-1", "0:99999999999", "9223372036854775808"]
+)
 def test_seeds_that_mean_nothing(text):
     with pytest.raises(UsageError, match="--seeds"):
         parse_seeds(text)

@@ -5,6 +5,7 @@ Needs the extra `campaign`; imported by those that spread work over a scheduler 
 
 from __future__ import annotations
 
+import logging
 import platform
 import shutil
 from collections.abc import Callable
@@ -19,11 +20,18 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import DISTRIBUTION
 from hil.vocabulary.versions import versions
 
+LOG = logging.getLogger(__name__)
+
 
 def make() -> dict[str, str]:
     """What decides the bits of a result: versions of Python, of this package and of those below it."""
     found = {name: version for name, version in versions().items() if name != "platform"}
     return found | {"python": ".".join(platform.python_version_tuple()[:2])}
+
+
+def tell_of_refused(client: Client) -> None:
+    """Say here which workers came later and have left again, and why."""
+    client.subscribe_topic(REFUSED, lambda event: LOG.warning("%s; it gets no runs", event[1]))
 
 
 def check_workers(client: Client, scheduler: str) -> None:
@@ -57,6 +65,9 @@ def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tu
     return [(worker, found) for worker, found in answers.items() if not isinstance(found, OSError)]
 
 
+REFUSED = "hil-refused"
+"""Topic under which workers that come later tell why they leave again."""
+_TOLD_S = 0.1
 _REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
 
 
@@ -74,13 +85,18 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         self.name, self.content, self.make = parcel.name, parcel.content, make()
 
     def setup(self, worker: Worker) -> None:
-        """Unpack; raises for a worker that came later and is of another make.
+        """Unpack; a worker that came later and is of another make tells what differs, and leaves.
 
         Raises:
             UsageError: the worker has other packages or another Python.
         """
-        if make() != self.make:
-            raise UsageError(f"worker {worker.address}: is of another make", remedy=_REMEDY)
+        there = make()
+        for name, here in self.make.items():
+            if there.get(name) != here:
+                refused = _other(worker.address, name, str(there.get(name)), here)
+                worker.log_event(REFUSED, str(refused))
+                worker.loop.call_later(_TOLD_S, worker.close)
+                raise refused
         folder = Path(worker.local_directory) / self.name
         if not folder.exists():
             unpacked(self.content, folder)

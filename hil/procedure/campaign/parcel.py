@@ -88,6 +88,18 @@ def _of_model(path: Path) -> list[Path]:
     return [file for file in found if file != path]
 
 
+def digest(path: Path) -> str:
+    """Of the content of a file with those that a model in it names, or of all files in a folder.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    told = hashlib.sha256()
+    for name, content in _contents(path, path.name):
+        told.update(f"{name} {len(content)} ".encode() + content)
+    return told.hexdigest()
+
+
 def packed(folder: Path) -> bytes:
     """All files of a folder; raises `OSError` for one that cannot be read."""
     files = (p for p in sorted(folder.rglob("*")) if p.is_file())

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from hil.vocabulary.errors import UsageError
 
 MOST_CASES = 100_000
+LARGEST_SEED = 2**63 - 1
+"""Tables hold seeds as integers of 64 bits."""
 _LONGEST_NAME = 80
 
 
@@ -64,6 +66,8 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         if match[2] is not None and int(match[2]) - first > MOST_CASES:
             raise UsageError(f"--seeds {text!r} are too many", expected=f"at most {MOST_CASES}")
         seeds += range(first, int(match[2]) if match[2] is not None else first + 1)
+        if seeds[-1] > LARGEST_SEED:
+            raise UsageError(f"--seeds {text!r} are too large", expected=f"at most {LARGEST_SEED}")
     return tuple(dict.fromkeys(seeds))
 
 

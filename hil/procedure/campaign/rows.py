@@ -6,18 +6,23 @@ line per measurement, so that the columns are the same whatever a procedure meas
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Any
 
 from hil.procedure.campaign.table import Row
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.extras import is_installed
+from hil.vocabulary.files import put_whole
 
+_END = b"PAR1"
 _NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None}
 
 
-def write_rows(folder: Path, row: Row) -> None:
+def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     """Write the lines of one run, over those that there may be; nothing without the extra `parquet`.
+
+    Not `over` those that are whole: a run that was finished earlier may have none, or torn ones.
 
     Columns: case, seed, settings (map of text to text), verdict, exit_code, duration_s (s), error,
     measurement, unit, value (in `unit`), outcome, low, high.
@@ -25,7 +30,8 @@ def write_rows(folder: Path, row: Row) -> None:
     Raises:
         DataError: they cannot be written.
     """
-    if not is_installed("parquet"):
+    path = folder / f"{row.case.name}.parquet"
+    if not is_installed("parquet") or not (over or _is_torn(path)):
         return
     import pyarrow as pa
     from pyarrow import parquet
@@ -44,8 +50,17 @@ def write_rows(folder: Path, row: Row) -> None:
     }  # fmt: skip
     measured: list[dict[str, Any]] = [{"measurement": name, **m} for name, m in row.measurements.items()]
     lines = [{**own, **values} for values in measured or [_NONE]]
+    whole = io.BytesIO()
+    parquet.write_table(pa.Table.from_pylist(lines, schema), whole)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        parquet.write_table(pa.Table.from_pylist(lines, schema), folder / f"{row.case.name}.parquet")
+        put_whole(path, whole.getvalue())
     except OSError as error:
         raise DataError(str(folder), f"cannot be written ({error.strerror or error})") from None
+
+
+def _is_torn(path: Path) -> bool:
+    """Whether it is missing, or does not end as every Parquet file does."""
+    try:
+        return not path.read_bytes().endswith(_END)
+    except OSError:
+        return True

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import signal
 import tempfile
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from multiprocessing.resource_tracker import ensure_running
@@ -79,10 +80,11 @@ def spread(
 
 def _make_ready(client: Client, scheduler: str, parcel: Parcel | None) -> None:
     """Hold the workers of a cluster against this computer, and send them the files."""
-    from hil.procedure.campaign.cluster import Luggage, check_workers
+    from hil.procedure.campaign.cluster import Luggage, check_workers, tell_of_refused
 
     try:
         check_workers(client, scheduler)
+        tell_of_refused(client)
         if parcel is not None:
             client.register_plugin(Luggage(parcel))
     except OSError as error:
@@ -105,7 +107,8 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
             "a campaign in parallel needs Dask, which is not installed",
             remedy=f"{how_to_install('campaign')}; or use --workers 0",
         ) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)
+    for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
+        logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler:
         try:
             client = Client(scheduler, timeout=10)
@@ -126,7 +129,21 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
         with _interrupts_put_off(), config.set(_UNWATCHED):
             cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
             client = stack.enter_context(Client(cluster))
-        yield client
+        try:
+            yield client
+        finally:
+            _ended_once(stack)
+
+
+def _ended_once(stack: ExitStack) -> None:
+    """End the workers; a second Ctrl-C meanwhile only made Dask wait for them in vain, 10 s long."""
+    here = threading.current_thread() is threading.main_thread()
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if here else None
+    try:
+        stack.close()
+    finally:
+        if here:
+            signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

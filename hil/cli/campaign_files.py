@@ -1,0 +1,76 @@
+"""What the runs of a campaign read from files here: packed for workers elsewhere, told apart by content."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hil.cli.campaign_runs import Setup
+
+if TYPE_CHECKING:
+    from hil.procedure.campaign import Case, Parcel
+    from hil.procedure.declaration import Procedure
+
+
+def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
+    """Everything that the cases read from files here, packed for workers that do not see them.
+
+    Raises:
+        ConfigError: a file that cannot be read, or more than workers are sent.
+    """
+    import tomli_w
+
+    from hil.config.loading import find_bench
+    from hil.procedure.campaign import names, parcel
+    from hil.vocabulary.reading import put_dotted
+
+    named = _named(setup, cases)
+    bench = setup.bench or proc.bench
+    inner = _of_bench(bench)
+    if not Path(bench).is_file():
+        return parcel(named)
+    tree, _ = find_bench(bench)
+    named |= {str(path.absolute()): path.absolute() for path in inner.values()}
+    packed = names(named)
+    for key, path in inner.items():
+        put_dotted(tree, key, packed[str(path.absolute())], "path")
+    return parcel(named, {bench: tomli_w.dumps(tree)})
+
+
+def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[str, str]:
+    """Absolute path of every file or folder that the cases read -> digest of what it holds.
+
+    Raises:
+        ConfigError: a file that cannot be read.
+    """
+    from hil.procedure.campaign.parcel import digest
+
+    bench = Path(setup.bench or proc.bench)
+    read = [*_named(setup, cases).values(), *_of_bench(str(bench)).values(), *([bench] * bench.is_file())]
+    return {str(path.absolute()): digest(path.absolute()) for path in read}
+
+
+def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
+    """Texts of the command line that name a file or folder -> where it lies; without the bench file."""
+    from hil.config.loading import path_keys
+    from hil.procedure.scripts import file_and_name
+
+    texts = [setup.calibration, setup.answers]
+    if Path(script := file_and_name(setup.script)[0]).is_file():
+        texts.append(script)
+    for case in cases:
+        _, overrides = setup.split(case)
+        texts += [str(overrides[key]) for key in path_keys() if key in overrides]
+        texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
+    return {text: Path(text).absolute() for text in texts if text}
+
+
+def _of_bench(bench: str) -> dict[str, Path]:
+    """Files and folders that a bench file names, by dotted key; none of a profile."""
+    from hil.config.loading import bench_files, find_bench
+
+    if not Path(bench).is_file():
+        return {}
+    tree, _ = find_bench(bench)
+    return bench_files(tree, Path(bench).parent)
