@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from hil.cli.campaign_files import contents_of
 from hil.cli.campaign_runs import Setup
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.files import make_folder
+from hil.vocabulary.files import make_folder, put_whole
 from hil.vocabulary.reading import read_json
 
 if TYPE_CHECKING:
@@ -39,7 +39,7 @@ def keep_plan(out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], *
         raise ConfigError(f"{out}: holds a campaign", remedy="choose another --out, or --resume")
     try:
         make_folder(out)
-        path.write_text(json.dumps({**plan, "contents": contents}, indent=1) + "\n", encoding="utf-8")
+        put_whole(path, (json.dumps({**plan, "contents": contents}, indent=1) + "\n").encode())
     except OSError as error:
         raise ConfigError(f"{out}: cannot be written ({error.strerror})") from None
 
