@@ -148,18 +148,20 @@ def no_journal(run):
     (run / "journal.jsonl").unlink()
 
 
-@pytest.mark.parametrize("damage", [no_verdict, torn_result, no_journal])
-def test_a_run_that_cannot_go_on_is_put_aside_and_begins_anew(campaign, tmp_path, damage):
-    _, before, _ = campaign("--seeds", "0:2", "--workers", "0", "--out", "o")
-    run = tmp_path / "o" / "runs" / "seed=1"
-    damage(run)
-    left = {p.name: p.read_bytes() for p in run.iterdir() if p.is_file()}
+def test_runs_that_cannot_go_on_are_put_aside_and_begin_anew(campaign, tmp_path):
+    options = ("--seeds", "0:4", "--workers", "0", "--keep", "results", "--out", "o")
+    _, before, _ = campaign(*options)
+    left = {}
+    for seed, damage in enumerate((no_verdict, torn_result, no_journal), start=1):
+        run = tmp_path / "o" / "runs" / f"seed={seed}"
+        damage(run)
+        left[f"{run.name}.damaged-1"] = {p.name: p.read_bytes() for p in run.iterdir()}
     for _ in range(2):
-        code, tree, _ = campaign("--seeds", "0:2", "--workers", "0", "--out", "o", "--resume")
-        assert (code, tree["verdicts"]) == (0, {"PASS": 2})
+        code, tree, _ = campaign(*options, "--resume")
+        assert (code, tree["verdicts"]) == (0, {"PASS": 4})
     assert [r["measurements"] for r in tree["rows"]] == [r["measurements"] for r in before["rows"]]
-    (aside,) = run.parent.glob("seed=1.damaged-*")
-    assert {p.name: p.read_bytes() for p in aside.iterdir() if p.is_file()} == left
+    aside = (tmp_path / "o" / "runs").glob("*damaged*")
+    assert {run.name: {p.name: p.read_bytes() for p in run.iterdir()} for run in aside} == left
 
 
 def test_a_run_that_lacked_room_is_run_again(campaign, tmp_path):
