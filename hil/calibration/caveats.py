@@ -8,10 +8,11 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.datasets import Recording
-from hil.calibration.driven import DIRECTIONS, Driven, driven, lever_m, undriven
+from hil.calibration.driven import DIRECTIONS, Driven, driven, undriven
 from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
+from hil.calibration.nominal import lever_m
 from hil.calibration.validation import Deployed, Table
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate

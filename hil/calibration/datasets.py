@@ -13,13 +13,13 @@ from typing import Any, SupportsInt
 import numpy as np
 
 from hil.calibration.nominal import Nominal
+from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
 
 _GAP_S = 0.1
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
-_DEGREES_MARGIN_RAD = 1.4
 _CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
 _ROTATION_PATH_M = 0.3
@@ -105,6 +105,7 @@ def build_recording(
         DataError: too short, no ground truth, no overlap in time, or units that cannot be right.
     """
     where, robot = sources[0] if sources else name, nominal if nominal is not None else Nominal()
+    check_time(where, wheels.t_s)
     repairs: dict[str, int] = {}
     t_s, w, receive_s = _clean(wheels, 8, "wheel", repairs)
     truth_t_s, pose, truth_receive_s = _clean(truth, 3, "ground-truth", repairs)
@@ -120,9 +121,12 @@ def build_recording(
     overlap_s = min(t_s[-1], truth_t_s[-1]) - max(t_s[0], truth_t_s[0])
     if overlap_s < 1.0:
         raise DataError(where, f"wheels and ground truth share {max(overlap_s, 0):.2f} s", expected=">= 1 s")
+    for stamps in (t_s, truth_t_s):
+        check_leaps(where, stamps)
     angle = _unwrap_jumps(w[:, :4], repairs)
-    pose = np.column_stack([pose[:, :2], np.unwrap(pose[:, 2])])
-    _check_units(where, angle, w[:, 4:8], pose, robot)
+    heading = pose[:, 2]
+    pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
+    check_units(where, angle, w[:, 4:8], truth_t_s, pose, heading, robot)
     return Recording(
         name=name,
         motion=motion or classify(angle, pose, robot.radius_m),
@@ -184,38 +188,6 @@ def _unwrap_jumps(angle: Array, repairs: dict[str, int]) -> Array:
     return np.asarray(np.unwrap(angle, axis=0), dtype=np.float64)
 
 
-def _check_units(where: str, angle: Array, steering: Array, pose: Array, nominal: Nominal) -> None:
-    limit_rad = nominal.steering_limit_rad
-    if np.max(np.abs(steering)) > limit_rad + _DEGREES_MARGIN_RAD:
-        raise DataError(
-            where,
-            f"steering angles reach {np.max(np.abs(steering)):.1f}",
-            expected=f"rad, within +-{np.degrees(limit_rad):.0f} deg",
-            remedy="convert degrees to radians",
-        )
-    rolled_m = _rolled_m(angle, nominal.radius_m)
-    span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))
-    if span_m > 20.0 * rolled_m + 1.0:
-        raise DataError(
-            where,
-            f"the robot moved {span_m:.3g} by ground truth while its wheels rolled {rolled_m:.3g} m",
-            expected="positions in m",
-            remedy="convert millimetres to metres",
-        )
-    if rolled_m > 0.5 and 0 < span_m < 0.02 * rolled_m and np.ptp(pose[:, 2]) < 0.5:
-        raise DataError(
-            where,
-            f"wheels rolled {rolled_m:.3g} m but ground truth moved {span_m:.3g}",
-            expected="positions in m and wheel angles in rad",
-            remedy="check the units of both",
-        )
-
-
-def _rolled_m(angle: Array, radius_m: float) -> float:
-    """Way that the wheels rolled, mean of the four, m."""
-    return float(np.abs(np.diff(angle, axis=0)).sum(axis=0).mean()) * radius_m
-
-
 def classify(angle: Array, pose: Array, radius_m: float) -> str:
     """Motion name from what the robot did: one of the paper's six, or `other`.
 
@@ -225,7 +197,7 @@ def classify(angle: Array, pose: Array, radius_m: float) -> str:
         radius_m: of the wheels.
     """
     turn = float(pose[-1, 2] - pose[0, 2])
-    path_m = _rolled_m(angle, radius_m)
+    path_m = rolled_m(angle, radius_m)
     sense = "ccw" if turn > 0 else "cw"
     if abs(turn) > _ROTATION_RAD:
         span_m = float(np.max(np.ptp(pose[:, :2], axis=0)))

@@ -13,7 +13,7 @@ import numpy as np
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import make_model
-from hil.calibration.nominal import Nominal
+from hil.calibration.nominal import Nominal, lever_m
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -68,11 +68,6 @@ def driven(blocks: Blocks, nominal: WheelGeometry) -> Driven:
 def _levers(nominal: WheelGeometry) -> Array:
     """(3,) m per unit of a body displacement: a turn counts at the wheels' distance from the middle."""
     return np.array([1.0, 1.0, lever_m(nominal)])
-
-
-def lever_m(nominal: WheelGeometry) -> float:
-    """Distance of the wheels from the middle of the body (root mean square), m."""
-    return float(np.sqrt(np.mean(nominal.x_m**2 + nominal.y_m**2)))
 
 
 def _steps(blocks: Blocks, nominal: WheelGeometry) -> Array:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from hil.robot.kinematics import WheelGeometry
 
 
@@ -45,3 +47,8 @@ class Nominal:
             for values in (self.geometry.x_m, self.geometry.y_m, self.geometry.radius_m)
         )
         return f"x {x} mm, y {y} mm, radius {r} mm ({self.source})"
+
+
+def lever_m(geometry: WheelGeometry) -> float:
+    """Distance of the wheels from the middle of the body (root mean square), m."""
+    return float(np.sqrt(np.mean(geometry.x_m**2 + geometry.y_m**2)))
