@@ -129,6 +129,12 @@ def _parameters(geometry: WheelGeometry) -> dict[str, list[float]]:
 def read_calibration(path: Path) -> CalibrationFile:
     """Read and check a file; raises `ConfigError` with every problem at once."""
     tree = read_toml(path, remedy="run hil calibrate --out")
+    if not tree.keys() & (CalibrationFile.model_fields.keys() - {"schema_version"}):
+        raise ConfigError(
+            f"{path}: is {'no calibration' if tree else 'empty'}",
+            expected="a file that hil calibrate --out FILE wrote",
+            remedy="name another file, or calibrate anew",
+        )
     try:
         file = CalibrationFile.model_validate(tree)
     except ValidationError as error:

@@ -115,8 +115,16 @@ def _kept(result: Calibration) -> list[str]:
     return [f"without {', '.join(result.fit.rejected)}: J {before:.2f} -> {after:.2f}"]
 
 
+def _spread(result: Calibration) -> str:
+    if len(result.recordings) == 1:
+        return "no standard errors from one recording: repeat the motion"
+    return "standard errors of x, y, r (mm): " + ", ".join(
+        f"{1e3 * s:.2f}" for s in result.intervals.std[:12]
+    )
+
+
 def _text(result: Calibration) -> str:
-    z, std = result.geometry, result.intervals.std
+    z = result.geometry
     spectrum = result.spectrum
     lines = [
         f"{result.method}, setting {result.setting.name} ({result.setting.model}, {result.setting.signal}), "
@@ -132,8 +140,7 @@ def _text(result: Calibration) -> str:
             f"{wheel:8}{z.x_m[i] * 1e3:10.2f}{z.y_m[i] * 1e3:10.2f}{z.radius_m[i] * 1e3:10.3f}"
             f"{z.steering_zero_rad[i] * 57.29578:12.3f}"
         )
-    spread = ", ".join(f"{1e3 * s:.2f}" for s in std[:12])
-    lines.append(f"standard errors of x, y, r (mm): {spread}")
+    lines.append(_spread(result))
     lines.append("singular values: " + " ".join(f"{v:.3g}" for v in spectrum.singular_values))
     lines.append(
         f"the data determine {spectrum.determined} directions of {len(result.fit.solution.z)} parameters, "

@@ -100,6 +100,30 @@ def test_a_spoiled_calibration_file_lists_every_problem(tmp_path):
         read_calibration(path)
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [("", "is empty"), ("# nothing\n", "is empty"), ('schema = 1\nname = "lab"\n', "is no")],
+)
+def test_what_is_no_calibration_file_is_told_in_one_line(data, tmp_path, capsys, content, said):
+    path = tmp_path / "c.toml"
+    path.write_text(content)
+    assert main(["evaluate", str(data), "--calibration", str(path)]) == 2
+    told = capsys.readouterr().err
+    assert f"{path}: {said}" in told
+    assert "expected a file that hil calibrate --out FILE wrote" in told
+    assert told.count("\n") == 1
+
+
+def test_one_recording_has_no_standard_errors(data, capsys):
+    words = ["calibrate", str(data / "circle_cw_1.csv"), "--no-validation", "--model", "exact"]
+    assert main(words) == 0
+    told = capsys.readouterr().out
+    assert "no standard errors from one recording" in told
+    assert "nan" not in told
+    code, found = run_json(capsys, *words)
+    assert (code, found["std"]["r_m"]) == (0, [None] * 4)
+
+
 BENCH = """
 schema = 1
 name = "small"

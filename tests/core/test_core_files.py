@@ -2,8 +2,9 @@
 
 import pytest
 
+from hil.console.objects import put_private
 from hil.vocabulary.errors import DataError
-from hil.vocabulary.files import write_text
+from hil.vocabulary.files import put_whole, write_text
 
 
 def test_a_text_is_written_over_what_was_there(tmp_path):
@@ -18,3 +19,18 @@ def test_what_cannot_be_written_is_named(tmp_path, name):
     with pytest.raises(DataError, match="cannot be written") as caught:
         write_text(tmp_path / name, "text")
     assert caught.value.path == str(tmp_path / name)
+
+
+def test_on_a_full_disk_the_old_file_stays_and_no_part_of_the_new_one(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text("old")
+    (tmp_path / "c.toml.part").symlink_to("/dev/full")
+    with pytest.raises(OSError, match="No space left"):
+        put_whole(path, b"new")
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("c.toml", "old")]
+
+
+def test_an_object_that_cannot_be_put_into_a_file_leaves_no_part_of_it(tmp_path):
+    with pytest.raises(TypeError):
+        put_private(tmp_path / "state.json", object())
+    assert list(tmp_path.iterdir()) == []
