@@ -57,6 +57,7 @@ demo: $(BIN)/.installed
 	@echo "look at it:       $(BIN)/rerun $(CLIMB).rrd"
 
 demo-calibration: $(BIN)/.installed
+	rm -rf out/demo-calibration
 	$(BIN)/hil demo-data out/demo-calibration/data --corrupt circle_cw_2
 	$(BIN)/hil evaluate out/demo-calibration/data
 	$(BIN)/hil calibrate out/demo-calibration/data --out out/demo-calibration/calibration.toml --plots out/demo-calibration/fit

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -118,6 +119,8 @@ def _kept(result: Calibration) -> list[str]:
 def _spread(result: Calibration) -> str:
     if len(result.recordings) == 1:
         return "no standard errors from one recording: repeat the motion"
+    if math.isnan(result.intervals.std[0]):
+        return "no standard errors: every parameter is at its bound"
     return "standard errors of x, y, r (mm): " + ", ".join(
         f"{1e3 * s:.2f}" for s in result.intervals.std[:12]
     )

@@ -18,6 +18,8 @@ from hil.cli.robots import BENCH, configured, on_paper
 
 _CONTACTS = {"formulas": ("viscous", "coulomb", "elastic"), "own": (), "mujoco": ("creep", "holding")}
 _FLOOR = "emulated_floor"
+_TRUTH = "truth.json"
+_RECORDINGS = (".csv", ".csv.gz", ".mcap", ".db3")
 
 
 @click.command()
@@ -45,6 +47,8 @@ def command(
 ) -> int:  # fmt: skip
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json).
 
+    FOLDER must hold no other recordings. The same command may be repeated there, except with --plant.
+
     Example: hil demo-data data --repetitions 2
     """
     from hil.vocabulary.errors import UsageError
@@ -61,18 +65,46 @@ def command(
     if corrupt is not None and corrupt not in names:
         raise UsageError(f"--corrupt {corrupt}: no such recording", expected=", ".join(names[:3]) + ", ...")
     check_folder(folder)
+    made = {_TRUTH, *(f"{name}.csv" for name in names)}
+    _refuse(folder, sorted(_held(folder) - made if plant is None else _held(folder)))
     with staged(folder) as parts:
         if plant is None:
             truth = _from_formulas(parts, seed, repetitions, chosen, touch, corrupt, bench)
         else:
             truth = _from_a_bench(parts, seed, repetitions, chosen, (plant, touch), faults, bench or _FLOOR)
-        write_text(parts / "truth.json", json.dumps(truth, indent=1) + "\n")
+        write_text(parts / _TRUTH, json.dumps(truth, indent=1) + "\n")
+        _refuse(folder, sorted(n for n in _held(folder) if not _same(folder / n, parts / n)))
     summary = {
         "folder": str(folder), "recordings": len(names), "seed": seed, "geometry": truth["nominal"],
         "plant": world, "contact": touch,
     }  # fmt: skip
     click.echo(json.dumps(summary) if as_json else f"{len(names)} recordings in {folder}")
     return 0
+
+
+def _held(folder: Path) -> set[str]:
+    """Names in a folder that new recordings would replace, or be taken for one data set with."""
+    if not folder.exists():
+        return set()
+    return {p.name for p in folder.iterdir() if p.name == _TRUTH or p.name.endswith(_RECORDINGS)}
+
+
+def _same(old: Path, new: Path) -> bool:
+    return old.is_file() and new.is_file() and old.read_bytes() == new.read_bytes()
+
+
+def _refuse(folder: Path, names: list[str]) -> None:
+    """Raise `DataError` for a folder that holds such files; a folder with none is fine."""
+    from hil.vocabulary.errors import DataError
+
+    if names:
+        others = f" and {len(names) - 1} more" if len(names) > 1 else ""
+        raise DataError(
+            str(folder),
+            f"holds {names[0]}{others}, which the new recordings would replace or mix with",
+            expected="a folder without recordings, or with those of the same command",
+            remedy="choose another folder, or delete what it holds",
+        )
 
 
 def _motions(world: str, asked: str | None) -> tuple[str, ...]:

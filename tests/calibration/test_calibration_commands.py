@@ -299,3 +299,37 @@ def test_nothing_is_half_written(tmp_path, capsys, monkeypatch):
         told = capsys.readouterr().err
         assert f"{tmp_path / folder}: cannot be written (No space left on device)" in told
         assert not (tmp_path / folder).exists() if left is None else os.listdir(tmp_path / folder) == left
+
+
+def held(folder):
+    return {p.name: p.read_bytes() for p in folder.iterdir()}
+
+
+SMALL_SET = ("--motions", "line_x,line_y", "--repetitions", "1")
+
+
+@pytest.mark.parametrize("name", ["line_x_1.csv", "mine_1.csv", "run.mcap", "odom_1.csv.gz", "truth.json"])
+def test_generated_recordings_neither_replace_nor_join_those_of_a_user(tmp_path, capsys, name):
+    (tmp_path / name).write_text("mine")
+    assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert f"{tmp_path}: holds {name}, which" in told.err
+    assert "choose another folder" in told.err
+    assert held(tmp_path) == {name: b"mine"}
+
+
+@pytest.mark.parametrize("other", [("--seed", "1"), ("--motions", "line_x"), ("--plant", "own")])
+def test_two_robots_are_never_in_one_folder_of_generated_recordings(tmp_path, capsys, other):
+    assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 0
+    before = held(tmp_path)
+    assert main(["demo-data", str(tmp_path), *SMALL_SET, *other]) == 2
+    assert f"{tmp_path}: holds line_" in capsys.readouterr().err
+    assert held(tmp_path) == before
+
+
+def test_the_same_recordings_may_be_generated_again_beside_other_files(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    for _ in range(2):
+        assert main(["demo-data", str(tmp_path), *SMALL_SET]) == 0
+    assert set(held(tmp_path)) == {"notes.txt", "line_x_1.csv", "line_y_1.csv", "truth.json"}
