@@ -45,7 +45,7 @@ def caveats(
         tables: validation by name, empty without.
         deployed: errors of the result on the recordings.
     """
-    out = [line for r in recordings for line in r.warnings()]
+    out = told_by(recordings)
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
     out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
@@ -69,6 +69,18 @@ def caveats(
             f"{len(paper.solution.z)} parameters; the bounds decide the rest"
         )
     return tuple(out)
+
+
+def told_by(recordings: Sequence[Recording]) -> list[str]:
+    """What recordings say about themselves: their repairs, and which of them are copies of each other."""
+    alike: dict[tuple[str, ...], list[str]] = {}
+    for one in recordings:
+        alike.setdefault(one.sha256, []).append(one.sources[0] if one.sources else one.name)
+    copies = [" and ".join(places) for digest, places in alike.items() if digest and len(places) > 1]
+    return [
+        *(line for r in recordings for line in r.warnings()),
+        *(f"{places} hold the same bytes, and each counts; leave copies out" for places in copies),
+    ]
 
 
 def extrapolating(found: Fit) -> list[str]:

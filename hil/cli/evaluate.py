@@ -46,6 +46,7 @@ def command(
 
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
+    from hil.calibration.caveats import told_by
     from hil.calibration.evaluation import evaluate
     from hil.recording.sources import read_recordings
     from hil.vocabulary.errors import UsageError
@@ -66,7 +67,7 @@ def command(
     table = evaluate(tracks)
     table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
     table["geometry"] = robot.to_json()
-    warnings = [line for r in recordings for line in r.warnings()]
+    warnings = told_by(recordings)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
     table["warnings"] = warnings
     for line in warnings:

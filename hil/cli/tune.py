@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -58,12 +59,12 @@ def command(
     if out is not None:
         check_ending(out, ".toml")
         check_file(out)
-    if twice := {path.resolve() for path in recordings} & {path.resolve() for path in check}:
+    if twice := _files(recordings) & _files(check):
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    config, runs = _read(recordings, bench, calibration)
-    held = _read(check, bench, calibration)[1] if check else []
+    config, runs = _read(_once(recordings), bench, calibration)
+    held = _read(_once(check), bench, calibration)[1] if check else []
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
         found = tune(config.estimator, runs, names or _DEFAULT, evaluations, report)
@@ -82,8 +83,26 @@ def command(
     return 0
 
 
+def _files(paths: Sequence[Path]) -> set[Path]:
+    """The files, resolved, of the recordings at paths."""
+    from hil.recording.sources import find_recordings
+
+    return {file for job in find_recordings(paths) for file in job.identity} if paths else set()
+
+
+def _once(paths: Sequence[Path]) -> list[Path]:
+    """Paths without those whose files others name as well; a warning names each that is left out."""
+    files = [_files([path]) for path in paths]
+    kept = list(range(len(paths)))
+    for k in reversed(range(len(paths))):
+        if any(files[k] <= files[other] for other in kept if other != k):
+            kept.remove(k)
+            click.echo(f"warning: {paths[k]}: given more than once, taken once", err=True)
+    return [paths[k] for k in kept]
+
+
 def _read(
-    paths: tuple[Path, ...], bench: str | None, calibration: Path | None
+    paths: Sequence[Path], bench: str | None, calibration: Path | None
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
     from hil.replay.recordings import open_recording

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from hil.calibration.datasets import Recording
@@ -15,7 +17,25 @@ from hil.vocabulary.mistaken import meant
 _OTHERS = (".py", ".toml", ".json", ".html")
 """Files of this project that hold no recording."""
 
-Job = Callable[[], Recording]
+
+@dataclass(frozen=True)
+class Job:
+    """A run to be read.
+
+    Attributes:
+        files: what it is read from.
+        read: reads it.
+        given: which of the files were named, by themselves or by their folder.
+    """
+
+    files: tuple[Path, ...]
+    read: Callable[[], Recording]
+    given: tuple[Path, ...]
+
+    @property
+    def identity(self) -> tuple[Path, ...]:
+        """The same for the same run, whatever path leads to it."""
+        return tuple(file.resolve() for file in self.files)
 
 
 def find_recordings(
@@ -58,14 +78,36 @@ def read_recordings(
     topics: str | Path | None = None,
     nominal: Nominal | None = None,
 ) -> list[Recording]:
-    """Read every run under the given files and folders; `progress(done, total)` after each."""
-    jobs = find_recordings(paths, topics, nominal)
+    """Read every run under the given files and folders; `progress(done, total)` after each.
+
+    A file that is named more than once, by itself or by its folder, is read once; a repair says so. It would
+    count twice, and a copy of it would stay among the others when it is left out.
+    """
+    found = find_recordings(paths, topics, nominal)
+    given = _times_given(found)
+    jobs = dict[tuple[Path, ...], Job]()
+    for job in found:
+        jobs.setdefault(job.identity, job)
     out = []
-    for number, job in enumerate(jobs, start=1):
-        out.append(job())
+    for number, job in enumerate(jobs.values(), start=1):
+        recording = job.read()
+        times = max(given[file] for file in job.identity)
+        if times > 1:
+            more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
+            recording = replace(recording, repairs={**recording.repairs, **more})
+        out.append(recording)
         if progress is not None:
             progress(number, len(jobs))
     return out
+
+
+def _times_given(jobs: Sequence[Job]) -> Counter[Path]:
+    return Counter(file.resolve() for job in jobs for file in job.given)
+
+
+def _of(path: Path, read: Callable[[], Recording]) -> Job:
+    """A run of one file, or of a folder that is one recording."""
+    return Job((path,), read, (path,))
 
 
 def _below(folder: Path) -> str:
@@ -80,7 +122,7 @@ def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | No
         return [_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
     if pairs:
-        return [lambda o=o, a=a: public_csv.read_pair(o, a, nominal) for o, a in pairs]  # type: ignore[misc]
+        return [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
     bags = rosbag.bags_in(folder)
     tables = sorted(f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind))
     if mapping is not None:
@@ -97,7 +139,11 @@ def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | No
 def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
     if mapping is None:
         raise DataError(str(path), "is a rosbag2 recording of another robot", remedy=NEEDS_TOPICS)
-    return lambda: rosbag.read_bag(path, mapping, nominal)
+    return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
+
+
+def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path, ...]) -> Job:
+    return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
 
 
 def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:
@@ -108,10 +154,10 @@ def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) 
     if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return lambda: export.to_recording(path, nominal=nominal)
+        return _of(path, lambda: export.to_recording(path, nominal=nominal))
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
             raise DataError(str(path), "has no odometry file", expected=f"{odom.name} beside it")
-        return lambda: public_csv.read_pair(odom, public_csv.partner(odom), nominal)
-    return lambda: plain_csv.read_plain(path, nominal)
+        return _pair(odom, public_csv.partner(odom), nominal, (path,))
+    return _of(path, lambda: plain_csv.read_plain(path, nominal))

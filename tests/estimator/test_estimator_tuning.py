@@ -108,8 +108,10 @@ def test_a_recording_of_another_robot_than_the_benchs_is_refused(monkeypatch, tm
     recorded = {**config.robot.model_dump(), "wheel_radius_m": [0.04] * 4}
     opened = SimpleNamespace(header={"config": {"robot": recorded}}, bench=SimpleNamespace(config=config))
     monkeypatch.setattr("hil.replay.recordings.open_recording", lambda path, **options: opened)
+    path = tmp_path / "run.mcap"
+    path.touch()
     with pytest.raises(ConfigError, match=r"robot.wheel_radius_m: \[0.04, .* there, \[0.0254") as error:
-        command.main(["run.mcap", "--bench", "emulated_floor"], standalone_mode=False)
+        command.main([str(path), "--bench", "emulated_floor"], standalone_mode=False)
     assert "another robot" in str(error.value)
 
 
@@ -126,3 +128,16 @@ def csv_with_truth(tmp_path):
     path = tmp_path / "line_x_1.csv"
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+def test_what_is_given_twice_is_fitted_once_and_never_held_out_too(tmp_path, capsys, csv_with_truth):
+    folder = csv_with_truth.parent
+    words = ["--evaluations", "2", "--parameter", "wheels.per_sqrt_m", "--json"]
+    assert command.main([str(csv_with_truth), *words], standalone_mode=False) == 0
+    once = capsys.readouterr()
+    assert command.main([str(csv_with_truth), str(folder), *words], standalone_mode=False) == 0
+    twice = capsys.readouterr()
+    assert twice.out == once.out
+    assert twice.err.count("given more than once, taken once") == 1
+    with pytest.raises(UsageError, match="fitted and held out at once"):
+        command.main([str(folder), "--check", str(csv_with_truth), *words], standalone_mode=False)

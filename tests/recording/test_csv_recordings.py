@@ -76,6 +76,16 @@ def test_public_pairs_come_in_paper_wheel_order(tmp_path, compress):
     assert len(recording.sha256) == 2
 
 
+def test_both_files_of_a_public_pair_are_one_recording(tmp_path):
+    """As a shell gives them: `odom_*.csv abs_*.csv`."""
+    write_pair(tmp_path)
+    odom, absolute = tmp_path / "odom_3.csv", tmp_path / "abs_3.csv"
+    (one,) = read_recordings([odom, absolute])
+    assert one.repairs == {}
+    (again,) = read_recordings([tmp_path, absolute])
+    assert again.repairs == {f"mentions of {odom} beyond the first left out": 1}
+
+
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, monkeypatch):
     monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)

@@ -130,7 +130,7 @@ def test_a_table_that_unpacks_to_gigabytes_is_named(tmp_path, name):
     (tmp_path / name).write_bytes(b"".join([*pieces, packer.flush()]))
     (tmp_path / "abs_1.csv").write_text("time\n")
     with little_memory(), pytest.raises(DataError, match="unpacks to more than") as caught:
-        find_recordings([tmp_path / name])[0]()
+        find_recordings([tmp_path / name])[0].read()
     assert name in str(caught.value)
 
 
