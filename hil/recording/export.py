@@ -137,9 +137,14 @@ def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
     try:
         import pyarrow
         import pyarrow.parquet
-    except ImportError:
+    except ModuleNotFoundError:
         raise UsageError(
             "Parquet needs pyarrow, which is not installed", remedy=how_to_install("parquet")
+        ) from None
+    except Exception as error:
+        raise UsageError(
+            f"Parquet needs pyarrow, which is installed but broken ({error})",
+            remedy="install it again, or use --format csv",
         ) from None
     columns = {name: table[:, i] for i, name in enumerate(names)}
     pyarrow.parquet.write_table(pyarrow.table(columns), str(path))

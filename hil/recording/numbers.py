@@ -26,10 +26,15 @@ def numbers_at_once(data: bytes, width: int) -> Array | None:
 
 
 def _by_pyarrow(quick: bytes, lines: int, width: int) -> Array | None:
-    """Rows (lines, width); None where some row has others, or something else."""
-    import pyarrow
-    from pyarrow import csv
+    """Rows (lines, width); None where some row has others, or something else.
 
+    A pyarrow that is installed but does not begin, whatever it raises, is as good as none.
+    """
+    try:
+        import pyarrow
+        from pyarrow import csv
+    except Exception:
+        return _by_numpy(quick, lines, width)
     names = [str(k) for k in range(width)]
     try:
         table = csv.read_csv(

@@ -13,9 +13,11 @@ from packaging.requirements import Requirement
 from hil.devices.tracker.mavlink.messages import dialect
 from hil.drivers.tracker.library import realsense
 from hil.monitor import RerunMonitor
+from hil.procedure.campaign.rows import write_rows
 from hil.procedure.campaign.spread import spread
 from hil.recording.export import write_table
-from hil.vocabulary.errors import HilError
+from hil.recording.numbers import numbers_at_once
+from hil.vocabulary.errors import HilError, UsageError
 from hil.vocabulary.extras import DISTRIBUTION, how_to_install
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -121,3 +123,26 @@ def test_nothing_sends_a_user_to_an_index_that_does_not_have_the_package():
         rf"install\b[^\n]*\s['\"]?{DISTRIBUTION}(\[[\w,]+\])?['\"]?(\s(?!@)|$)", re.MULTILINE
     )
     assert [str(p) for p in sources if by_name.search(p.read_text(encoding="utf-8"))] == []
+
+
+@pytest.fixture(params=["ImportError", "OSError", "RuntimeError"])
+def broken_pyarrow(tmp_path, monkeypatch, request):
+    """A pyarrow that is found, but raises when it is imported."""
+    (tmp_path / "pyarrow").mkdir()
+    (tmp_path / "pyarrow" / "__init__.py").write_text(f"raise {request.param}('libarrow.so is torn')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.delitem(sys.modules, "pyarrow", raising=False)
+
+
+def test_tables_are_read_without_a_pyarrow_that_is_broken(broken_pyarrow):
+    assert numbers_at_once(b"1,2\n3,4\n", 2).tolist() == [[1.0, 2.0], [3.0, 4.0]]
+
+
+def test_parquet_with_a_broken_pyarrow_says_so(broken_pyarrow, tmp_path):
+    with pytest.raises(UsageError, match=r"installed but broken \(libarrow.so is torn\); install it again"):
+        missing_parquet(tmp_path)
+
+
+def test_a_campaign_keeps_no_parquet_where_pyarrow_is_broken(broken_pyarrow, tmp_path):
+    write_rows(tmp_path / "rows", None)
+    assert not (tmp_path / "rows").exists()

@@ -20,7 +20,7 @@ _NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low
 
 
 def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
-    """Write the lines of one run, over those that there may be; nothing without the extra `parquet`.
+    """Write the lines of one run, over those that there may be; nothing without a working extra `parquet`.
 
     Not `over` those that are whole: a run that was finished earlier may have none, or torn ones.
 
@@ -33,9 +33,11 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     path = folder / f"{row.case.name}.parquet"
     if not is_installed("parquet") or not (over or _is_torn(path)):
         return
-    import pyarrow as pa
-    from pyarrow import parquet
-
+    try:
+        import pyarrow as pa
+        from pyarrow import parquet
+    except Exception:
+        return
     text, number = pa.string(), pa.float64()
     schema = pa.schema(
         {
