@@ -100,6 +100,31 @@ def test_a_spoiled_calibration_file_lists_every_problem(tmp_path):
         read_calibration(path)
 
 
+GIVEN = [("evaluate",), ("calibrate", "--no-validation", "--model", "exact")]
+
+
+@pytest.mark.parametrize("command", GIVEN)
+def test_a_file_that_is_given_twice_is_taken_once_and_named(data, tmp_path, capsys, command):
+    path = data / "line_x_1.csv"
+    (tmp_path / "link_1.csv").symlink_to(path)
+    _, once = run_json(capsys, *command, data)
+    code, more = run_json(capsys, *command, data, path, data, tmp_path)
+    assert (code, more["recordings"]) == (0, once["recordings"])
+    assert f"line_x_1: 3 mentions of {path} beyond the first left out" in more["warnings"]
+    assert sum("beyond the first" in line for line in more["warnings"]) == once["recordings"]
+    key = "cost" if command == ("evaluate",) else "cost_after"
+    assert more[key] == once[key]
+
+
+@pytest.mark.parametrize("command", GIVEN)
+def test_copies_at_other_paths_are_named_and_count(data, tmp_path, capsys, command):
+    copy = tmp_path / "line_x_3.csv"
+    shutil.copy(data / "line_x_1.csv", copy)
+    code, found = run_json(capsys, *command, data, copy)
+    assert (code, found["recordings"]) == (0, 13)
+    assert any(f"line_x_1.csv and {copy} hold the same bytes" in line for line in found["warnings"])
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [("", "is empty"), ("# nothing\n", "is empty"), ('schema = 1\nname = "lab"\n', "is no")],
