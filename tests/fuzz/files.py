@@ -125,7 +125,10 @@ def _public(folder: Path) -> Path:
     names = str([f"{w}_{k}" for w in ("BL", "BR", "FL", "FR") for k in ("Position", "Wheel")])
     rows, poses = [_ODOM], [_ABS]
     for k in range(25):
-        stamp, zeros = f"2024/05/03/12:00:{k:02d}.5;{k};{1000 + k};0", str((0.0,) * 8)
+        stamp, zeros = (
+            f"2024/05/03/12:00:{k / 10:04.1f};{k};{1000 + k // 10};{k % 10}00000000",
+            str((0.0,) * 8),
+        )
         rows.append(f"{stamp};;{names};{(0.0, k / 10) * 4};{zeros};{zeros}")
         poses.append(f"{stamp};w;{k * 0.00254};0;0;0;0;0;1")
     path = _written(folder, "odom_1.csv", "\n".join([*rows, ""]).encode())
