@@ -13,7 +13,7 @@ from packaging.requirements import Requirement
 from hil.devices.tracker.mavlink.messages import dialect
 from hil.drivers.tracker.library import realsense
 from hil.monitor import RerunMonitor
-from hil.procedure.campaign.rows import write_rows
+from hil.procedure.campaign import Case, Row, write_rows
 from hil.procedure.campaign.spread import spread
 from hil.recording.export import write_table
 from hil.recording.numbers import numbers_at_once
@@ -144,5 +144,5 @@ def test_parquet_with_a_broken_pyarrow_says_so(broken_pyarrow, tmp_path):
 
 
 def test_a_campaign_keeps_no_parquet_where_pyarrow_is_broken(broken_pyarrow, tmp_path):
-    write_rows(tmp_path / "rows", None)
+    write_rows(tmp_path / "rows", Row(Case(0), "", "PASS", 0, 1.0))
     assert not (tmp_path / "rows").exists()
