@@ -83,13 +83,15 @@ def entry(kernel: F) -> F:
 
 def _jitted(function: F, kept_as: str, **options: bool) -> Any:
     """The function as numba makes it; the name of its code in the cache ends with `kept_as`."""
+    from hil.vocabulary.kept_code import store_of
+
     name = function.__qualname__
     options["no_cfunc_wrapper"] = True  # nobody calls a kernel from C
     try:
         function.__qualname__ = f"{name}_{fingerprint(function)}{kept_as}"
-        return numba.njit(cache=True, **options)(function)
-    except RuntimeError:  # nowhere to write the cache
-        return numba.njit(**options)(function)
+        made = numba.njit(**options)(function)
+        made._cache = store_of(function)  # as `cache=True` does with numba's own
+        return made
     finally:
         function.__qualname__ = name
 
@@ -120,6 +122,15 @@ def compile_for(kernel: Callable[..., Any], *arguments: Any) -> None:
         made: Any = getattr(kernel, "machine_code", kernel)
         with interrupts_heeded(), _little_effort:
             made.compile(tuple(map(numba.typeof, arguments)))
+
+
+def not_kept() -> str:
+    """What was told about code that this process could not keep; empty where all could be kept."""
+    if numba is None:
+        return ""
+    from hil.vocabulary.kept_code import told
+
+    return told()
 
 
 def machine_code(function: F, *arguments: Any) -> F:

@@ -1,9 +1,12 @@
 """No kernel runs with an old version of what it is made of, however that is imported."""
 
+import errno
 import importlib
 import inspect
+import logging
 import math
 import os
+import pickle
 import subprocess
 import sys
 import threading
@@ -11,6 +14,7 @@ import threading
 import numpy as np
 import pytest
 
+from hil.vocabulary.errors import Aborted, StepTimeoutError
 from hil.vocabulary.kernels import (
     AVAILABLE,
     compile_for,
@@ -19,6 +23,7 @@ from hil.vocabulary.kernels import (
     entry,
     fingerprint,
     inner,
+    not_kept,
     on_compiling,
     parts,
     plain,
@@ -165,6 +170,115 @@ def test_an_inner_kernel_is_compiled_for_kernels_and_plain_for_python():
     assert len(halve.machine_code.signatures) == 2
     assert halve(np.float32(3.0)) == 1.5  # in Python any type will do, and none is compiled for
     assert len(halve.machine_code.signatures) == 2
+
+
+FULL = """
+import resource
+from hil.vocabulary.kernels import not_kept
+from kernels.outer import outer
+from kernels.third import once
+
+resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 1000))
+print(outer(1.0), once(2.0), bool(not_kept()))
+"""
+
+
+def test_a_full_disk_under_the_cache_is_told_once_and_ends_nothing(package, tmp_path):
+    pytest.importorskip("numba")
+    package("alias", 1.0, "inner")
+    cache, path = tmp_path / "cache", os.pathsep.join([str(tmp_path), *sys.path])
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache), "PYTHONPATH": path}
+    done = subprocess.run(
+        [sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == ["2.0", "3.0", "True"]
+    (line,) = done.stderr.splitlines()
+    assert line.startswith(f"machine code cannot be kept in {cache}")
+    assert line.endswith("make room there, or set NUMBA_CACHE_DIR to a folder that can be written")
+
+
+@pytest.fixture
+def kept_in(tmp_path, monkeypatch, caplog):
+    """Folder in which this process keeps machine code for a while."""
+    numba = pytest.importorskip("numba")
+    folder = tmp_path / "cache"
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
+    monkeypatch.setattr("hil.vocabulary.kept_code._told", "")
+    caplog.set_level(logging.WARNING)
+    return folder
+
+
+def added(x):
+    return x + 1.5
+
+
+def from_the_cache():
+    """Whether the kernel was found there."""
+    kernel = compiled(added)
+    assert kernel(1.0) == 2.5
+    return sum(kernel.stats.cache_hits.values()) == 1
+
+
+@pytest.mark.parametrize("size", [0, 100])
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+def test_a_broken_off_file_in_the_cache_is_replaced(kept_in, kind, size, caplog):
+    assert (from_the_cache(), from_the_cache()) == (False, True)
+    (file,) = kept_in.glob(f"*/*.{kind}")
+    os.truncate(file, size)
+    assert (from_the_cache(), from_the_cache()) == (False, True)
+    assert caplog.messages == []
+
+
+def test_a_broken_off_file_that_cannot_be_replaced_ends_nothing(kept_in, monkeypatch, caplog):
+    from_the_cache()
+    (file,) = kept_in.glob("*/*.nbi")
+    os.truncate(file, 0)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", refused)
+        assert (from_the_cache(), from_the_cache()) == (False, False)
+    (told,) = caplog.messages
+    assert told == not_kept()
+    assert f"cannot be kept in {file.parent} (Permission denied)" in told
+    assert "make room" not in told
+
+
+def refused(*_):
+    raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+
+
+@pytest.mark.parametrize("error", [Aborted("by a signal"), StepTimeoutError("a step", 1.0)])
+def test_a_signal_in_the_midst_of_the_cache_ends_the_run_all_the_same(kept_in, monkeypatch, caplog, error):
+    def struck(*_):
+        raise error
+
+    for writing, reading in ((struck, pickle.load), (os.replace, struck)):
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "replace", writing)
+            patch.setattr(pickle, "load", reading)
+            with pytest.raises(type(error)):
+                from_the_cache()
+        from_the_cache()
+    assert caplog.messages == []
+
+
+def test_where_nothing_can_be_kept_it_is_told_once(kept_in, monkeypatch, tmp_path, caplog):
+    """Neither where the user said, nor beside the source, nor in the user's cache."""
+    for name in ("cache", "__pycache__", "of_the_user"):
+        (tmp_path / name).write_text("a file where a folder is needed")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "of_the_user"))
+    source, scope = tmp_path / "source.py", {}
+    source.write_text("def f(x):\n    return x + 1.5\n")
+    exec(compile(source.read_text(), source, "exec"), scope)
+    kernel = compiled(scope["f"])
+    assert not_kept() == ""  # nothing is lost before something was compiled
+    assert (kernel(1.0), kernel(2)) == (2.5, 3.5)
+    (told,) = caplog.messages
+    assert f"NUMBA_CACHE_DIR ({kept_in}), {tmp_path / '__pycache__'} and the user's cache" in told
+
+
+def test_a_kernel_without_a_file_is_none_to_be_kept(kept_in, caplog):
+    assert compiled(made("x + 1.5"))(1.0) == 2.5
+    assert caplog.messages == []
 
 
 def scattered(x):
