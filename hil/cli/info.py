@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import logging
 import platform
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
+import subprocess
 
 import click
 
 from hil import __version__
+from hil.vocabulary.beside import beside, end_with_parent
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.vocabulary.extras import MODULES, lacks
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
+
+_LOG = logging.getLogger(__name__)
 
 _PACKAGES = (
     "numpy", "scipy", "numba", "pydantic", "click", "dynamixel-sdk", "pyserial", "python-can", "cantools",
@@ -28,13 +31,20 @@ def _compile() -> None:
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.fusion import load_filter
     from hil.estimator.unscented import points_of
+    from hil.vocabulary.kernels import not_kept
 
-    with ProcessPoolExecutor(1, get_context("spawn")) as beside:
-        others = beside.submit(_compile_others)
+    with beside("hil.cli.info", output=subprocess.PIPE) as others:
         load_filter(alone=True)
         load_filter(points_of(EstimatorConfig(kind="ukf")), alone=True)
         compiled_pass()
-        others.result()
+        assert others.stdout is not None
+        said = others.stdout.read().decode(errors="replace").strip()
+    if others.returncode:
+        raise HilError(
+            f"half of the kernels is not compiled: {said or f'a process ended with {others.returncode}'}"
+        )
+    if said and not not_kept():
+        _LOG.warning("%s", said)
 
 
 def _compile_others() -> None:
@@ -101,3 +111,8 @@ def command(compiling: bool, as_json: bool) -> int:
             origin = f" ({model['package']})" if model["package"] != "hil" else ""
             click.echo(f"  {kind:16} {model['model']:12} {model['title']}{origin}")
     return code
+
+
+if __name__ == "__main__":
+    end_with_parent()
+    _compile_others()

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -23,6 +22,8 @@ from hil.estimator.retraction import settle
 from hil.estimator.sensors import MARK, account, admit, let_in, new_frame, observe, remember
 from hil.estimator.state import AUX, ROWS, STATES
 from hil.estimator.unscented import Points, points_of
+from hil.vocabulary.beside import beside as run_beside
+from hil.vocabulary.beside import end_with_parent
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.kernels import compile_for, on_compiling
 
@@ -72,7 +73,6 @@ def by_halves(points: Points, *, alone: bool = False) -> Iterator[None]:
         points: of the UKF; None for the EKF.
         alone: the other half is seen to elsewhere.
     """
-    helpers: list[subprocess.Popen[bytes]] = []
     begun = False
 
     def begin() -> None:
@@ -81,22 +81,12 @@ def by_halves(points: Points, *, alone: bool = False) -> Iterator[None]:
             return
         begun = True
         if not alone and _cores() > 1:
-            command = [sys.executable, "-m", __name__, "ekf" if points is None else "ukf"]
-            quiet = subprocess.DEVNULL
-            helpers.append(subprocess.Popen(command, stdout=quiet, stderr=quiet))
+            helpers.enter_context(run_beside(__name__, "ekf" if points is None else "ukf"))
         for kernel, arguments in here(points):
             compile_for(kernel, *arguments)
 
-    try:
-        with on_compiling(begin):
-            yield
-    except BaseException:
-        for process in helpers:
-            process.terminate()
-        raise
-    finally:
-        for process in helpers:
-            process.wait()
+    with contextlib.ExitStack() as helpers, on_compiling(begin):
+        yield
 
 
 def _cores() -> int:
@@ -104,5 +94,6 @@ def _cores() -> int:
 
 
 if __name__ == "__main__":
+    end_with_parent()
     seldom()
     compile_beside(*sys.argv[1:])

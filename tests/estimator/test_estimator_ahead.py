@@ -47,10 +47,17 @@ def started(monkeypatch):
         def __init__(self, command, **_):
             found.append(command)
 
-        def wait(self):
-            found.append("waited for")
+        def __enter__(self):
+            return self
 
-        def terminate(self):
+        def __exit__(self, *error):
+            self.wait()
+
+        def wait(self):
+            if "waited for" not in found:
+                found.append("waited for")
+
+        def kill(self):
             found.append("ended")
 
     monkeypatch.setattr(subprocess, "Popen", Nothing)
