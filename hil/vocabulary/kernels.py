@@ -175,9 +175,12 @@ _little_effort = _LittleEffort()
 
 @contextmanager
 def interrupts_heeded() -> Iterator[None]:
-    """Within, Ctrl-C ends a compilation wherever it strikes: LLVM calls Python, and loses what is raised."""
+    """Within, Ctrl-C ends a compilation wherever it strikes: LLVM calls Python, and loses what is raised.
+
+    What was lost is raised when numba begins its next step, at the end of the block at the latest.
+    """
     handler, shown = signal.getsignal(signal.SIGINT), sys.unraisablehook
-    if threading.current_thread() is not threading.main_thread() or not callable(handler):
+    if not _in_main_thread() or not callable(handler):
         yield
         return
     struck = False
@@ -191,10 +194,15 @@ def interrupts_heeded() -> Iterator[None]:
         if not issubclass(lost.exc_type, KeyboardInterrupt):
             shown(lost)
 
+    def heed() -> None:
+        if struck and handler is signal.default_int_handler and _in_main_thread():
+            raise KeyboardInterrupt
+
     signal.signal(signal.SIGINT, strike)
     sys.unraisablehook = show
     try:
-        yield
+        with _told_of("run_pass", heed):
+            yield
     except Exception:
         if struck:
             raise KeyboardInterrupt from None
@@ -202,13 +210,23 @@ def interrupts_heeded() -> Iterator[None]:
     finally:
         signal.signal(signal.SIGINT, handler)
         sys.unraisablehook = shown
-    if struck and handler is signal.default_int_handler:
-        raise KeyboardInterrupt
+    heed()
+
+
+def _in_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
 
 
 @contextmanager
 def on_compiling(call: Callable[[], None]) -> Iterator[None]:
     """Within, a function is called whenever numba begins to compile something that it has not kept."""
+    with _told_of("compile", call):
+        yield
+
+
+@contextmanager
+def _told_of(step: str, call: Callable[[], None]) -> Iterator[None]:
+    """Within, a function is called whenever numba begins such a step: see `numba.core.event`."""
     if numba is None:
         yield
         return
@@ -221,7 +239,7 @@ def on_compiling(call: Callable[[], None]) -> Iterator[None]:
         def on_end(self, _: Any) -> None:
             return None
 
-    with event.install_listener("numba:compile", Told()):
+    with event.install_listener(f"numba:{step}", Told()):
         yield
 
 

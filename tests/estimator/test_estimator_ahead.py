@@ -117,6 +117,24 @@ def test_an_interrupt_that_is_lost_on_the_way_is_one_all_the_same(then):
     assert signal.getsignal(signal.SIGINT) is before
 
 
+def test_an_interrupt_that_is_lost_is_not_put_off_until_all_is_compiled():
+    kernel = new_kernel()
+
+    def lost():
+        with interrupts_heeded():
+            with contextlib.suppress(KeyboardInterrupt):
+                signal.raise_signal(signal.SIGINT)
+            compile_for(kernel, 1.0)
+
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(KeyboardInterrupt):
+            lost()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert kernel.signatures == []
+
+
 def test_who_puts_interrupts_off_is_left_to_it(monkeypatch):
     struck = []
     before = signal.signal(signal.SIGINT, lambda *_: struck.append(1))
