@@ -25,7 +25,8 @@ from hil.estimator.unscented import Points, points_of
 from hil.vocabulary.beside import beside as run_beside
 from hil.vocabulary.beside import end_with_parent
 from hil.vocabulary.collector import seldom
-from hil.vocabulary.kernels import compile_for, on_compiling
+from hil.vocabulary.compiling import on_compiling
+from hil.vocabulary.kernels import compile_for
 
 Call = tuple[Callable[..., Any], tuple[Any, ...]]
 """A kernel, and arguments of the types that it is called with."""

@@ -10,7 +10,8 @@ import pytest
 
 from hil.estimator import ahead
 from hil.estimator.unscented import Weights
-from hil.vocabulary.kernels import compile_for, interrupts_heeded
+from hil.vocabulary.compiling import interrupts_heeded
+from hil.vocabulary.kernels import compile_for
 
 numba = pytest.importorskip("numba")
 

@@ -14,6 +14,7 @@ import threading
 import numpy as np
 import pytest
 
+from hil.vocabulary.compiling import on_compiling
 from hil.vocabulary.errors import Aborted, StepTimeoutError
 from hil.vocabulary.kernels import (
     AVAILABLE,
@@ -24,7 +25,6 @@ from hil.vocabulary.kernels import (
     fingerprint,
     inner,
     not_kept,
-    on_compiling,
     parts,
     plain,
 )
