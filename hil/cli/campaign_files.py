@@ -21,16 +21,16 @@ def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
     """
     import tomli_w
 
-    from hil.config.loading import find_bench
+    from hil.config.loading import bench_files, find_bench
     from hil.procedure.campaign import names, parcel
     from hil.vocabulary.reading import put_dotted
 
     named = _named(setup, cases)
     bench = setup.bench or proc.bench
-    inner = _of_bench(bench)
     if not Path(bench).is_file():
         return parcel(named)
     tree, _ = find_bench(bench)
+    inner = bench_files(tree, Path(bench).parent)
     named |= {str(path.absolute()): path.absolute() for path in inner.values()}
     packed = names(named)
     for key, path in inner.items():
@@ -44,10 +44,13 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
     Raises:
         ConfigError: a file that cannot be read.
     """
+    from hil.config.loading import bench_files, find_bench
     from hil.procedure.campaign.parcel import digest
 
-    bench = Path(setup.bench or proc.bench)
-    read = [*_named(setup, cases).values(), *_of_bench(str(bench)).values(), *([bench] * bench.is_file())]
+    read, bench = list(_named(setup, cases).values()), Path(setup.bench or proc.bench)
+    if bench.is_file():
+        tree, _ = find_bench(bench)
+        read += [bench, *bench_files(tree, bench.parent).values()]
     return {str(path.absolute()): digest(path.absolute()) for path in read}
 
 
@@ -59,18 +62,8 @@ def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
     texts = [setup.calibration, setup.answers]
     if Path(script := file_and_name(setup.script)[0]).is_file():
         texts.append(script)
-    for case in cases:
+    for case in {case.settings: case for case in cases}.values():
         _, overrides = setup.split(case)
         texts += [str(overrides[key]) for key in path_keys() if key in overrides]
         texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
     return {text: Path(text).absolute() for text in texts if text}
-
-
-def _of_bench(bench: str) -> dict[str, Path]:
-    """Files and folders that a bench file names, by dotted key; none of a profile."""
-    from hil.config.loading import bench_files, find_bench
-
-    if not Path(bench).is_file():
-        return {}
-    tree, _ = find_bench(bench)
-    return bench_files(tree, Path(bench).parent)

@@ -124,6 +124,9 @@ def run_case_elsewhere(job: Job) -> Delivery:
     from hil.procedure.campaign.cluster import address, luggage
     from hil.procedure.campaign.parcel import packed
 
+    def lost_here(reason: object) -> Delivery:
+        return Delivery(lost(job, f"worker {address()}: {reason}"))
+
     here = luggage(job.luggage)
     if not here.exists():
         raise Reschedule  # to another worker: this one is of another make, and about to leave
@@ -135,17 +138,15 @@ def run_case_elsewhere(job: Job) -> Delivery:
             )
             try:
                 tree = _result(own)
-            except RecordingError as error:
-                return Delivery(lost(job, f"worker {address()}: {error}"))
             except HilError as error:
-                if folder in str(error):
-                    return Delivery(lost(job, f"worker {address()}: {error}"))
+                if isinstance(error, RecordingError) or folder in str(error):
+                    return lost_here(error)
                 return Delivery(_failed(job, "ERROR", str(error), error.exit_code))
             if _no_room(tree, own.folder):
-                return Delivery(lost(job, f"worker {address()}: {tree['error']['message']}"))
+                return lost_here(tree["error"]["message"])
             return Delivery(_row(job, tree), packed(Path(own.folder)))
     except OSError as error:
-        return Delivery(lost(job, f"worker {address()}: {error}"))
+        return lost_here(error)
 
 
 def _no_room(tree: Mapping[str, Any], folder: str) -> bool:
@@ -197,9 +198,8 @@ def _begun(folder: Path) -> bool:
     try:
         read_journal(folder / NAME)
     except ConfigError:
-        taken = {path.name for path in folder.parent.iterdir()}
-        aside = (f"{folder.name}.damaged-{k}" for k in itertools.count(1))
-        folder.rename(folder.with_name(next(name for name in aside if name not in taken)))
+        places = (folder.with_name(f"{folder.name}.damaged-{k}") for k in itertools.count(1))
+        folder.rename(next(place for place in places if not place.exists()))
         return False
     return True
 

@@ -11,6 +11,7 @@ import click
 
 from hil import __version__
 from hil.vocabulary.beside import beside, end_with_parent
+from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
 from hil.vocabulary.extras import MODULES, lacks
 from hil.vocabulary.kinds import kinds
@@ -115,4 +116,5 @@ def command(compiling: bool, as_json: bool) -> int:
 
 if __name__ == "__main__":
     end_with_parent()
+    seldom()
     _compile_others()

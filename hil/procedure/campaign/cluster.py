@@ -22,6 +22,11 @@ from hil.vocabulary.versions import versions
 
 LOG = logging.getLogger(__name__)
 
+REFUSED = "hil-refused"
+"""Topic under which workers that come later tell why they leave again."""
+_TOLD_S = 0.1
+_REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
+
 
 def make() -> dict[str, str]:
     """What decides the bits of a result: versions of Python, of this package and of those below it."""
@@ -54,9 +59,8 @@ def check_workers(client: Client, scheduler: str) -> None:
     for worker, found in _asked(client, make):
         if isinstance(found, BaseException):
             raise UsageError(f"worker {worker}: cannot be used ({found})", remedy=_REMEDY)
-        for name, version in here.items():
-            if found.get(name) != version:
-                raise _other(worker, name, str(found.get(name)), version)
+        if (other := _difference(worker, found, here)) is not None:
+            raise other
 
 
 def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tuple[str, Any]]:
@@ -65,10 +69,11 @@ def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tu
     return [(worker, found) for worker, found in answers.items() if not isinstance(found, OSError)]
 
 
-REFUSED = "hil-refused"
-"""Topic under which workers that come later tell why they leave again."""
-_TOLD_S = 0.1
-_REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
+def _difference(worker: str, there: dict[str, str], here: dict[str, str]) -> UsageError | None:
+    """What refuses a worker by the first package of another version; None for one of the same make."""
+    differing = (name for name, version in here.items() if there.get(name) != version)
+    name = next(differing, None)
+    return None if name is None else _other(worker, name, str(there.get(name)), here[name])
 
 
 def _other(worker: str, name: str, there: str, here: str) -> UsageError:
@@ -90,13 +95,10 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         Raises:
             UsageError: the worker has other packages or another Python.
         """
-        there = make()
-        for name, here in self.make.items():
-            if there.get(name) != here:
-                refused = _other(worker.address, name, str(there.get(name)), here)
-                worker.log_event(REFUSED, str(refused))
-                worker.loop.call_later(_TOLD_S, worker.close)
-                raise refused
+        if (other := _difference(worker.address, make(), self.make)) is not None:
+            worker.log_event(REFUSED, str(other))
+            worker.loop.call_later(_TOLD_S, worker.close)
+            raise other
         folder = Path(worker.local_directory) / self.name
         if not folder.exists():
             unpacked(self.content, folder)
