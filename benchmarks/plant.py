@@ -17,8 +17,8 @@ import time
 import numpy as np
 
 from hil.config.robot import RobotConfig
+from hil.fakes.arithmetic import numba_available
 from hil.fakes.plant import WallRobot, make_plant
-from hil.fakes.plant.compiled import numba_available
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.clock import nanoseconds
 

@@ -1,4 +1,4 @@
-"""Frozen dataclasses that are made quickly: dozens of them come into being in every control cycle."""
+"""Records that are made quickly: dozens of them come into being in every control cycle."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ from dataclasses import MISSING, fields
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+named = tuple.__new__
+"""`named(Kind, values)` makes a named tuple of all of its values: half the time of `Kind(*values)`."""
 
 
 def quickly_made(cls: type[T]) -> type[T]:

@@ -49,7 +49,8 @@ class SelfCalibration:
             self.gyroscope = [
                 g + gain * (b - g) for g, b in zip(self.gyroscope, truth.gyroscope, strict=True)
             ]
-        attitude = (round(1.4 * up[0]), round(1.4 * up[1]), round(1.4 * up[2]))
+        x, y, z = up
+        attitude = _side(x), _side(y), _side(z)
         if attitude not in self._attitudes:
             self._attitudes.add(attitude)
             if len(self._attitudes) > 1 and not self._restored["accelerometer"]:
@@ -73,6 +74,11 @@ class SelfCalibration:
             _level(still_s / _GYRO_LEVEL_S),
             _level(headings / _ATTITUDES_PER_LEVEL),
         )
+
+
+def _side(along: float) -> int:
+    """1 or -1 where the vertical lies more along an axis than across it, 0 otherwise."""
+    return (1.4 * along > 0.5) - (1.4 * along < -0.5)
 
 
 def _level(share: float) -> int:

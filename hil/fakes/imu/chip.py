@@ -96,7 +96,7 @@ class Bno055Chip(SerialChip, Scheduled):
         if faults is not None:
             if self._power(t_ns):
                 return
-            sensors.yaw_error_rad += faults.jump_rad(t_ns)
+            sensors.turn(faults.jump_rad(t_ns))
         sensed = sensors.sense(self._world.plant.body(), mode, period_ns * 1e-9)
         if faults is not None:
             sensed = faults.distort(sensed, t_ns)

@@ -7,23 +7,22 @@ Plain floats throughout: this runs a hundred times a second of emulated time.
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from hil.fakes.arithmetic import quick, rows, vector
+from hil.fakes.imu import sample
 from hil.fakes.imu.calibration import SelfCalibration, SensorOffsets, Vector
 from hil.fakes.imu.registers import Mode
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.geometry import Four as Quaternion
-from hil.vocabulary.geometry import multiplied
+from hil.vocabulary.records import named
 
-GRAVITY_M_S2 = 9.80665
-_FIELD_UT = (22.0, 0.0, -42.0)
 _BLOCK = 1024
-_NOTHING = (0.0, 0.0, 0.0)
 _STILL_RATE_RAD_S = 0.003
 _STILL_SPEED_M_S = 0.001
 
@@ -136,7 +135,7 @@ class InertialSensors:
         self.options = options
         self.calibration = SelfCalibration()
         self._rng = rng
-        self._noise: Iterator[list[float]] = iter(())
+        self._draws, self._row = rows(np.zeros((1, sample.DRAWS))), 0
         spread = (
             options.accelerometer_offset_m_s2,
             options.gyro_bias_rad_s,
@@ -144,13 +143,36 @@ class InertialSensors:
         )
         drawn = [tuple(float(x) for x in rng.normal(0.0, s, 3)) for s in spread]
         self.true_offsets = SensorOffsets(*drawn)  # type: ignore[arg-type]
-        self._yaw_drift_rad_s = float(rng.normal(0.0, options.yaw_drift_rad_s))
-        self.yaw_error_rad = 0.0
+        yaw_drift_rad_s = float(rng.normal(0.0, options.yaw_drift_rad_s))
         self._chip_in_body = chip_in_body
-        self._residual_of: tuple[object, ...] = (None,) * 4
-        self._residual: tuple[Vector, Vector, Vector] = (_NOTHING,) * 3
+        self._chip, self._state = vector([0.0] * sample.CHIP_SIZE), vector([0.0] * sample.STATE_SIZE)
+        for at, value in (
+            (sample.AT_X, options.position_m[0]),
+            (sample.AT_Y, options.position_m[1]),
+            (sample.ACCELEROMETER_NOISE, options.accelerometer_noise_m_s2),
+            (sample.GYRO_NOISE, options.gyro_noise_rad_s),
+            (sample.FIELD_NOISE, options.magnetometer_noise_ut),
+            (sample.LEAKAGE, options.leakage_s),
+            (sample.YAW_DRIFT, yaw_drift_rad_s),
+        ):
+            self._chip[at] = value
+        self._offsets = vector([0.0] * sample.OFFSETS_SIZE)
+        self._offsets_of: tuple[object, ...] = (None,) * 4
+        self._sense = quick(
+            sample.sense, BodyMotion(*[0.0] * 9), 0.0, False, self._draws, 0, self._offsets, self._chip,
+            self._state,
+        )  # fmt: skip
         self.set_remap(0x24, 0x00)
         self.restart_fusion()
+
+    @property
+    def yaw_error_rad(self) -> float:
+        """How far the fused heading is off."""
+        return float(self._state[sample.YAW_ERROR])
+
+    def turn(self, angle_rad: float) -> None:
+        """Turn the fused heading at once."""
+        self._state[sample.YAW_ERROR] += angle_rad
 
     def set_remap(self, axis_map: int, axis_sign: int) -> None:
         """Take over the axis registers; a map that names an axis twice is ignored, as on the chip."""
@@ -158,104 +180,53 @@ class InertialSensors:
             return
         self._remap = remap(axis_map, axis_sign)
         out_in_body = product(self._chip_in_body, transpose(self._remap))
-        self._body_to_out = transpose(out_in_body)
-        self._out_in_body = quaternion_of(out_in_body)
+        self._out_of_body = transpose(out_in_body)
+        rotation = (*itertools.chain.from_iterable(self._out_of_body), *quaternion_of(out_in_body))
+        for at, value in enumerate(rotation, sample.OUT_OF_BODY):
+            self._chip[at] = value
 
     def restart_fusion(self) -> None:
         """The fusion starts anew: heading zero where it stands now, leaked acceleration forgotten."""
-        self._leak: Vector = (0.0, 0.0, 0.0)
-        self._last_rate: float | None = None
+        for at in (sample.LEAK, sample.LEAK + 1, sample.LEAK + 2, sample.LAST_RATE, sample.TURNED):
+            self._state[at] = 0.0
 
     def sense(self, body: BodyMotion, mode: Mode, dt_s: float) -> Sensed:
         """Sensor outputs for the present motion of the body, `dt_s` after the previous call."""
+        if mode.fusion:
+            self._learn(body, dt_s)
+        self._leave_offsets()
+        if not self._row:
+            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, sample.DRAWS))), _BLOCK
+        outputs = self._sense(
+            body, dt_s, mode.magnetometer, self._draws, _BLOCK - self._row, self._offsets, self._chip,
+            self._state,
+        )  # fmt: skip
+        self._row -= 1
+        return named(Sensed, outputs)
+
+    def _learn(self, body: BodyMotion, dt_s: float) -> None:
+        """Calibrate from how the chip stands and moves."""
         _, _, theta, vx, vy, w, _, _, tilt = body
         s, c, st, ct = math.sin(theta), math.cos(theta), math.sin(tilt), math.cos(tilt)
-        noise = self._draw()
-        up = apply(self._body_to_out, (st * c, -st * s, ct))
-        kinematic = apply(self._body_to_out, self._acceleration(body, dt_s))
-        (_, _, ax), (_, _, ay), (_, _, az) = self._body_to_out
-        spin = ax * w, ay * w, az * w
-        still = abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S
-        if mode.fusion:
-            octant = math.floor(theta * 4.0 / math.pi) % 8
-            self.calibration.learn(
-                still=still, dt_s=dt_s, up=up, heading_octant=octant, truth=self.true_offsets
-            )
-        acc_rest, gyro_rest, mag_rest = self._residual_offsets()
-        o, g = self.options, GRAVITY_M_S2
-        acceleration = _blend(kinematic, up, g, acc_rest, noise[0:3], o.accelerometer_noise_m_s2)
-        rate = _blend(spin, up, 0.0, gyro_rest, noise[3:6], o.gyro_noise_rad_s)
-        quaternion = self._attitude(theta, tilt)
-        field = _NOTHING
-        if mode.magnetometer:
-            turn = transpose(matrix(quaternion))
-            field = _blend(apply(turn, _FIELD_UT), up, 0.0, mag_rest, noise[6:9], o.magnetometer_noise_ut)
-        gravity, attitude = self._fuse(quaternion, up, kinematic, acc_rest, dt_s)
-        linear = (acceleration[0] - gravity[0], acceleration[1] - gravity[1], acceleration[2] - gravity[2])
-        return Sensed(acceleration, rate, field, attitude, linear, gravity)
+        self.calibration.learn(
+            still=abs(w) < _STILL_RATE_RAD_S and abs(vx) + abs(vy) < _STILL_SPEED_M_S,
+            dt_s=dt_s,
+            up=apply(self._out_of_body, (st * c, -st * s, ct)),
+            heading_octant=math.floor(theta * 4.0 / math.pi) % 8,
+            truth=self.true_offsets,
+        )
 
-    def _draw(self) -> list[float]:
-        block = next(self._noise, None)
-        if block is None:
-            self._noise = iter(self._rng.standard_normal((_BLOCK, 9)).tolist())
-            block = next(self._noise)
-        return block
-
-    def _acceleration(self, body: BodyMotion, dt_s: float) -> Vector:
-        """Kinematic acceleration of the chip in body axes: origin + alpha x r + w x (w x r)."""
-        w, ax, ay = body.omega_rad_s, body.a_x_m_s2, body.a_y_m_s2
-        rx, ry, _ = self.options.position_m
-        alpha = 0.0 if self._last_rate is None or dt_s <= 0 else (w - self._last_rate) / dt_s
-        self._last_rate = w
-        return (ax - alpha * ry - w * w * rx, ay + alpha * rx - w * w * ry, 0.0)
-
-    def _residual_offsets(self) -> tuple[Vector, Vector, Vector]:
+    def _leave_offsets(self) -> None:
         """What calibration has left of the offsets, output axes; worked out when it has learnt something."""
-        known, true = self.calibration, self.true_offsets
+        known, true, before = self.calibration, self.true_offsets, self._offsets_of
         now = (known.accelerometer, known.gyroscope, known.magnetometer, self._remap)
-        if any(a is not b for a, b in zip(now, self._residual_of, strict=True)):
-            pairs = (
-                (true.accelerometer, known.accelerometer),
-                (true.gyroscope, known.gyroscope),
-                (true.magnetometer, known.magnetometer),
-            )
-            a, b, c = (apply(self._remap, (t[0] - k[0], t[1] - k[1], t[2] - k[2])) for t, k in pairs)
-            self._residual_of, self._residual = now, (a, b, c)
-        return self._residual
-
-    def _attitude(self, theta: float, tilt: float) -> Quaternion:
-        """Attitude that the fusion would know without leaks: turned by its error, tilted, by its heading."""
-        yaw, half, turn = 0.5 * self.yaw_error_rad, -0.5 * tilt, 0.5 * theta
-        cy, sy, ch, sh = math.cos(yaw), math.sin(yaw), math.cos(half), math.sin(half)
-        ct, st = math.cos(turn), math.sin(turn)
-        w, x, y, z = cy * ch, -(sy * sh), cy * sh, sy * ch
-        q = (w * ct - z * st, x * ct + y * st, y * ct - x * st, w * st + z * ct)
-        return multiplied(q, self._out_in_body)
-
-    def _fuse(
-        self, q: Quaternion, up: Vector, kinematic: Vector, offset: Vector, dt_s: float
-    ) -> tuple[Vector, Quaternion]:
-        """Fused gravity and attitude: the vertical is off by the offset and by leaked acceleration."""
-        self.yaw_error_rad += self._yaw_drift_rad_s * dt_s
-        k = min(1.0, dt_s / self.options.leakage_s)
-        lx, ly, lz = self._leak
-        lx, ly, lz = lx + k * (kinematic[0] - lx), ly + k * (kinematic[1] - ly), lz + k * (kinematic[2] - lz)
-        self._leak = (lx, ly, lz)
-        g = GRAVITY_M_S2
-        x, y, z = up[0] * g + offset[0] + lx, up[1] * g + offset[1] + ly, up[2] * g + offset[2] + lz
-        scale = 1.0 / math.sqrt(x * x + y * y + z * z)
-        x, y, z = x * scale, y * scale, z * scale
-        half_x = 0.5 * (y * up[2] - z * up[1])
-        half_y = 0.5 * (z * up[0] - x * up[2])
-        half_z = 0.5 * (x * up[1] - y * up[0])
-        w, qx, qy, qz = multiplied(q, (1.0, half_x, half_y, half_z))
-        n = 1.0 / math.sqrt(w * w + qx * qx + qy * qy + qz * qz)
-        return (x * g, y * g, z * g), (w * n, qx * n, qy * n, qz * n)
-
-
-def _blend(value: Vector, up: Vector, g: float, offset: Vector, noise: list[float], sigma: float) -> Vector:
-    return (
-        value[0] + g * up[0] + offset[0] + sigma * noise[0],
-        value[1] + g * up[1] + offset[1] + sigma * noise[1],
-        value[2] + g * up[2] + offset[2] + sigma * noise[2],
-    )
+        if now[0] is before[0] and now[1] is before[1] and now[2] is before[2] and now[3] is before[3]:
+            return
+        self._offsets_of = now
+        for at, t, k in (
+            (sample.ACCELEROMETER, true.accelerometer, known.accelerometer),
+            (sample.GYROSCOPE, true.gyroscope, known.gyroscope),
+            (sample.MAGNETOMETER, true.magnetometer, known.magnetometer),
+        ):
+            left = apply(self._remap, (t[0] - k[0], t[1] - k[1], t[2] - k[2]))
+            self._offsets[at], self._offsets[at + 1], self._offsets[at + 2] = left

@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from hil.fakes.arithmetic import numba_available
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
@@ -21,7 +22,6 @@ from hil.fakes.mujoco_plant.model import Built, as_built
 from hil.fakes.mujoco_plant.reading import JOINTS, load_mujoco
 from hil.fakes.plant import kernel as k
 from hil.fakes.plant.body import SteppedBody, checked_pose
-from hil.fakes.plant.compiled import numba_available
 from hil.fakes.plant.parameters import TrueParameters
 from hil.fakes.plant.robot import GRAVITY_M_S2, make_constants
 from hil.fakes.plant.surfaces import Patch

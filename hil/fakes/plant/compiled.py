@@ -6,21 +6,16 @@ Python indexes three times quicker.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 
+from hil.fakes.arithmetic import numba_available
 from hil.fakes.plant import kernel
 from hil.vocabulary.geometry import Array
 
 Advance = Callable[[int, float, Array, Array, Array], None]
-
-
-def numba_available() -> bool:
-    """Whether the optional extra `fast` is installed."""
-    return importlib.util.find_spec("numba") is not None
 
 
 @cache

@@ -17,6 +17,7 @@ from hil.fakes.plant.surfaces import Patch, Surface, find_surface
 from hil.fakes.plant_api import BodyMotion
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.geometry import Array, ArrayLike
+from hil.vocabulary.records import named
 
 GRAVITY_M_S2 = 9.81
 FALL_SLIDE_M = 0.05
@@ -66,16 +67,19 @@ class WallRobot(SteppedBody):
         x, y, theta, vx, vy, turn, ax, ay = self._motion.tolist()
         c, n = math.cos(theta), math.sin(theta)
         com_x, com_y, _ = self.parameters.centre_of_mass_m
-        return BodyMotion(
-            x - (c * com_x - n * com_y),
-            y - (n * com_x + c * com_y),
-            theta,
-            c * vx + n * vy + turn * com_y,
-            c * vy - n * vx - turn * com_x,
-            turn,
-            ax,
-            ay,
-            self.tilt_rad,
+        return named(
+            BodyMotion,
+            (
+                x - (c * com_x - n * com_y),
+                y - (n * com_x + c * com_y),
+                theta,
+                c * vx + n * vy + turn * com_y,
+                c * vy - n * vx - turn * com_x,
+                turn,
+                ax,
+                ay,
+                self.tilt_rad,
+            ),
         )
 
 

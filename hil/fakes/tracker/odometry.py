@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hil.fakes.arithmetic import quick, rows, vector
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.tracker.options import TrackerTruthOptions
+from hil.fakes.tracker.step import DRAWS, LAST_X, LAST_Y, POSITION, STATE_SIZE, WORLD_SIZE, step
 from hil.vocabulary.geometry import (
     Array,
     quat_conjugate,
@@ -22,9 +24,9 @@ from hil.vocabulary.geometry import (
     quat_multiply,
     quat_rotate,
 )
+from hil.vocabulary.records import named
 
 _BLOCK = 512
-_DRAWS = 16
 _NEAR_VERTICAL = 0.2
 
 
@@ -82,12 +84,18 @@ class VisualOdometry:
         if options.session_scale_sigma > 0.0:
             session = np.random.default_rng((options.session, int(self.scale * 1e12)))
             self.scale += options.session_scale_sigma * float(session.standard_normal())
-        self._yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
-        self._draws: list[list[float]] = []
+        yaw_rate_rad_s = options.yaw_rate_sigma_rad_s * float(rng.standard_normal())
+        self._errors = vector(
+            (
+                yaw_rate_rad_s, options.yaw_walk_rad_sqrt_s, options.position_walk_m_sqrt_m,
+                options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s,
+                options.angle_noise_rad,
+            )
+        )  # fmt: skip
+        self._world, self._state = vector([0.0] * WORLD_SIZE), vector([0.0] * STATE_SIZE)
+        self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
+        self._step = quick(step, *[0.0] * 12, self._draws, 0, self._errors, self._world, self._state)
         self._started = False
-        self._position = [0.0, 0.0, 0.0]
-        self._last = (0.0, 0.0)
-        self._yaw_rad = 0.0
 
     def restart(self) -> None:
         """Lose the map: the next pose is the origin of a new world."""
@@ -96,13 +104,15 @@ class VisualOdometry:
     def jump(self, distance_m: float) -> None:
         """Correct the position at once, as a relocalisation does: translation only."""
         direction = self._rng.standard_normal(3)
-        step = distance_m * direction / float(np.linalg.norm(direction))
-        self._position = [p + s for p, s in zip(self._position, step.tolist(), strict=True)]
+        way = distance_m * direction / float(np.linalg.norm(direction))
+        for k, by_m in enumerate(way.tolist()):
+            self._state[POSITION + k] += by_m
 
     def drift(self, x_m: float, y_m: float) -> None:
         """See a way in the wall's axes that the camera has not gone, together with the next step."""
         if self._started:
-            self._last = self._last[0] - x_m, self._last[1] - y_m
+            self._state[LAST_X] -= x_m
+            self._state[LAST_Y] -= y_m
 
     def rate_rad_s(self, omega_rad_s: float) -> Array:
         """The camera's rate of turn in its own axes (3,)."""
@@ -137,19 +147,21 @@ class VisualOdometry:
         speed = c * vx - s * vy - omega * arm[1], s * vx + c * vy + omega * arm[0]
         if not self._started:
             self._start(theta, tilt, in_wall)
-        noise = self._noise()
-        told = None
+        told_x = told_y = weight = 0.0
         if by_wheels is not None:
-            velocity, weight = by_wheels
-            u, v = self._in_wall(velocity, theta)
-            told = u * dt_s, v * dt_s, weight
-        self._move(in_wall, math.hypot(*speed), dt_s, scale, noise, told)
-        return self._pose(theta, speed, omega, noise)
-
-    def _noise(self) -> list[float]:
-        if not self._draws:
-            self._draws = self._rng.standard_normal((_BLOCK, _DRAWS)).tolist()
-        return self._draws.pop()
+            wheels, weight = by_wheels
+            u, v = self._in_wall(wheels, theta)
+            told_x, told_y = u * dt_s, v * dt_s
+        if not self._row:
+            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
+        self._row -= 1
+        told = self._step(
+            theta, omega, *in_wall, *speed, math.hypot(*speed), dt_s, scale * self.scale, told_x, told_y,
+            weight, self._draws, self._row, self._errors, self._world, self._state,
+        )  # fmt: skip
+        position, velocity = named(Vector, told[:3]), named(Vector, told[3:6])
+        rotation, rate = named(Quaternion, told[6:10]), named(Vector, told[10:])
+        return named(CameraPose, (position, velocity, rotation, rate))
 
     def _start(self, theta_rad: float, tilt_rad: float, in_wall: tuple[float, float]) -> None:
         """Fix the levelled world by gravity and the direction the camera looks."""
@@ -160,74 +172,12 @@ class VisualOdometry:
         if math.hypot(forward[0], forward[1]) < _NEAR_VERTICAL:
             heading = float(self._rng.uniform(-math.pi, math.pi))
         world = quat_multiply(quat_from_yaw(-heading), level)
-        self._along_x, self._along_y, self._along_z = (
-            tuple(quat_rotate(world, axis).tolist()) for axis in np.eye(3)
-        )
         turned = quat_multiply(world, [0.0, 0.0, 0.0, 1.0])
-        self._cosine_part = quat_multiply(world, self._mount_wxyz).tolist()
-        self._sine_part = quat_multiply(turned, self._mount_wxyz).tolist()
-        self._last, self._position, self._yaw_rad = in_wall, [0.0, 0.0, 0.0], 0.0
-        self._started = True
-
-    def _move(
-        self, in_wall: tuple[float, float], speed_m_s: float, dt_s: float, scale: float, noise: list[float],
-        told: tuple[float, float, float] | None,
-    ) -> None:  # fmt: skip
-        """Integrate the step as the odometry sees it: scaled, turned by its heading error, walking.
-
-        What the wheels have told (step along wall x and y, weight) pulls the step towards itself.
-        """
-        options, root = self._options, math.sqrt(dt_s)
-        self._yaw_rad += self._yaw_rate_rad_s * dt_s + options.yaw_walk_rad_sqrt_s * root * noise[0]
-        scale *= self.scale
-        du, dv = scale * (in_wall[0] - self._last[0]), scale * (in_wall[1] - self._last[1])
-        self._last = in_wall
-        if told is not None:
-            du, dv = du + told[2] * (told[0] - du), dv + told[2] * (told[1] - dv)
-        ax, ay = self._along_x, self._along_y
-        dx, dy, dz = ax[0] * du + ay[0] * dv, ax[1] * du + ay[1] * dv, ax[2] * du + ay[2] * dv
-        c, s = math.cos(self._yaw_rad), math.sin(self._yaw_rad)
-        walk = options.position_walk_m_sqrt_m * math.sqrt(speed_m_s) * root
-        x, y, z = self._position
-        self._position = [
-            x + c * dx - s * dy + walk * noise[1],
-            y + s * dx + c * dy + walk * noise[2],
-            z + dz + walk * noise[3],
-        ]
-
-    def _pose(
-        self, theta_rad: float, speed: tuple[float, float], omega_rad_s: float, noise: list[float]
-    ) -> CameraPose:
-        options = self._options
-        sp, sv, sw = options.position_noise_m, options.velocity_noise_m_s, options.rate_noise_rad_s
-        (ax, ay, az), (bx, by, bz), (cx, cy, cz) = self._along_x, self._along_y, self._along_z
-        x, y, z = self._position
-        along, left = speed
-        _, _, _, _, px, py, pz, vx, vy, vz, wx, wy, wz, *_ = noise
-        qx, qy, qz, qw = self._rotation(theta_rad, noise)
-        return CameraPose(  # each vector in the camera's axes: (-y, z, -x) of the robot's
-            Vector(-(y + sp * py), z + sp * pz, -(x + sp * px)),
-            Vector(
-                -(ay * along + by * left + sv * vy),
-                az * along + bz * left + sv * vz,
-                -(ax * along + bx * left + sv * vx),
-            ),
-            Quaternion(-qy, qz, -qx, qw),
-            Vector(-(cy * omega_rad_s + sw * wy), cz * omega_rad_s + sw * wz, -(cx * omega_rad_s + sw * wx)),
+        parts = (
+            *(quat_rotate(world, axis) for axis in np.eye(3)),
+            quat_multiply(world, self._mount_wxyz),
+            quat_multiply(turned, self._mount_wxyz),
         )
-
-    def _rotation(self, theta_rad: float, noise: list[float]) -> tuple[float, float, float, float]:
-        """Camera in the levelled world (x, y, z, w): heading error and noise on the left."""
-        c, s = math.cos(0.5 * theta_rad), math.sin(0.5 * theta_rad)
-        (cw, cx, cy, cz), (sw, sx, sy, sz) = self._cosine_part, self._sine_part
-        bw, bx, by, bz = c * cw + s * sw, c * cx + s * sx, c * cy + s * sy, c * cz + s * sz
-        half = 0.5 * self._options.angle_noise_rad
-        ex, ey = half * noise[13], half * noise[14]
-        yaw = 0.5 * self._yaw_rad + half * noise[15]
-        ew, ez = math.cos(yaw), math.sin(yaw)
-        w = ew * bw - ex * bx - ey * by - ez * bz
-        x = ew * bx + ex * bw + ey * bz - ez * by
-        y = ew * by - ex * bz + ey * bw + ez * bx
-        z = ew * bz + ex * by - ey * bx + ez * bw
-        norm = math.sqrt(w * w + x * x + y * y + z * z)
-        return x / norm, y / norm, z / norm, w / norm
+        self._world = vector(np.concatenate(parts))
+        self._state = vector([0.0, 0.0, 0.0, *in_wall, 0.0])
+        self._started = True

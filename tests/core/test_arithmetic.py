@@ -1,0 +1,106 @@
+"""Arithmetic of the emulated chips: machine code and plain Python give the same bits."""
+
+import numpy as np
+import pytest
+
+from hil.fakes import arithmetic
+from hil.fakes.imu import output, registers
+from hil.fakes.imu.sample import counts
+from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix
+from hil.fakes.plant_api import BodyMotion
+from hil.fakes.tracker.odometry import VisualOdometry
+from hil.fakes.tracker.options import TrackerTruthOptions
+
+pytest.importorskip("numba", reason="machine code needs the extra `fast`")
+UNITS = (0x00, 0x80, registers.UNIT_MG | registers.UNIT_RAD_S | registers.UNIT_EULER_RAD)
+
+
+@pytest.fixture(params=(1, 2, 3))
+def draws(request):
+    return np.random.default_rng(request.param)
+
+
+@pytest.fixture
+def twice(monkeypatch):
+    """What makes the same thing twice: compiled, and as it is where numba is missing."""
+
+    def make(what):
+        compiled = what()
+        with monkeypatch.context() as without:
+            without.setattr(arithmetic, "numba_available", lambda: False)
+            return compiled, what()
+
+    return make
+
+
+def attitude(draws):
+    q = draws.standard_normal(4)
+    return tuple((q / np.linalg.norm(q)).tolist())
+
+
+def motion(draws, k):
+    """Now at rest, now anywhere."""
+    values = np.zeros(8) if k % 40 < 10 else draws.normal(size=8)
+    return BodyMotion(*values.tolist(), 1.2)
+
+
+def bits(values):
+    return np.concatenate([np.ravel(v) for v in values]).tobytes()
+
+
+def test_the_camera_sees_the_same_with_and_without_machine_code(twice, draws, monkeypatch):
+    mount = {"mount_position_m": tuple(draws.normal(size=3)), "mount_rotation_wxyz": attitude(draws)}
+    seed = int(draws.integers(1000))
+    made = twice(lambda: VisualOdometry(TrackerTruthOptions(), np.random.default_rng(seed), **mount))
+    assert type(made[0]._state) is np.ndarray
+    assert type(made[1]._state) is list
+    for k in range(1200):  # more than two blocks of noise
+        body, dt_s = motion(draws, k), float(draws.uniform(0.001, 0.02))
+        wheels = (draws.normal(size=3), 0.4) if k % 3 == 0 else None
+        seen = []
+        for compiled, odometry in zip((True, False), made, strict=True):
+            with monkeypatch.context() as patch:
+                if not compiled:
+                    patch.setattr(arithmetic, "numba_available", lambda: False)
+                if k % 500 == 300:
+                    odometry.jump(0.1)
+                    odometry.drift(0.01, -0.02)
+                if k % 500 == 400:
+                    odometry.restart()
+                seen.append(bits(odometry.observe(body, dt_s, 1.0 + 0.01 * (k % 5), wheels)))
+        assert seen[0] == seen[1], k
+
+
+def test_the_chip_shows_the_same_with_and_without_machine_code(twice, draws, monkeypatch):
+    mount, seed = matrix(attitude(draws)), int(draws.integers(1000))
+    made = twice(lambda: InertialSensors(ImuTruthOptions(), np.random.default_rng(seed), chip_in_body=mount))
+    counting = twice(lambda: output._counting.__wrapped__())
+    assert counting[1] is counts
+    for k in range(2200):  # more than two blocks of noise
+        body, mode = motion(draws, k), registers.MODES[k // 50 % 13]
+        shown = []
+        for compiled, sensors, count in zip((True, False), made, counting, strict=True):
+            with monkeypatch.context() as patch:
+                if not compiled:
+                    patch.setattr(arithmetic, "numba_available", lambda: False)
+                patch.setattr(output, "_counting", lambda found=count: found)
+                if k % 600 == 500:
+                    sensors.set_remap(0x21, 0x04)
+                if k % 600 == 550:
+                    sensors.restart_fusion()
+                    sensors.turn(0.3)
+                sensed = sensors.sense(body, mode, 1.0 / mode.rate_hz)
+                blocks = b"".join(output.encode(sensed, mode, units, 0, 20.0) for units in UNITS)
+                shown.append(bits(sensed) + blocks)
+        assert shown[0] == shown[1], k
+
+
+@pytest.mark.parametrize(
+    ("value", "count"),
+    [(0.5, 0), (1.5, 2), (-2.5, -2), (32767.4, 32767), (1e300, 32767), (-32768.6, -32768), (-1e300, -32768)],
+)
+def test_a_count_is_the_nearest_that_a_register_holds(twice, value, count):
+    three = (0.0, 0.0, 0.0)
+    sensed = Sensed((value, 0.0, 0.0), three, three, (1.0, 0.0, 0.0, 0.0), three, three)
+    for counting in twice(lambda: output._counting.__wrapped__()):
+        assert counting(sensed, 1.0, 1.0, 1.0, 1.0, False)[0] == count
