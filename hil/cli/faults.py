@@ -105,7 +105,7 @@ def _judged(cells: Sequence[Cell], bench: str, workers: int, kept: KeptVerdicts)
 
 def _cells(asked: Asked) -> tuple[Cell, ...]:
     """The cells that were asked for; raises `UsageError` for what there is not."""
-    from hil.bench import supported_faults
+    from hil.bench import check_faults, supported_faults
     from hil.config.loading import load_bench
     from hil.procedure.campaign import parse_seeds
     from hil.procedure.faults import MOMENTS, PLANTS, cells_of, quick_cells, random_cells
@@ -121,6 +121,8 @@ def _cells(asked: Asked) -> tuple[Cell, ...]:
             f"bench {config.name}: {', '.join(real)} cannot be real in a fault campaign",
             expected="every device emulated", remedy="use --bench emulated",
         )  # fmt: skip
+    for plant in physics:
+        check_faults(load_bench(config, overrides={"emulation.plant": plant}), ())
     if asked.quick:
         return quick_cells(worlds, physics)
     supported = supported_faults(config)

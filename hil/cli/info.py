@@ -13,7 +13,7 @@ from hil import __version__
 from hil.vocabulary.beside import beside, end_with_parent
 from hil.vocabulary.collector import seldom
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE, HilError
-from hil.vocabulary.extras import MODULES, lacks
+from hil.vocabulary.extras import MODULES, how_to_install, lacks
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.versions import version_of
 
@@ -82,7 +82,9 @@ def command(compiling: bool, as_json: bool) -> int:
 
     Example: hil info --json
     """
-    if compiling:
+    if compiling and lacks("fast"):
+        _LOG.warning("nothing to compile: numba is %s; %s", lacks("fast"), how_to_install("fast"))
+    elif compiling:
         _compile()
     packages = {name: version_of(name) for name in _PACKAGES}
     missing = {name: lacks(name) for name in MODULES}

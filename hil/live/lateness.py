@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping
 
 from hil.ring.loop_timing import LoopStatistics
+from hil.vocabulary.extras import how_to_install, lacks
 
 LOG = logging.getLogger(__name__)
 
@@ -26,10 +27,10 @@ def advice(timing: Mapping[str, float], rate_hz: float) -> str:
     work_ms, period_ms = timing["work_mean_ms"], 1e3 / rate_hz
     said = f"{100.0 * timing['late'] / timing['cycles']:.0f} % of the cycles began late: "
     if work_ms > _FULL * period_ms:
-        return (
-            f"{said}one takes {work_ms:.1f} ms of {period_ms:.1f} ms; lower loop.rate_hz in the bench file, "
-            "or leave --observe and --rerun out"
-        )
+        said += f"one takes {work_ms:.1f} ms of {period_ms:.1f} ms; "
+        if lacks("fast"):
+            return f"{said}estimators run as plain Python, ten times slower: {how_to_install('fast')}"
+        return f"{said}lower loop.rate_hz in the bench file, or leave --observe and --rerun out"
     return (
         f"{said}other programs keep this computer busy; end them, or set loop.fifo_priority and loop.cpu "
         "in the bench file (docs/live.md, Real time)"

@@ -41,8 +41,11 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: an empty list, a word that is none of them, or a file in a folder that does not exist.
+        UsageError: Rerun is not installed; an empty list, a word that is none of them, or a file in a folder
+            that does not exist.
     """
+    if not is_installed("rerun"):
+        raise UsageError("the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun"))
     targets = tuple(part for part in (p.strip() for p in target.split(",")) if part)
     expected = "spawn, connect, serve, a URL or a .rrd file"
     if not targets:
@@ -88,10 +91,6 @@ class RerunMonitor(Sink):
         patience_s: float = _CLOSE_S,
     ) -> None:
         targets = split_targets(target)
-        if not is_installed("rerun"):
-            raise UsageError(
-                "the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun")
-            )
         self.dropped = 0
         self.failure = ""
         self._closed = False

@@ -47,6 +47,14 @@ def test_a_process_beside_that_fails_is_an_error(ended, capsys, code, said, why)
     assert capsys.readouterr().err == f"hil: half of the kernels is not compiled: {why}\n"
 
 
+def test_without_numba_there_is_nothing_to_compile_and_it_says_so(monkeypatch, caplog):
+    monkeypatch.setattr("hil.cli.info.lacks", lambda extra: "not installed")
+    monkeypatch.setattr("hil.cli.info._compile", lambda: pytest.fail("there is nothing to compile"))
+    assert main(["info", "--compile", "--json"]) == 0
+    (said,) = caplog.messages
+    assert said.startswith("nothing to compile: numba is not installed; install it with")
+
+
 def below(pid):
     """Processes that a process has begun."""
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]

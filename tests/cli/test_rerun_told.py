@@ -1,11 +1,11 @@
-"""What `--rerun` has written is said on stderr, with the command that opens it."""
+"""What `--rerun` has written is said on stderr, with the command that opens it; without Rerun, at once."""
 
 import shlex
 import shutil
 
 import pytest
 
-from hil.cli import options
+from hil.cli import main, options
 
 
 @pytest.fixture
@@ -36,3 +36,11 @@ def test_a_file_is_named_with_a_command_that_can_be_pasted(told, tmp_path, monke
 @pytest.mark.parametrize("view", ["spawn", "connect,serve", "rerun+http://host/x.rrd", "absent.rrd"])
 def test_what_left_no_file_is_not_told(told, view):
     assert told(view) == []
+
+
+@pytest.mark.parametrize("words", [("live", "--no-record"), ("replay", "absent.mcap")])
+def test_without_rerun_it_is_refused_before_anything_is_opened_or_read(monkeypatch, capsys, words):
+    monkeypatch.setattr("hil.monitor.sink.is_installed", lambda extra: False)
+    monkeypatch.setattr("hil.bench.open_bench", lambda *_, **__: pytest.fail("a bench was opened"))
+    assert main([*words, "--rerun", "x.rrd"]) == 2
+    assert "the monitor needs Rerun, which is not installed; install it with" in capsys.readouterr().err

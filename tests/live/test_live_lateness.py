@@ -29,6 +29,14 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
     assert advice(LoopStatistics().summary(), 100.0) == ""
 
 
+def test_where_estimators_are_interpreted_the_package_that_compiles_them_is_named(monkeypatch):
+    monkeypatch.setattr("hil.live.lateness.lacks", lambda extra: "not installed")
+    told = advice(statistics(100, 62, 11.0).summary(), 100.0)
+    assert "plain Python" in told
+    assert "numba" in told
+    assert "numba" not in advice(statistics(100, 62, 3.0).summary(), 100.0)
+
+
 def test_it_is_said_once_after_two_seconds_and_at_the_end(caplog):
     watch, told = LateWarning(100.0), statistics(199, 150, 3.0)
     with caplog.at_level(logging.WARNING):

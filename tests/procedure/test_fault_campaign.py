@@ -12,7 +12,7 @@ from hil.config.loading import load_bench
 from hil.procedure.faults import MOMENTS, Cell, Verdict, cells_of, matrix_page, random_cells
 from hil.procedure.faults.judging import Seen, judge
 from hil.procedure.faults.quiet import why_quiet
-from hil.vocabulary.errors import HilError, UsageError
+from hil.vocabulary.errors import ConfigError, HilError, UsageError
 
 SUPPORTED = {
     "plant": ("adhesion_loss",), "servos": ("off", "jump"), "servo.drive_FL": ("off",),
@@ -217,6 +217,13 @@ def test_the_short_form_passes(tmp_path):
     assert "| `servos` | `brownout` |" in (tmp_path / "new" / "folder" / "reliability.md").read_text(
         encoding="utf-8"
     )
+
+
+def test_physics_that_are_not_installed_are_refused_before_the_first_cell(tmp_path, monkeypatch):
+    monkeypatch.setattr("hil.fakes.mujoco_plant.reading.lacks", lambda extra: "not installed")
+    with pytest.raises(ConfigError, match="needs the extra mujoco"):
+        command.main(["--plants", "own,mujoco", "--out", str(tmp_path / "out")], standalone_mode=False)
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_failed_cell_is_told_with_its_reason_and_is_exit_code_1(tmp_path, monkeypatch):

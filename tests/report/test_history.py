@@ -3,6 +3,7 @@
 import json
 import os
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta, timezone
 
 import numpy as np
@@ -13,7 +14,7 @@ from hil.procedure import BenchSource, Measurement, procedure
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, individuals_chart
 from hil.report.history.choice import chosen, named
-from hil.report.history.found import find_results
+from hil.report.history.found import UNFINISHED, find_results
 from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.removal import delete, loss
@@ -147,6 +148,8 @@ def test_one_is_called_by_its_name_its_folder_or_a_part_of_its_name(root):
     for name in ("gap/one", str(root / "gap" / "one"), "p/on"):
         assert named(found, name).name == "gap/one"
     assert named(found, "last").kind in ("campaign", "commissioning")
+    begun = [replace(k, kind=UNFINISHED) for k in found if k.kind == "run"]
+    assert named([*begun, *found], "last") == named(found, "last")  # what was broken off has no page
     with pytest.raises(UsageError, match="did you mean gap/one"):
         named(found, "gap/onee")
     with pytest.raises(UsageError, match="names 2 results: trial"):

@@ -63,7 +63,7 @@ def _search(search: Search) -> Found | None:
     try:
         library = realsense("tracker")
     except HilError as error:
-        search.say(error.message)
+        search.say(f"{error.message}; {error.remedy}")
         return None
     patience_s = _FIRMWARE_S if _plugged_in(search.sysfs) else 0.0
     waits = " (it may load its firmware for some seconds)" if patience_s else ""

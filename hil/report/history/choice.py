@@ -7,7 +7,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from hil.report.history.found import OURS, Kept
+from hil.report.history.found import OURS, UNFINISHED, Kept
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.reading import dotted
 
@@ -62,14 +62,15 @@ def named(found: Sequence[Kept], name: str, *, whole: bool = False) -> Kept:
     Args:
         found: to choose from, the latest first.
         name: as `hil results list` shows it, or its folder; unless `whole`, also a part of the name of one
-            alone, and `last` for the latest that is no foreign one.
+            alone, and `last` for the latest of ours, finished if there is one.
         whole: whether a part does not do.
 
     Raises:
         UsageError: none, or several, are called so.
     """
     if name == LAST and not whole:
-        latest = next((k for k in found if k.kind in OURS and not k.within), None)
+        ours = [k for k in found if k.kind in OURS and not k.within]
+        latest = next((k for k in ours if k.kind != UNFINISHED), next(iter(ours), None))
         if latest is None:
             raise UsageError("there is no result yet", remedy="run a procedure first")
         return latest

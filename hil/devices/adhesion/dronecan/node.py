@@ -19,7 +19,6 @@ from hil.fakes.adhesion.motor import MotorNode
 from hil.fakes.can_wire import CanChannel, CanFrame
 from hil.fakes.world import World
 from hil.vocabulary.clock import NS_PER_S
-from hil.vocabulary.extras import is_installed
 
 _FULL_RAW = 8191
 _HIGHEST_RPM = (1 << 17) - 1
@@ -55,8 +54,7 @@ class DroneCanNode(MotorNode):
         self._sent: Counter[str] = Counter()
         self._frozen: tuple[float, ...] | None = None
         super().__init__(world, channel, config, options, name)
-        if is_installed("dronecan"):
-            library()  # takes a second, which is none of the world's
+        library()  # takes a second, which is none of the world's; where it is missing, that is said now
 
     @cached_property
     def _messages(self) -> Any:
