@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from hil.cli.campaign_files import files_of
-from hil.cli.campaign_plan import RUNS, SCHEMA, keep_plan
+from hil.cli.campaign_plan import RUNS, SCHEMA, alone_in, keep_plan
 from hil.cli.campaign_runs import (
     Delivery,
     Job,
@@ -27,6 +27,7 @@ from hil.cli.campaign_runs import (
     run_case_elsewhere,
 )
 from hil.cli.options import OUT
+from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
 from hil.vocabulary.files import write_text
@@ -39,6 +40,8 @@ if TYPE_CHECKING:
 CSV, PAGE, ROWS = "campaign.csv", "campaign.html", "rows"
 _SHOWN = 5
 """So many broken runs are named on the terminal."""
+_LONGEST = 400
+"""Characters of an error that are shown there."""
 
 
 @click.command()
@@ -54,7 +57,7 @@ _SHOWN = 5
 @click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
 @click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
               help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
-@click.option("--scheduler", default="", metavar="ADDRESS", help="Dask scheduler to use instead.")
+@click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead.")
 @click.option("--out", type=OUT, help="Results [default: out/campaign_NAME/TIME].")
 @click.option("--keep", type=click.Choice(["all", "results"]), default="all", show_default=True,
               help="Of each run; `results` leaves out recordings and figures, for many runs.")  # fmt: skip
@@ -63,33 +66,40 @@ _SHOWN = 5
 def command(
     script: str, seeds: str, axes: tuple[str, ...], bench: str | None, emulate: str | None,
     settings: tuple[str, ...], faults: tuple[str, ...], calibration: Path | None, answers: Path | None,
-    workers: int, scheduler: str, out: Path | None, keep: Keep, resume: bool, as_json: bool,
+    workers: int, scheduler: str | None, out: Path | None, keep: Keep, resume: bool, as_json: bool,
 ) -> int:  # fmt: skip
     """Run a procedure over seeds and settings on the emulated bench, in parallel, into one table.
 
     Example: hil campaign wall_tracking --seeds 0:20 --vary fault=imu:off@5,tracker:off@5
     """
-    from hil.procedure.campaign import expand, parse_axis, parse_seeds
+    from hil.procedure.campaign import check_dask, expand, parse_axis, parse_seeds
     from hil.procedure.scripts import load_procedure
 
-    proc = load_procedure(script)
+    if scheduler == "":
+        raise UsageError("--scheduler is empty", expected="the address that `dask scheduler` prints")
+    with kept_for_json(as_json):
+        proc = load_procedure(script)
     cases = expand(parse_seeds(seeds), [parse_axis(text) for text in axes])
     setup = Setup(
-        _absolute(script), _optional(bench), emulate, settings, faults, _optional(calibration),
-        _optional(answers), keep,
+        _absolute(script), _optional(bench), emulate, settings, tuple(map(_absolute, faults)),
+        _optional(calibration), _optional(answers), keep,
     )  # fmt: skip
     _check(setup, proc, cases)
+    if workers or scheduler:
+        check_dask()
     if out is None:
         if resume:
             raise UsageError("--resume needs the folder of the campaign", remedy="name it with --out")
         out = Path("out") / f"campaign_{proc.name}" / datetime.now().strftime("%Y%m%d-%H%M%S")
     out = out.absolute()
-    keep_plan(out, proc, setup, cases, resume=resume)
-    try:
-        rows = _run(setup, proc, cases, out, workers, scheduler)
-        tree = _write(out, proc, setup, cases, rows)
-    except DataError as error:
-        raise Aborted(str(error), remedy="make room, then go on with --resume") from None
+    with alone_in(out, resume=resume):
+        keep_plan(out, proc, setup, cases, resume=resume)
+        try:
+            with kept_for_json(as_json):
+                rows = _run(setup, proc, cases, out, workers, scheduler or "")
+            tree = _write(out, proc, setup, cases, rows)
+        except DataError as error:
+            raise Aborted(str(error), remedy="make room, then go on with --resume") from None
     if as_json:
         click.echo(json.dumps(tree, allow_nan=False))
     else:
@@ -223,6 +233,12 @@ def _write(
     return tree
 
 
+def _line(error: str) -> str:
+    """An error in one line of the terminal; the table and the page have all of it."""
+    whole = " ".join(error.split())
+    return whole if len(whole) <= _LONGEST else f"{whole[:_LONGEST]} ..."
+
+
 def _text(tree: dict[str, Any]) -> str:
     from hil.report.pages import number
 
@@ -235,7 +251,7 @@ def _text(tree: dict[str, Any]) -> str:
             span = f"[{number(m['min'])} to {number(m['max'])}]"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
     broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
-    lines += [f"{row['verdict']} {row['case']}: {row['error']}" for row in broken[:_SHOWN]]
+    lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]
     if len(broken) > _SHOWN:
         lines.append(f"{len(broken) - _SHOWN} more such runs are in {CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())

@@ -23,19 +23,21 @@ def files_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> Parcel:
 
     from hil.config.loading import bench_files, find_bench
     from hil.procedure.campaign import names, parcel
+    from hil.procedure.scripts import modules_beside
     from hil.vocabulary.reading import put_dotted
 
     named = _named(setup, cases)
+    beside = {text: modules_beside(path) for text, path in _script(setup).items()}
     bench = setup.bench or proc.bench
     if not Path(bench).is_file():
-        return parcel(named)
+        return parcel(named, beside=beside)
     tree, _ = find_bench(bench)
     inner = bench_files(tree, Path(bench).parent)
     named |= {str(path.absolute()): path.absolute() for path in inner.values()}
     packed = names(named)
     for key, path in inner.items():
         put_dotted(tree, key, packed[str(path.absolute())], "path")
-    return parcel(named, {bench: tomli_w.dumps(tree)})
+    return parcel(named, {bench: tomli_w.dumps(tree)}, beside)
 
 
 def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[str, str]:
@@ -46,8 +48,10 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
     """
     from hil.config.loading import bench_files, find_bench
     from hil.procedure.campaign.parcel import digest
+    from hil.procedure.scripts import modules_beside
 
     read, bench = list(_named(setup, cases).values()), Path(setup.bench or proc.bench)
+    read += [path for script in _script(setup).values() for path in modules_beside(script)]
     if bench.is_file():
         tree, _ = find_bench(bench)
         read += [bench, *bench_files(tree, bench.parent).values()]
@@ -57,13 +61,18 @@ def contents_of(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> dict[st
 def _named(setup: Setup, cases: Sequence[Case]) -> dict[str, Path]:
     """Texts of the command line that name a file or folder -> where it lies; without the bench file."""
     from hil.config.loading import path_keys
-    from hil.procedure.scripts import file_and_name
 
-    texts = [setup.calibration, setup.answers]
-    if Path(script := file_and_name(setup.script)[0]).is_file():
-        texts.append(script)
+    texts = [setup.calibration, setup.answers, *_script(setup)]
     for case in {case.settings: case for case in cases}.values():
         _, overrides = setup.split(case)
         texts += [str(overrides[key]) for key in path_keys() if key in overrides]
         texts += [fault for fault in setup.all_faults(case) if fault.endswith(".toml")]
     return {text: Path(text).absolute() for text in texts if text}
+
+
+def _script(setup: Setup) -> dict[str, Path]:
+    """The procedure's own file by the text that names it; nothing for a shipped one."""
+    from hil.procedure.scripts import file_and_name
+
+    script = file_and_name(setup.script)[0]
+    return {script: Path(script).absolute()} if Path(script).is_file() else {}

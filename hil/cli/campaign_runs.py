@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import shlex
+import sys
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -147,6 +148,16 @@ def run_case_elsewhere(job: Job) -> Delivery:
             return Delivery(_row(job, tree), packed(Path(own.folder)))
     except OSError as error:
         return lost_here(error)
+    finally:
+        _forget_modules(here)
+
+
+def _forget_modules(folder: Path) -> None:
+    """Let a later campaign in this process import its own modules of the same names."""
+    for name, module in tuple(sys.modules.items()):
+        if str(getattr(module, "__file__", None) or "").startswith(str(folder)):
+            del sys.modules[name]
+    sys.path[:] = [place for place in sys.path if not place.startswith(str(folder))]
 
 
 def _no_room(tree: Mapping[str, Any], folder: str) -> bool:
@@ -168,6 +179,8 @@ def arrived(delivery: Delivery) -> Row:
 
 def _result(job: Job) -> dict[str, Any]:
     """Run one case; gives the tree of its `result.json`."""
+    from hil.cli.output import tell
+    from hil.procedure.interrupts import Interrupts
     from hil.procedure.operator import Answers, Terminal
     from hil.procedure.runner import RunOptions, run_procedure
     from hil.procedure.scripts import file_and_name, load_procedure
@@ -182,7 +195,7 @@ def _result(job: Job) -> dict[str, Any]:
     options = RunOptions(
         folder=folder, clock=MonotonicClock(), parameters=parameters, operator=operator,
         started=datetime.now().astimezone().isoformat(timespec="seconds"),
-        resume=_begun(folder), keep=setup.keep,
+        resume=_begun(folder), keep=setup.keep, interrupts=Interrupts(tell),
     )  # fmt: skip
     result = run_procedure(proc, source, options)
     write_run_page(folder)
@@ -190,14 +203,16 @@ def _result(job: Job) -> dict[str, Any]:
 
 
 def _begun(folder: Path) -> bool:
-    """Whether a run that can go on is there; one that cannot is put aside, and begins anew."""
+    """Whether a run that can go on to the same end is there; another is put aside, and begins anew."""
     from hil.procedure.journal import NAME, read_journal
 
     if not folder.exists() or not any(folder.iterdir()):
         return False
     try:
-        read_journal(folder / NAME)
+        past = read_journal(folder / NAME)
     except ConfigError:
+        past = None
+    if past is None or past.left_behind:
         places = (folder.with_name(f"{folder.name}.damaged-{k}") for k in itertools.count(1))
         folder.rename(next(place for place in places if not place.exists()))
         return False

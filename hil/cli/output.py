@@ -17,10 +17,14 @@ import os
 import signal
 import sys
 import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stdout
 from dataclasses import dataclass
 from typing import Any
 
 from hil.vocabulary.errors import Aborted, HilError
+
+_STDOUT, _STDERR = 1, 2
 
 
 @dataclass
@@ -38,6 +42,28 @@ def error_as_json(error: HilError) -> dict[str, Any]:
         "remedy": error.remedy,
         "exit_code": error.exit_code,
     }
+
+
+def tell(text: str) -> None:
+    """A line for the operator, beside the results on stdout."""
+    print(f"hil: {text}", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def kept_for_json(wanted: bool) -> Iterator[None]:
+    """Where one JSON object is wanted, what is printed meanwhile, by processes too, goes to stderr."""
+    if not wanted:
+        yield
+        return
+    sys.stdout.flush()
+    before = os.dup(_STDOUT)
+    try:
+        os.dup2(_STDERR, _STDOUT)
+        with redirect_stdout(sys.stderr):
+            yield
+    finally:
+        os.dup2(before, _STDOUT)
+        os.close(before)
 
 
 class _Raw(io.FileIO):

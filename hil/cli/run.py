@@ -12,6 +12,7 @@ import click
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
 from hil.cli.options import OUT, SEED, results_folder
+from hil.cli.output import kept_for_json, tell
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import HilError
 
@@ -96,7 +97,8 @@ def command(
     from hil.procedure.parameters import split_settings
     from hil.procedure.scripts import load_procedure
 
-    proc = load_procedure(script)
+    with kept_for_json(as_json):
+        proc = load_procedure(script)
     given, overrides = split_settings(settings)
     parameters = proc.settings(given, quick=quick)
     source = BenchSource(
@@ -111,10 +113,11 @@ def command(
         click.echo(json.dumps(plan) if as_json else _plan_text(plan))
         return 0
     source = source.changed(overrides=start.asked_start(source.config))
-    interrupts = Interrupts(_tell)
+    interrupts = Interrupts(tell)
     with interrupts.installed(), interrupts.deferred():
         folder = results_folder(proc.name, out, JOURNAL if resume else None)
-        result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
+        with kept_for_json(as_json):
+            result = _run(proc, source, folder, parameters, answers, resume, on_failure, interrupts)
         report, code = _report_of(result)
         if as_json:
             tree = result.to_json() | {"folder": str(result.folder), "report": report}
@@ -123,11 +126,6 @@ def command(
             click.echo(text_of(result))
             click.echo(f"report: {report or 'could not be written'}")
     return code
-
-
-def _tell(text: str) -> None:
-    """A line for the operator, beside the results on stdout."""
-    click.echo(f"hil: {text}", err=True)
 
 
 def _run(

@@ -21,7 +21,7 @@ from hil.procedure.recordings import Recordings
 from hil.procedure.workers import Workers
 from hil.recording.mcap_writer import OnFailure
 from hil.vocabulary.clock import NS_PER_S, Clock, nanoseconds
-from hil.vocabulary.errors import HilError, RecordingError, UsageError
+from hil.vocabulary.errors import ConfigError, HilError, RecordingError, UsageError
 from hil.vocabulary.progress import WHOLE, Report
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ class Context(Notebook):
         self._path_history = path_history.PathHistory()
         self._seen: set[str] = set()
         self._bench: Bench | None = None
+        self._left_behind = False
         self.held: Held | None = None
         self._teardown: list[tuple[str, Callable[[], None]]] = []
 
@@ -100,7 +101,17 @@ class Context(Notebook):
 
     @property
     def bench(self) -> Bench:
-        """The bench, opened on first use and recorded from then on."""
+        """The bench, opened on first use and recorded from then on.
+
+        Raises:
+            ConfigError: the emulated robot is not where a checkpoint that is not repeated has left it.
+        """
+        if self._left_behind:
+            raise ConfigError(
+                "the emulated robot is no longer where the run that was cut off had left it",
+                expected="each checkpoint to begin with ctx.reopen(), or on a bench of its own",
+                remedy="start the run anew, without --resume",
+            )
         return self._bench if self._bench is not None else self.reopen()
 
     @property
@@ -128,7 +139,7 @@ class Context(Notebook):
             overrides: further configuration overrides.
             prompt: what to ask of the operator of a real bench instead, also before the first opening.
         """
-        again = self._bench is not None
+        again, self._left_behind = self._bench is not None, False
         self.close_bench()
         source = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
         if source.real and (again or prompt):
@@ -288,6 +299,7 @@ class Context(Notebook):
             return self._resumed(title)
         with self.step(title, timeout_s):
             self._journal.add("checkpoint", {"title": title})
+            before = self._world_at()
             value = function()
             try:
                 kept = json.loads(json.dumps(value))
@@ -296,8 +308,15 @@ class Context(Notebook):
                     f"checkpoint {title!r} returned what JSON cannot hold ({error})",
                     expected="numbers, texts, lists and dictionaries; put arrays into a file",
                 ) from None
-            self._journal.add("value", {"title": title, "value": kept})
+            after = self._world_at()
+            moved = after is not None and after != before
+            self._journal.add("value", {"title": title, "value": kept, "moved": moved})
         return kept
+
+    def _world_at(self) -> tuple[int, int] | None:
+        """Which emulated world the run has open, and its time; None for none."""
+        bench = self._bench
+        return None if bench is None or self.source.real else (id(bench), bench.clock.now_ns())
 
     def finished(self, title: str) -> bool:
         """Whether a resumed run will take this checkpoint from the journal."""
@@ -305,6 +324,7 @@ class Context(Notebook):
 
     def _resumed(self, title: str) -> Any:
         *entries, last = self._past[title]
+        self._left_behind |= bool(last.get("moved"))
         self.take_again(entries, title)
         self.findings.steps.append(
             {"title": title, "depth": len(self._titles), "outcome": "resumed", "wall_s": 0.0, "bench_s": 0.0}

@@ -121,6 +121,11 @@ class PastRun:
     recordings: list[str] = field(default_factory=list)
     resumed: int = 0
 
+    @property
+    def left_behind(self) -> bool:
+        """Whether a finished checkpoint has left an emulated robot somewhere, with its bench open."""
+        return any(entries[-1].get("moved") for entries in self.checkpoints.values())
+
 
 def read_journal(path: Path) -> PastRun:
     """Read the journal of a run that did not finish.

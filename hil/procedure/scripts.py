@@ -97,6 +97,20 @@ def _load(name: str, path: Path) -> ModuleType:
     return module
 
 
+def modules_beside(script: Path) -> tuple[Path, ...]:
+    """Files and folders beside a script from which modules have been imported; no installed ones."""
+    folder, package = script.resolve().parent, Path(hil.__file__).resolve().parent
+    installed = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), package, SHIPPED_FOLDER]
+    found = set()
+    for module in tuple(sys.modules.values()):
+        path = Path(getattr(module, "__file__", None) or folder).resolve()
+        if path == script.resolve() or folder not in path.parents:
+            continue
+        if not any(place in path.parents for place in installed):
+            found.add(folder / path.relative_to(folder).parts[0])
+    return tuple(sorted(found))
+
+
 def _choose(module: ModuleType, wanted: str, script: str) -> Procedure:
     found = {p.name: p for p in vars(module).values() if isinstance(p, Procedure)}
     if wanted:

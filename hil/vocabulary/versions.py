@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import platform
 from functools import cache
 from importlib import metadata
@@ -36,10 +37,17 @@ def versions() -> dict[str, str]:
     }
 
 
+def make() -> dict[str, str]:
+    """What decides the bits of a result: versions of Python, of this package and of those below it."""
+    found = {name: version for name, version in versions().items() if name != "platform"}
+    return found | {"python": ".".join(platform.python_version_tuple()[:2])}
+
+
 def _sources() -> str:
-    """Digest of the package's own source files."""
+    """Digest of the package's own source files, the procedures among them: in a checkout they are a link."""
     folder = Path(hil.__file__).parent
+    found = [Path(at, name) for at, _, names in os.walk(folder, followlinks=True) for name in names]
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
+    for path in sorted(path for path in found if path.suffix == ".py"):
         digest.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
     return digest.hexdigest()[:16]

@@ -23,9 +23,14 @@ distributed = pytest.importorskip("distributed", reason="Dask (the extra campaig
 
 SCRIPT = '''
 """A procedure of a moment."""
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parent))
+from moment_helper import MM_PER_M
 
 from hil.procedure import Context, Measurement, procedure
 
@@ -47,8 +52,8 @@ def run(ctx: Context) -> None:
     with ctx.step("rest"):
         ctx.bench.rig.servos.enable()
         seen = ctx.bench.observe(ctx.parameters.hold_s, feedback="odometry").mocap[:, 0]
-    ctx.measure("drift", 1e3 * float(np.nanmax(seen) - np.nanmin(seen)))
-    ctx.measure("radius", 1e3 * float(ctx.bench.geometry.radius_m[0]))
+    ctx.measure("drift", MM_PER_M * float(np.nanmax(seen) - np.nanmin(seen)))
+    ctx.measure("radius", MM_PER_M * float(ctx.bench.geometry.radius_m[0]))
 '''
 BLIND = '''
 """A worker that can see nothing below a folder, as if it were another machine."""
@@ -116,12 +121,12 @@ class Cluster:
         self.processes.append(process)
         return process
 
-    def start(self):
+    def start(self, *options):
         """The scheduler; its address comes from a file."""
         told = self.folder / "scheduler.json"
         self.scheduler = self._start(
             "scheduler", "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", "0",
-            "--no-dashboard", "--scheduler-file", str(told),
+            "--no-dashboard", "--scheduler-file", str(told), *options,
         )  # fmt: skip
         deadline = time.monotonic() + 60
         while not (told.exists() and told.read_text().endswith("}")) and time.monotonic() < deadline:
@@ -167,11 +172,14 @@ def cluster(tmp_path):
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):
-    """The folder of the one who starts campaigns: a procedure, and a bench file that names another file."""
+    """The folder of who starts campaigns: a procedure with a module, a bench file that names a file."""
     folder = tmp_path / "here"
     (folder / "cal").mkdir(parents=True)
     monkeypatch.chdir(folder)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "moment_helper", raising=False)
     Path("rest.py").write_text(SCRIPT)
+    Path("moment_helper.py").write_text("MM_PER_M = 1e3\n")
     robot = load_bench("emulated_floor").robot
     nominal = {"x_w_m": robot.wheel_x_m, "y_w_m": robot.wheel_y_m, "r_m": robot.wheel_radius_m}
     known = {**nominal, "r_m": tuple(0.999 * r for r in robot.wheel_radius_m)}
@@ -243,6 +251,22 @@ def test_a_cluster_of_another_make_is_refused(cluster, here, capsys, preload, to
         cluster.worker("one", preload, here)
     code, _, said = campaign(capsys, "--seeds", "0", "--scheduler", cluster.address, "--out", "far")
     assert (code, told in said) == (2 if told else 0, True), said
+
+
+@pytest.mark.long
+@pytest.mark.timeout(300)
+def test_a_scheduler_without_this_package_is_refused(tmp_path, here, capsys):
+    (tmp_path / "bare.py").write_text('import sys\nsys.modules["hil"] = None\n')
+    bare = Cluster(tmp_path / "elsewhere").start("--preload", str(tmp_path / "bare.py"))
+    try:
+        bare.worker("one", BLIND, here)
+        code, _, said = campaign(capsys, "--seeds", "0", "--scheduler", bare.address, "--out", "far")
+    finally:
+        bare.end()
+    assert (code, f"Dask scheduler '{bare.address}' has no hil-4wis4wid, or another one" in said) == (
+        2,
+        True,
+    ), said
 
 
 @pytest.mark.long

@@ -180,6 +180,7 @@ def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(camp
     profile = resources.files("hil.config.profiles").joinpath("emulated.toml").read_text()
     (tmp_path / "bench.toml").write_text(profile)
     options = ("--bench", "bench.toml", "--workers", "0", "--keep", "results", "--out", "o")
+    options = (*options, "--vary", "fault=none")
     assert campaign("--seeds", "0", *options)[0] == 0
     for name in ("rest.py", "bench.toml"):
         file = tmp_path / name
@@ -189,7 +190,7 @@ def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(camp
         assert (code, f"{file} changed since the campaign began" in said) == (2, True), said
         file.write_text(before)
     (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
-    more = ("--vary", "fault=none,late.toml", "--resume")
+    options, more = options[:-1], ("fault=none,late.toml", "--resume")
     assert campaign("--seeds", "0:2", *options, *more)[0] == 0
     (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 50.0\n')
     assert campaign("--seeds", "0:2", *options, *more)[0] == 2

@@ -8,7 +8,7 @@ from hil.procedure.campaign.page import write_campaign_page
 from hil.procedure.campaign.parcel import Parcel, names, parcel
 from hil.procedure.campaign.plan import Axis, Case, expand, parse_axis, parse_seeds
 from hil.procedure.campaign.rows import write_rows
-from hil.procedure.campaign.spread import spread
+from hil.procedure.campaign.spread import check_dask, spread
 from hil.procedure.campaign.table import Row, summarise, write_csv
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "Case",
     "Parcel",
     "Row",
+    "check_dask",
     "expand",
     "names",
     "parcel",

@@ -6,7 +6,6 @@ Needs the extra `campaign`; imported by those that spread work over a scheduler 
 from __future__ import annotations
 
 import logging
-import platform
 import shutil
 from collections.abc import Callable
 from importlib import metadata
@@ -18,7 +17,7 @@ from distributed import Client, Worker, WorkerPlugin, get_worker
 from hil.procedure.campaign.parcel import Parcel, unpacked
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import DISTRIBUTION
-from hil.vocabulary.versions import versions
+from hil.vocabulary.versions import make
 
 LOG = logging.getLogger(__name__)
 
@@ -26,12 +25,6 @@ REFUSED = "hil-refused"
 """Topic under which workers that come later tell why they leave again."""
 _TOLD_S = 0.1
 _REMEDY = "install the same packages everywhere, e.g. from requirements/ci.lock"
-
-
-def make() -> dict[str, str]:
-    """What decides the bits of a result: versions of Python, of this package and of those below it."""
-    found = {name: version for name, version in versions().items() if name != "platform"}
-    return found | {"python": ".".join(platform.python_version_tuple()[:2])}
 
 
 def tell_of_refused(client: Client) -> None:
@@ -49,18 +42,34 @@ def check_workers(client: Client, scheduler: str) -> None:
         raise UsageError(
             f"Dask scheduler {scheduler!r} has no workers", remedy=f"start some: dask worker {scheduler}"
         )
+    _check_scheduler(client, scheduler)
     own = metadata.version(DISTRIBUTION)
     for worker, there in _asked(client, metadata.version, DISTRIBUTION):
         if isinstance(there, BaseException):
             raise UsageError(f"worker {worker}: has no {DISTRIBUTION}", remedy=_REMEDY)
         if there != own:
-            raise _other(worker, DISTRIBUTION, there, own)
+            raise _other(f"worker {worker}", DISTRIBUTION, there, own)
     here = make()
     for worker, found in _asked(client, make):
         if isinstance(found, BaseException):
             raise UsageError(f"worker {worker}: cannot be used ({found})", remedy=_REMEDY)
-        if (other := _difference(worker, found, here)) is not None:
+        if (other := _difference(f"worker {worker}", found, here)) is not None:
             raise other
+
+
+def _check_scheduler(client: Client, scheduler: str) -> None:
+    """Refuse a scheduler that cannot read what it passes on: it needs this package, too."""
+    try:
+        there: dict[str, str] = client.run_on_scheduler(make)
+    except OSError:
+        raise
+    except Exception:  # whatever the missing import of another process becomes on its way back
+        raise UsageError(
+            f"Dask scheduler {scheduler!r} has no {DISTRIBUTION}, or another one",
+            remedy=f"start it where it is installed: {_REMEDY}",
+        ) from None
+    if (other := _difference(f"Dask scheduler {scheduler!r}", there, make())) is not None:
+        raise other
 
 
 def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tuple[str, Any]]:
@@ -69,16 +78,16 @@ def _asked(client: Client, what: Callable[..., Any], *arguments: str) -> list[tu
     return [(worker, found) for worker, found in answers.items() if not isinstance(found, OSError)]
 
 
-def _difference(worker: str, there: dict[str, str], here: dict[str, str]) -> UsageError | None:
-    """What refuses a worker by the first package of another version; None for one of the same make."""
+def _difference(who: str, there: dict[str, str], here: dict[str, str]) -> UsageError | None:
+    """What refuses a process by the first package of another version; None for one of the same make."""
     differing = (name for name, version in here.items() if there.get(name) != version)
     name = next(differing, None)
-    return None if name is None else _other(worker, name, str(there.get(name)), here[name])
+    return None if name is None else _other(who, name, str(there.get(name)), here[name])
 
 
-def _other(worker: str, name: str, there: str, here: str) -> UsageError:
+def _other(who: str, name: str, there: str, here: str) -> UsageError:
     return UsageError(
-        f"worker {worker}: has {name} {there}, this computer {here}: results would not repeat",
+        f"{who}: has {name} {there}, this computer {here}: results would not repeat",
         remedy=_REMEDY,
     )
 
@@ -95,7 +104,7 @@ class Luggage(WorkerPlugin):  # type: ignore[misc]  # distributed has no types
         Raises:
             UsageError: the worker has other packages or another Python.
         """
-        if (other := _difference(worker.address, make(), self.make)) is not None:
+        if (other := _difference(f"worker {worker.address}", make(), self.make)) is not None:
             worker.log_event(REFUSED, str(other))
             worker.loop.call_later(_TOLD_S, worker.close)
             raise other

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import io
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -39,18 +39,25 @@ def names(named: Mapping[str, Path]) -> dict[str, str]:
     return {text: f"{number}/{path.name}" for number, (text, path) in enumerate(named.items())}
 
 
-def parcel(named: Mapping[str, Path], written: Mapping[str, str] | None = None) -> Parcel:
+def parcel(
+    named: Mapping[str, Path], written: Mapping[str, str] | None = None,
+    beside: Mapping[str, Sequence[Path]] | None = None,
+) -> Parcel:  # fmt: skip
     """Pack the files of a campaign.
 
     Args:
         named: text by which the campaign names a file or folder -> where it lies here.
         written: texts that name a bench file -> what the workers are to read instead of it.
+        beside: texts of `named` -> what is to lie beside them.
 
     Raises:
         ConfigError: a file that cannot be read, or more than workers are sent.
     """
     places = names(named)
     files = {k: v for text, path in named.items() for k, v in _contents(path, places[text])}
+    for text, others in (beside or {}).items():
+        near = Path(places[text]).parent
+        files |= {k: v for path in others for k, v in _contents(path, f"{near}/{path.name}")}
     for number, (text, content) in enumerate((written or {}).items()):
         places[text] = f"bench_{number}.toml"
         files[places[text]] = content.encode()

@@ -7,6 +7,7 @@ given up and the others go on.
 
 from __future__ import annotations
 
+import importlib
 import logging
 import signal
 import tempfile
@@ -60,6 +61,7 @@ def spread(
         for job in jobs:
             done(work(job))
         return
+    check_dask()
     with _client(min(workers, len(jobs)), scheduler) as client:
         from distributed import as_completed
 
@@ -97,16 +99,22 @@ def _reason(error: BaseException) -> str:
     return f"{type(error).__name__}: {error}"
 
 
-@contextmanager
-def _client(workers: int, scheduler: str) -> Iterator[Client]:
+def check_dask() -> None:
+    """Raises `UsageError` with what to do where Dask is not installed."""
     try:
-        from dask import config
-        from distributed import Client, LocalCluster
+        importlib.import_module("distributed")
     except ImportError:
         raise UsageError(
             "a campaign in parallel needs Dask, which is not installed",
             remedy=f"{how_to_install('campaign')}; or use --workers 0",
         ) from None
+
+
+@contextmanager
+def _client(workers: int, scheduler: str) -> Iterator[Client]:
+    from dask import config
+    from distributed import Client, LocalCluster
+
     for name in ("distributed", "distributed.client"):  # Dask gives both a level of their own
         logging.getLogger(name).setLevel(logging.CRITICAL)
     if scheduler:
@@ -126,9 +134,12 @@ def _client(workers: int, scheduler: str) -> Iterator[Client]:
     }  # fmt: skip
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-campaign-"))
-        with _interrupts_put_off(), config.set(_UNWATCHED):
-            cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
-            client = stack.enter_context(Client(cluster))
+        try:
+            with _interrupts_put_off(), config.set(_UNWATCHED):
+                cluster = stack.enter_context(LocalCluster(local_directory=folder, **options))
+                client = stack.enter_context(Client(cluster))
+        except (RuntimeError, OSError) as error:  # a worker that was killed before it had begun
+            raise Aborted(f"the workers did not start ({error})", remedy="go on with --resume") from None
         try:
             yield client
         finally:
