@@ -23,6 +23,10 @@ if TYPE_CHECKING:
 Kind = tuple[Sequence[Track], str, str]
 """Tracks that are drawn alike, their colour, their name."""
 _DEG = math.degrees(1.0)
+_LENGTHS = 12
+_MOST_REACH = 6.0
+"""Of the frame of parameters, over what was found and allowed."""
+_ALLOWED = {False: "how far off a part may be by its drawing", True: "how far the fit may go"}
 
 
 def write_evaluation_page(
@@ -78,8 +82,7 @@ def write_calibration_page(folder: Path, result: Calibration) -> Path:
     ]
     figures = [
         *_motion_figures(before, after),
-        Drawn("parameters", "Parameters", _parameters(result),
-              "Change from the robot on paper. Grey: how far off a part may be by its drawing."),
+        _parameters(result),
         Drawn("weights", "Weights of the recordings", _weights(result),
               "Red: does not fit the others." if result.fit.rejected else "Every recording fits the others."),
         Drawn("correlation", "Correlation of the estimates", _correlation(result),
@@ -176,24 +179,40 @@ def _draw_heading(axes: Axes, kinds: Sequence[Kind]) -> None:
     axes.set_ylabel("error (deg)", fontsize=9)
 
 
-def _parameters(result: Calibration) -> Figure:
-    z, nominal = result.fit.solution.z, result.fit.problem.nominal
-    unit = np.where(np.arange(len(z)) < 12, 0.01 * result.fit.problem.sizes, np.radians(1.0))
-    half = np.nan_to_num(result.intervals.quantile * result.intervals.std / unit)
-    prior = result.fit.problem.prior_std / unit
+def _parameters(result: Calibration) -> Drawn:
+    """What was found beside what was allowed; every interval ends in the frame or has an arrow there."""
+    problem, z = result.fit.problem, result.fit.solution.z
+    unit = np.where(np.arange(len(z)) < _LENGTHS, 0.01 * problem.sizes, np.radians(1.0))
+    change = (z - problem.nominal) / unit
+    half = result.intervals.quantile * result.intervals.std / unit
+    half = np.where(np.isfinite(half), half, np.inf)
+    bounded = problem.setting.bounds is not None
+    allowed = (problem.upper - problem.nominal if bounded else problem.prior_std) / unit
+    farthest = _MOST_REACH * float(np.max([np.abs(change), allowed]))
+    limit = 1.05 * min(farthest, float(np.max([np.abs(change) + half, allowed])))
     figure = new_figure(5.2, 2.9)
-    axes = style(figure.add_subplot(), "", "change (1 % of length, or 1 deg)")
+    axes = style(figure.add_subplot(), "", "change (% or deg)")
     at = np.arange(len(z))
-    axes.bar(at, 2 * prior, bottom=-prior, color=PALETTE["grid"], width=0.8, label="prior, one sigma")
+    grey = "bounds" if bounded else "prior, one sigma"
+    axes.bar(at, 2 * allowed, bottom=-allowed, color=PALETTE["grid"], width=0.8, label=grey)
+    ends = np.clip([change - half, change + half], -limit, limit)
     axes.errorbar(
-        at, (z - nominal) / unit, half, fmt="o", ms=4, color=SERIES[0], capsize=3, label="fit, 95 %"
+        at, change, np.abs(ends - change), fmt="o", ms=4, color=SERIES[0], capsize=3, label="fit, 95 %"
     )
+    cut = [at[change - half < -limit], at[change + half > limit]]
+    for where, edge, caret in zip(cut, (-limit, limit), (7, 6), strict=True):
+        axes.plot(where, np.full(len(where), edge), ls="", marker=caret, ms=7, color=SERIES[0])
     axes.set_xticks(at, PARAMETER_NAMES[: len(z)], rotation=60, fontsize=8)
-    limit = 1.2 * float(np.max(np.abs((z - nominal) / unit)) + max(1.0, float(np.max(prior))))
     axes.set_ylim(-limit, limit)
     axes.axhline(0.0, color=PALETTE["truth"], lw=0.6)
     legend(axes, columns=2, above=True)
-    return figure
+    caption = (
+        "Change from the robot on paper: 1 is 1 % of a wheel's radius or of its offset from the centre, or "
+        f"1 deg of a steering zero. Bars are 95 % intervals; grey is {_ALLOWED[bounded]}."
+    )
+    if any(map(len, cut)):
+        caption += " Arrows: the interval goes on beyond the frame."
+    return Drawn("parameters", "Parameters", figure, caption)
 
 
 def _correlation(result: Calibration) -> Figure:
