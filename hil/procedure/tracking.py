@@ -9,7 +9,7 @@ import numpy as np
 
 from hil.bench.settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, style, thin
+from hil.report.run_plots import MOST_POINTS, PALETTE, SERIES, kept_rows, legend, new_figure, style
 from hil.ring.motion import Motion
 from hil.robot.motion_limits import check
 from hil.robot.trajectories import Trajectory
@@ -76,9 +76,12 @@ _KEYS = (
 
 
 def series(motion: Motion) -> dict[str, Any]:
-    """Time, reference, truth and estimate, thinned, as JSON values."""
-    columns = thin(motion.t_s, *motion.reference.T, *motion.mocap.T, *motion.estimate.T)
-    rounded = [np.round(c, 5).tolist() for c in columns]
+    """Time, reference, truth and estimate, thinned, as JSON values; the largest errors stay."""
+    errors = np.hstack([motion.mocap - motion.reference, motion.estimate - motion.mocap])
+    errors[:, [2, 5]] = wrap_array(errors[:, [2, 5]])
+    rows = kept_rows(*errors.T, most=2 * MOST_POINTS)
+    columns = (motion.t_s, *motion.reference.T, *motion.mocap.T, *motion.estimate.T)
+    rounded = [np.round(c[rows], 5).tolist() for c in columns]
     return {"t": rounded[0], "reference": rounded[1:4], "truth": rounded[4:7], "estimate": rounded[7:10]}
 
 

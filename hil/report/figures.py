@@ -11,6 +11,7 @@ import base64
 import io
 import re
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 from xml.parsers import expat
@@ -24,12 +25,14 @@ from hil.vocabulary.files import reason
 from hil.vocabulary.reading import read_text
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _MOST_BYTES = 64 << 20
 _PX_PER_PT = 1.6
 _PT_PER_IN = 72.0
 """Resolution of SVG, which matplotlib measures texts at."""
+_GAP_PT, _MOST_STEPS = 4.0, 9
 _INK, _DARK_INK = "#18181b", "#ececf0"
 _LIGHT = {
     "reference": "#71717a", "truth": "#18181b", "c1": "#2563eb", "c2": "#c76a06", "c3": "#047857",
@@ -67,7 +70,26 @@ def _lay_out(figure: Figure) -> None:
         FigureCanvasSVG(figure)
         figure.set_dpi(_PT_PER_IN)
         engine.execute(figure)
+        for axes in figure.axes:
+            _part_labels(axes)
         figure.set_layout_engine(None)
+
+
+def _part_labels(axes: Axes) -> None:
+    """Fewer ticks along a narrow x axis, until no label touches the next."""
+    from matplotlib.ticker import AutoLocator, MaxNLocator
+
+    if not isinstance(axes.xaxis.get_major_locator(), AutoLocator):
+        return
+    for most in range(_MOST_STEPS, 1, -1):
+        low, high = sorted(axes.get_xlim())
+        boxes = sorted(
+            (t.get_window_extent() for t in axes.get_xticklabels() if low <= t.get_position()[0] <= high),
+            key=lambda box: box.x0,
+        )
+        if all(right.x0 - left.x1 >= _GAP_PT for left, right in pairwise(boxes)):
+            return
+        axes.xaxis.set_major_locator(MaxNLocator(most - 1, steps=[1, 2, 2.5, 5, 10]))
 
 
 def figure_image(path: Path, title: str) -> Markup:

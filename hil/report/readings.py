@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from hil.report.run_plots import PALETTE
+from hil.report.run_plots import MOST_POINTS, PALETTE, kept_rows
 from hil.vocabulary.geometry import Array
 
 if TYPE_CHECKING:
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
     from matplotlib.text import Text
     from matplotlib.transforms import Transform
 
-MOST_POINTS = 400
-"""Of one curve."""
 _DIGITS = 5
 _PICTURES = ("AxesImage", "QuadMesh", "Quiver", "FancyArrowPatch")
 _KEPT = re.compile(r'<metadata id="readings">(.*?)</metadata>', re.S)
@@ -251,20 +249,11 @@ def _in_data(
     """Points (n, 2) of an artist in the axes' data, thinned; None where a line breaks."""
     if not len(points):
         return [], []
-    kept = _thinned(np.asarray(points, float))
+    points = np.ma.filled(np.ma.asarray(points, float), np.nan)
+    kept = points[kept_rows(*points.T)]
     with np.errstate(all="ignore"):
-        data = (transform - axes.transData).transform(np.ma.filled(kept, np.nan))
+        data = (transform - axes.transData).transform(kept)
     return _rounded(data[:, 0]), _rounded(data[:, 1])
-
-
-def _thinned(points: Array) -> Array:
-    """At most `MOST_POINTS` of points (n, 2), in order, with the lowest and highest of each stretch."""
-    if len(points) <= MOST_POINTS:
-        return points
-    stretches = np.array_split(np.arange(len(points)), MOST_POINTS // 2 - 1)
-    y = np.nan_to_num(points[:, 1])
-    kept = {0, len(points) - 1, *(int(s[f(y[s])]) for s in stretches for f in (np.argmin, np.argmax))}
-    return points[sorted(kept)]
 
 
 def _rounded(values: Array) -> list[float | None]:

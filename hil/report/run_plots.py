@@ -7,9 +7,11 @@ the same SVG reads well alone on white and in a dark report.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hil.vocabulary.geometry import Array
 
@@ -28,7 +30,9 @@ PALETTE: Mapping[str, str] = {
     "grid": "#d4d4d9",
 }
 SERIES = tuple(PALETTE[f"c{k}"] for k in range(1, 6))
-_POINTS = 400
+_FINE, _DECADES = (1.0, 2.0, 5.0), (1.0,)
+MOST_POINTS = 400
+"""Of one curve."""
 
 
 def new_figure(width_in: float = 5.2, height_in: float = 3.0) -> Figure:
@@ -59,12 +63,28 @@ def style(axes: Axes, x: str, y: str, title: str = "") -> Axes:
 
 
 def plain_log(axes: Axes, linear_below: float | None = None) -> None:
-    """A logarithmic y axis labelled 1, 10, 100; linear around zero where `linear_below` is given."""
-    if linear_below is None:
+    """A logarithmic y axis labelled 1, 10, 100 for what has been drawn.
+
+    Args:
+        axes: that everything was drawn on.
+        linear_below: if given, the axis is linear around zero, and altogether if nothing is larger.
+    """
+    from matplotlib.ticker import LogLocator, NullFormatter, SymmetricalLogLocator
+
+    low, high = axes.dataLim.intervaly
+    most = max(-low, high)
+    if linear_below is not None and most <= linear_below:
+        return
+    if linear_below is None or low > linear_below:
         axes.set_yscale("log")
+        subs = _FINE if most <= 100.0 * axes.dataLim.minposy else _DECADES
+        axes.yaxis.set_major_locator(LogLocator(subs=subs))
     else:
         axes.set_yscale("symlog", linthresh=linear_below)
+        subs = _FINE if most <= 10.0 * linear_below else _DECADES
+        axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=linear_below, subs=subs))
     axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def legend(axes: Axes, columns: int = 1, *, above: bool = False) -> None:
@@ -75,9 +95,34 @@ def legend(axes: Axes, columns: int = 1, *, above: bool = False) -> None:
 
 
 def thin(*columns: Array) -> list[Array]:
-    """Columns (n,) of one length, thinned to what a figure can show."""
-    step = max(1, len(columns[0]) // _POINTS)
-    return [np.append(c[:-1:step], c[-1:]) for c in columns]
+    """Columns (n,) of one length, thinned to what a figure can show; extremes stay, see `kept_rows`."""
+    rows = kept_rows(*columns)
+    return [c[rows] for c in columns]
+
+
+def kept_rows(*columns: Array, most: int = MOST_POINTS) -> NDArray[np.intp]:
+    """Rows that stand for all of a curve: every so many, and the extremes and gaps of each stretch of it.
+
+    Args:
+        columns: (n,) each, of one length. One that never falls, such as time, has its extremes at the ends.
+        most: how many rows may stay.
+    """
+    count = len(columns[0])
+    if count <= most:
+        return np.arange(count)
+    known = [np.isfinite(c) for c in columns]
+    lowest = [
+        np.where(k, sign * np.where(k, c, 0.0), np.inf)
+        for c, k in zip(columns, known, strict=True) if not np.all(np.diff(c) >= 0.0) for sign in (1.0, -1.0)
+    ]  # fmt: skip
+    if not np.all(known):
+        lowest.append(np.all(known, axis=0).astype(np.float64))
+    kept = np.linspace(0, count - 1, most // 2).round().astype(np.intp)
+    if lowest:
+        edges = np.linspace(0, count, max(1, most // 2 // len(lowest)) + 1).astype(np.intp)
+        found = [a + np.argmin(v[a:b]) for v in lowest for a, b in pairwise(edges)]
+        kept = np.append(kept, found)
+    return np.unique(kept)
 
 
 def bars(names: Sequence[str], values: Sequence[float], y: str, limit: float | None = None) -> Figure:

@@ -170,8 +170,7 @@ def _paths(axes: Any, motion: str, before: Track, after: Track, *, first: bool) 
         (after.truth, PALETTE["truth"], 2.0, "truth"), (before.odometry, SERIES[1], 1.1, "before"),
         (after.odometry, SERIES[0], 1.1, "after"),
     ):  # fmt: skip
-        t_s, x, y, heading = thin(after.t_s, *pose.T)
-        line = (t_s, np.degrees(heading)) if turning else (x, y)
+        line = thin(after.t_s, np.degrees(pose[:, 2])) if turning else thin(pose[:, 0], pose[:, 1])
         axes.plot(*line, color=colour, lw=width, label=name if first else None)
     if motion.startswith("circle"):
         axes.set_aspect("equal", adjustable="datalim")

@@ -14,7 +14,8 @@ from typing import Any
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
 from hil.report.history.series import Group, Series
 from hil.report.pages import environment, number, quantity
-from hil.report.readings import MOST_POINTS, Curve, Readings, Scale, as_json
+from hil.report.readings import Curve, Readings, Scale, as_json
+from hil.report.run_plots import MOST_POINTS
 from hil.vocabulary.files import write_text
 
 PAGE = "trends.html"
