@@ -9,7 +9,16 @@ import numpy as np
 
 from hil.bench.settings import geometry_of, motion_limits
 from hil.config.bench import BenchConfig
-from hil.report.run_plots import MOST_POINTS, PALETTE, SERIES, kept_rows, legend, new_figure, style
+from hil.report.run_plots import (
+    MOST_POINTS,
+    PALETTE,
+    SERIES,
+    kept_rows,
+    legend,
+    new_figure,
+    share_scale,
+    style,
+)
 from hil.ring.motion import Motion
 from hil.robot.motion_limits import check
 from hil.robot.trajectories import Trajectory
@@ -88,7 +97,7 @@ def series(motion: Motion) -> dict[str, Any]:
 def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
     """Where the robot went, by feedback, beside the reference; X up the wall, Y to the left.
 
-    What a line's reference does not move in is drawn in mm, enlarged.
+    What a line's reference hardly moves in is enlarged, in mm below 5 cm.
     """
     first = next(iter(runs.values()))["reference"]
     extent = [np.ptp(np.array(first[k], dtype=np.float64)) for k in range(2)]
@@ -99,8 +108,8 @@ def path_figure(runs: dict[str, dict[str, Any]]) -> Figure:
         x, y = (np.array(run["truth"][k], dtype=np.float64) * factor[k] for k in range(2))
         axes.plot(y, x, color=_colour(name), ls=_DASHES.get(name, "-"), lw=1.5, label=LABELS.get(name, name))
     axes.invert_xaxis()
-    if min(extent) > 0.05:
-        axes.set_aspect("equal", adjustable="datalim")
+    if unit[0] == unit[1]:
+        share_scale(axes, *extent)
     legend(axes)
     return figure
 

@@ -12,7 +12,7 @@ import numpy as np
 from hil.estimator.consistency import nees
 from hil.report.overview import Drawn, Overview, Table, write_overview
 from hil.report.pages import number
-from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, style, thin
+from hil.report.run_plots import PALETTE, SERIES, legend, new_figure, plain_log, share_scale, style, thin
 from hil.ring.motion import Motion
 from hil.vocabulary.geometry import Array, wrap_array
 
@@ -58,7 +58,9 @@ def write_replay_page(
     figures = [
         Drawn("errors", "Errors", _errors(drawn),
               "Estimate minus motion capture. X is up the wall, Y to the left."),
-        Drawn("path", "Path", _path(drawn), "Motion capture, and what each estimator believed."),
+        Drawn("path", "Path", _path(drawn),
+              "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
+              "sideways is enlarged."),
         Drawn("confidence", "How sure, and how wrong", _confidence(drawn),
               "NEES: the squared error over the variance that the estimator claims. Three (dashed) is ideal, "
               "more is too sure of itself."),
@@ -126,7 +128,8 @@ def _errors(motions: Mapping[str, Motion]) -> Figure:
 def _path(motions: Mapping[str, Motion]) -> Figure:
     """Seen by who stands before the wall: X up, Y to the left; a side on which little happens is enlarged."""
     truth = next(iter(motions.values())).mocap
-    extent = np.nanmax(truth[:, :2], axis=0) - np.nanmin(truth[:, :2], axis=0) if len(truth) else np.ones(2)
+    known = truth[np.isfinite(truth).all(axis=1), :2]
+    extent = np.ptp(known, axis=0) if len(known) else np.ones(2)
     (in_x, x_unit), (in_y, y_unit) = ((1e3, "mm") if w < _LITTLE_M else (1.0, "m") for w in extent)
     figure = new_figure(5.2, 3.6)
     axes = style(figure.add_subplot(), f"Y, left ({y_unit})", f"X, up ({x_unit})")
@@ -136,7 +139,7 @@ def _path(motions: Mapping[str, Motion]) -> Figure:
         axes.plot(in_y * y, in_x * x, color=colour, lw=1.1, label=name)
     axes.invert_xaxis()
     if x_unit == y_unit:
-        axes.set_aspect("equal", adjustable="datalim")
+        share_scale(axes, *extent)
     legend(axes)
     return figure
 

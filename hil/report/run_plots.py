@@ -30,6 +30,7 @@ PALETTE: Mapping[str, str] = {
     "grid": "#d4d4d9",
 }
 SERIES = tuple(PALETTE[f"c{k}"] for k in range(1, 6))
+_STRAIGHT = 0.1
 _FINE, _DECADES = (1.0, 2.0, 5.0), (1.0,)
 MOST_POINTS = 400
 """Of one curve."""
@@ -83,8 +84,20 @@ def plain_log(axes: Axes, linear_below: float | None = None) -> None:
         axes.set_yscale("symlog", linthresh=linear_below)
         subs = _FINE if most <= 10.0 * linear_below else _DECADES
         axes.yaxis.set_major_locator(SymmetricalLogLocator(base=10.0, linthresh=linear_below, subs=subs))
-    axes.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.yaxis.set_major_formatter(lambda value, _: f"{value:.7g}")
     axes.yaxis.set_minor_formatter(NullFormatter())
+
+
+def share_scale(axes: Axes, x_m: float, y_m: float) -> None:
+    """One scale for both sides of a path, unless it goes along one of them: curves would hide each other.
+
+    Args:
+        axes: that the path is drawn on.
+        x_m: how far it goes along X, and
+        y_m: along Y.
+    """
+    if min(x_m, y_m) > _STRAIGHT * max(x_m, y_m):
+        axes.set_aspect("equal", adjustable="datalim")
 
 
 def legend(axes: Axes, columns: int = 1, *, above: bool = False) -> None:

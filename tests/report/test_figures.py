@@ -7,10 +7,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hil.procedure.tracking import series
+from hil.procedure.tracking import path_figure, series
 from hil.report.calibration_page import _draw_position, _parameters
 from hil.report.figures import save_figure
 from hil.report.readings import taken_out
+from hil.report.replay_page import _path
 from hil.report.run_plots import MOST_POINTS, kept_rows, new_figure, plain_log, style, thin
 
 LONG = 25_003
@@ -74,6 +75,22 @@ def test_the_series_of_a_motion_keep_its_largest_error():
     found = series(motion)
     assert len(found["t"]) <= 2 * MOST_POINTS
     assert np.max(np.subtract(found["truth"][0], found["reference"][0])) == pytest.approx(0.05, abs=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("x_m", "y_m", "aspect"), [(4.0, 0.2, "auto"), (0.2, 4.0, "auto"), (4.0, 0.02, "auto"), (4.0, 1.0, 1.0)]
+)
+def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
+    turn = np.linspace(0.0, np.pi, 50)
+    path = [(0.5 * x_m * np.cos(turn)).tolist(), (y_m * np.sin(turn)).tolist()]
+    (axes,) = path_figure({"ekf": {"reference": path, "truth": path}}).axes
+    assert axes.get_aspect() == aspect
+    poses = np.column_stack([*path, turn])
+    motion = SimpleNamespace(mocap=poses, estimate=poses + 0.01)
+    (axes,) = _path({"EKF": motion}).axes
+    assert axes.get_aspect() == aspect
+    motion.mocap = np.full_like(poses, np.nan)
+    assert _path({"EKF": motion}).axes[0].get_aspect() == 1.0
 
 
 RANGES = [(0.0, 0.02), (0.0, 0.55), (0.0, 0.999), (0.0, 1.2), (0.0, 9.0), (0.1, 25.0), (0.0, 90.0),
