@@ -109,7 +109,7 @@ def _read(
     from hil.ring.motion import Motion
 
     config, runs = None, []
-    for path in paths:
+    for path in _one_by_one(paths):
         opened = open_recording(path, bench=bench, calibration=calibration)
         _same_robot(path, opened.header, opened.bench.config)
         config, found = config or opened.bench.config, list[TruthRun]()
@@ -130,6 +130,13 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     return config, runs
+
+
+def _one_by_one(paths: Sequence[Path]) -> list[Path]:
+    """The recordings at paths, those of folders each by itself: one of ours holds more than a table would."""
+    from hil.recording.sources import find_recordings
+
+    return [job.files[0] for job in find_recordings(paths)]
 
 
 def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None:

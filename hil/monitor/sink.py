@@ -22,6 +22,7 @@ from hil.monitor.scene import Scene
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
+from hil.vocabulary.files import check_file
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
@@ -43,6 +44,7 @@ def split_targets(target: str) -> tuple[str, ...]:
     Raises:
         UsageError: Rerun is not installed; an empty list, a word that is none of them, or a file in a folder
             that does not exist.
+        DataError: a file that cannot be written.
     """
     if not is_installed("rerun"):
         raise UsageError("the monitor needs Rerun, which is not installed", remedy=how_to_install("rerun"))
@@ -59,6 +61,7 @@ def split_targets(target: str) -> tuple[str, ...]:
             )
         if not Path(name).resolve().parent.is_dir():
             raise UsageError(f"the monitor cannot open {name!r}: no such folder", expected=expected)
+        check_file(Path(name))
     return targets
 
 

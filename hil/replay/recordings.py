@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -19,14 +19,15 @@ from hil.config.loading import load_bench
 from hil.config.recorded import recorded_bench
 from hil.recording.foreign import to_run
 from hil.recording.mcap_reader import RecordingReader
-from hil.recording.rosbag import read_bag, read_topic_map
+from hil.recording.rosbag import is_bag, read_bag, read_topic_map
 from hil.recording.runs import RecordedRun, read_runs
-from hil.recording.sources import read_recordings
+from hil.recording.sources import find_recordings, read_recordings
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.collector import without_collector
 from hil.vocabulary.errors import DataError, HilError, UsageError
 
 _FOREIGN_BENCH = "emulated_floor"
+_NAMED = 4
 
 
 @dataclass
@@ -89,8 +90,11 @@ def open_recording(
 
     Raises:
         DataError, ConfigError: it cannot be read.
+        UsageError: a folder of recordings; they are opened one by one.
     """
     problems: list[str] = []
+    if path.is_dir() and not is_bag(path):
+        _refuse_folder(path, topics)
     if topics is not None or path.suffix != ".mcap":
         config = load_bench(bench or _FOREIGN_BENCH)
         found = _read_foreign(path, topics, nominal_of(config))
@@ -113,6 +117,16 @@ def open_recording(
     except (TypeError, ValueError, OverflowError) as error:
         raise DataError(str(path), f"has a header that cannot be used ({error})") from None
     return OpenedRecording(path, made, header, False, problems, lambda: read_runs(path, problems))
+
+
+def _refuse_folder(folder: Path, topics: Path | None) -> NoReturn:
+    """Name the recordings of a folder, of which one is to be named."""
+    names = [job.files[0].name for job in find_recordings([folder], topics)]
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    raise UsageError(
+        f"{folder}: is a folder, with {', '.join(names[:_NAMED])}{more}",
+        expected="one recording", remedy=f"name one, as {folder / names[0]}",
+    )  # fmt: skip
 
 
 def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:

@@ -17,7 +17,7 @@ from hil.replay.recordings import OpenedRecording
 from hil.ring.loop import OUTSIDE, Brain, Decision
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import SafetyStop
+from hil.vocabulary.errors import SafetyStop, UsageError
 from hil.vocabulary.signals import CycleRecord, Inputs, Reference, RobotState
 
 FIELDS = DECIDED
@@ -201,11 +201,14 @@ def verify_recording(opened: OpenedRecording, number: int | None = None) -> list
     A recording of ours is read, decided upon and let go of in one pass, whatever its length.
 
     Raises:
-        DataError: there are no cycles; `UsageError`: no run of that number.
+        DataError: there are no cycles.
+        UsageError: no run of that number, or a recording of other origin: no brain decided in it.
     """
     if opened.foreign:
-        runs = opened.runs if number is None else [opened.run(number)]
-        return [verify_run(opened.bench, run) for run in runs]
+        raise UsageError(
+            f"{opened.path}: not a recording of this bench: there is nothing to verify",
+            expected="an .mcap recording that a run or `hil live` has made", remedy="leave --verify out",
+        )  # fmt: skip
     told, check, latest, count = [], None, -1, 0
     with without_collector():
         for k, start, record in read_stored_cycles(opened.path, opened.problems):

@@ -14,7 +14,7 @@ from hil.monitor import RerunMonitor
 from hil.monitor.blueprint import line_colours
 from hil.monitor.series import Series, SeriesCollector, conditions
 from hil.monitor.sink import split_targets
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import DataError, UsageError
 from hil.vocabulary.signals import (
     SERVOS,
     CycleRecord,
@@ -177,6 +177,15 @@ def test_counters_and_slow_states_are_thinned_out():
 @pytest.mark.parametrize("target", ["", " , "])
 def test_empty_targets_are_refused(target):
     with pytest.raises(UsageError, match="spawn, connect, serve"):
+        split_targets(target)
+
+
+@pytest.mark.parametrize("target", ["taken.rrd", "serve,taken.rrd", "/proc/view.rrd"])
+def test_a_file_that_cannot_be_written_is_refused_beforehand(tmp_path, monkeypatch, target):
+    """Rerun's own error had come as a traceback, after the estimators had run."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "taken.rrd").mkdir()
+    with pytest.raises(DataError, match=r"taken.rrd: is a folder|view.rrd: cannot be written"):
         split_targets(target)
 
 
