@@ -6,6 +6,8 @@ the loop had.
 
 from __future__ import annotations
 
+from copy import copy
+
 from hil.bench.settings import (
     alignment_parameters,
     checks,
@@ -14,6 +16,7 @@ from hil.bench.settings import (
     with_measured_scale,
 )
 from hil.config.bench import BenchConfig
+from hil.config.estimator import EstimatorConfig
 from hil.controller import make_controller
 from hil.controller.joint_script import JointScript, ScriptedController
 from hil.estimator import make_estimator
@@ -53,6 +56,12 @@ class Blueprint:
         self.config, self.geometry, self.seed = with_measured_scale(config), geometry, seed
         self.calibration, self.fitted_with = calibration, fitted_with
         self.alignment_parameters = alignment_parameters(config)
+
+    def with_estimator(self, estimator: EstimatorConfig) -> Blueprint:
+        """The same bench with other filters."""
+        made = copy(self)
+        made.config = self.config.model_copy(update={"estimator": estimator})
+        return made
 
     def versions(self) -> dict[str, str]:
         """Versions of what the result depends on."""

@@ -69,6 +69,7 @@ def command(
 
     Example: hil replay recording.mcap --page replay.html
     """
+    from hil.replay.comparison import heard, told_of_sensors
     from hil.replay.recordings import open_recording
     from hil.vocabulary.files import check_ending, check_file
 
@@ -85,13 +86,21 @@ def command(
         runs = list(opened.runs) if number is None else [opened.run(number)]
         result["cycles"] = sum(len(r.records) for r in runs)
         run = max(runs, key=lambda r: len(r.records))
+        sensors = heard(r.measurements for r in run.records)
+        result["sensors"], result["note"] = sensors, told_of_sensors(opened.bench, sensors)
+        result["warnings"] = opened.doubts()
+        for line in result["warnings"]:
+            click.echo(f"warning: {line}", err=True)
         motions, result["estimators"] = _compared(opened, run, estimators or _KINDS)
         _show(opened.bench, run, motions, view)
         if page is not None:
             from hil.report.replay_page import write_replay_page
 
             title = f"Replay of {recording.name}"
-            write_replay_page(page, title, motions, result["estimators"], opened.problems)
+            write_replay_page(
+                page, title, motions, result["estimators"], [*opened.problems, *result["warnings"]],
+                (result["note"],), on_wall=opened.bench.config.environment.on_wall,
+            )  # fmt: skip
     result["problems"] = opened.problems
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
@@ -159,4 +168,5 @@ def _text(result: dict[str, Any]) -> str:
     for name, e in result["estimators"].items():
         cells = (("-" if e[key] is None else f"{e[key] * factor:.3f}") for key, _, factor in _COLUMNS)
         lines.append(f"{name:12} " + " ".join(f"{cell:>9}" for cell in cells))
+    lines.append(result["note"])
     return "\n".join(lines)

@@ -214,6 +214,10 @@ _PAPER: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+_FREE_MOTION = {"acceleration_m_s2_sqrt_hz": 1.0, "angular_acceleration_rad_s2_sqrt_hz": 4.0}
+"""Process noise that leaves the motion to the wheels; where they stand both shake the robot about as much."""
+
+
 class EstimatorConfig(_Strict):
     """`[estimator]` of the bench file.
 
@@ -248,6 +252,15 @@ class EstimatorConfig(_Strict):
     def slip(self, surface: str) -> SlipModel:
         """What the wheels cannot see on a surface: `wall` or `floor`."""
         return self.wall if surface == "wall" else self.floor
+
+    def on_wheels_alone(self) -> EstimatorConfig:
+        """For recordings with neither gyro nor camera, where nobody has chosen the process noise.
+
+        The noise that suits all sensors expects less of a start or a turn than wheels say: their gates then
+        refuse what nothing else measures, and the turn is lost.
+        """
+        free = {k: v for k, v in _FREE_MOTION.items() if k not in self.process.model_fields_set}
+        return self.model_copy(update={"process": self.process.model_copy(update=free)})
 
     @model_validator(mode="before")
     @classmethod

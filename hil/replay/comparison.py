@@ -1,13 +1,14 @@
 """Other estimators on a recording, and how far each is from motion capture and from what it says of itself.
 
 `compare` runs estimators, `smoothed` the smoother on the recorded measurements; `errors` and `consistency`
-hold them against motion capture and against what they say of themselves.
+hold them against motion capture and against what they say of themselves; `fitting` chooses the filters by
+the sensors that were heard.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -21,9 +22,49 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.signals import CycleRecord, RobotState
+from hil.vocabulary.signals import CycleRecord, Measurements, RobotState
 
 KINDS = ("odometry", "ekf", "ukf", "smoother")
+SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
+"""Names of sensors by their fields of `Measurements`."""
+
+
+def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
+    """Fields of `SENSORS` of which there is any sample."""
+    missing = set(SENSORS)
+    for m in cycles:
+        missing -= {name for name in missing if getattr(m, name)}
+        if not missing:
+            break
+    return tuple(name for name in SENSORS if name not in missing)
+
+
+def rest_on_wheels(sensors: Iterable[str]) -> bool:
+    """Whether nothing but the wheels says how the robot moved; motion capture is the truth."""
+    return not {"gyro", "tracker"} & set(sensors)
+
+
+def fitting(bench: Blueprint, sensors: Iterable[str]) -> Blueprint:
+    """The bench with filters that suit the sensors that were heard."""
+    return (
+        bench.with_estimator(bench.config.estimator.on_wheels_alone()) if rest_on_wheels(sensors) else bench
+    )
+
+
+def told_of_sensors(bench: Blueprint, sensors: Sequence[str]) -> str:
+    """Which sensors a run has, and what filters make of a run of wheels alone."""
+    absent = [word for name, word in SENSORS.items() if name not in sensors]
+    text = "sensors: " + ", ".join(SENSORS[name] for name in sensors)
+    if absent:
+        text += f"; no {', no '.join(absent)}"
+    if rest_on_wheels(sensors):
+        noise = fitting(bench, sensors).config.estimator.process
+        along, turning = noise.acceleration_m_s2_sqrt_hz, noise.angular_acceleration_rad_s2_sqrt_hz
+        text += (
+            ": the filters rest on the wheels alone, with a process noise of "
+            f"{along:g} m/s^2 and {turning:g} rad/s^2 per root Hz"
+        )
+    return text
 
 
 def estimate(records: Sequence[CycleRecord], estimator: Estimator, start: RobotState) -> Motion:
@@ -57,6 +98,8 @@ def compare_run(
 ) -> dict[str, Motion]:  # fmt: skip
     """A run as it was estimated then (`recorded`), and as estimators of some kinds see it, by kind.
 
+    Where there is neither gyro nor camera the filters are those of `fitting`.
+
     Args:
         run: from its first cycle.
         bench: of its making; makes the filters and says what the smoother needs.
@@ -69,6 +112,7 @@ def compare_run(
     """
     if run.start is None:
         raise DataError(source, "does not say how its run began")
+    bench = fitting(bench, heard(r.measurements for r in run.records))
     start, config = run.start.state, bench.config
     filters = {kind: bench.make_estimator(kind) for kind in kinds if kind != "smoother"}
     motions = compare(run.records, filters, start)
@@ -107,15 +151,23 @@ def consistency(motion: Motion, truth: Array | None = None) -> dict[str, float]:
     values = nees(difference, motion.covariance[:, :3, :3]) if len(motion.records) else np.zeros(0)
     last = motion.records[-1].state.diagnostics if motion.records else {}
     known = values[np.isfinite(values)]
+    sensors = heard(r.measurements for r in motion.records)
     out = {"nees_pose": float(known.mean()) if len(known) else np.nan}
     for name in ("wheels", "gyro", "tracker", "gravity"):
-        out[f"nis_{name}"] = float(last.get(f"nis_mean_{name}", np.nan))
+        out[f"nis_{name}"] = _mean_nis(last, name)
     series = motion.diagnostic("innovation_gyro_rad_s")
     series = series[np.isfinite(series)]
-    out["lag1_gyro"] = float(autocorrelation(series, 1)[0]) if len(series) > 2 else np.nan
+    enough = "gyro" in sensors and len(series) > 2
+    out["lag1_gyro"] = float(autocorrelation(series, 1)[0]) if enough else np.nan
     for name in ("wheels", "gyro", "tracker"):
-        out[f"rejected_{name}"] = float(last.get(f"rejected_{name}", np.nan))
+        out[f"rejected_{name}"] = float(last.get(f"rejected_{name}", np.nan)) if name in sensors else np.nan
     return out
+
+
+def _mean_nis(figures: Mapping[str, float], name: str) -> float:
+    """NaN where no sample was ever compared: the mean then is the ideal that it began with."""
+    mean, latest = figures.get(f"nis_mean_{name}", np.nan), figures.get(f"nis_{name}", 0.0)
+    return float("nan") if mean == 1.0 and latest == 0.0 else float(mean)
 
 
 def errors(motion: Motion, truth: Array | None = None) -> dict[str, float]:

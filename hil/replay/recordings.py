@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
@@ -13,6 +13,9 @@ import numpy as np
 from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
+from hil.calibration.blocks import reduce_recordings
+from hil.calibration.datasets import Recording
+from hil.calibration.driven import mismatch
 from hil.calibration.nominal import Nominal
 from hil.config.bench import BenchConfig
 from hil.config.loading import load_bench
@@ -28,6 +31,7 @@ from hil.vocabulary.errors import DataError, HilError, UsageError
 
 _FOREIGN_BENCH = "emulated_floor"
 _NAMED = 4
+_BLOCK_S = 0.1
 
 
 @dataclass
@@ -37,6 +41,8 @@ class OpenedRecording:
     Attributes:
         foreign: not one of ours: wheels and ground truth, nothing estimated.
         problems: what could not be read; complete once `runs` has been asked for.
+        robot: whose wheels a foreign one is read for.
+        tables: what was read of a foreign one; complete once `runs` has been asked for.
     """
 
     path: Path
@@ -45,6 +51,8 @@ class OpenedRecording:
     foreign: bool
     problems: list[str]
     read: Any
+    robot: Nominal = field(default_factory=Nominal)
+    tables: list[Recording] = field(default_factory=list)
 
     @cached_property
     def runs(self) -> Sequence[RecordedRun]:
@@ -58,6 +66,14 @@ class OpenedRecording:
         """One run by its number from 0; raises `UsageError` when there are fewer."""
         self.must_hold(len(self.runs), number)
         return self.runs[number]
+
+    def doubts(self) -> list[str]:
+        """Why the wheels of a foreign recording cannot be this robot's, held against its ground truth."""
+        if not self.tables:
+            return []
+        robot = replace(self.robot, geometry=self.bench.geometry)
+        found = mismatch(reduce_recordings(self.tables, _BLOCK_S), robot)
+        return [f"{found}; {robot.in_words()}; name the robot's bench file with --bench"] if found else []
 
     def must_hold(self, runs: int, number: int | None) -> None:
         """Refuse a recording without a run, and a number of which there is none.
@@ -97,8 +113,12 @@ def open_recording(
         _refuse_folder(path, topics)
     if topics is not None or path.suffix != ".mcap":
         config = load_bench(bench or _FOREIGN_BENCH)
-        found = _read_foreign(path, topics, nominal_of(config))
-        return OpenedRecording(path, _bench(config, None, calibration, {}), {}, True, [], found)
+        robot, tables = nominal_of(config), list[Recording]()
+        found = _read_foreign(path, topics, robot, tables)
+        made = _bench(config, None, calibration, {})
+        if calibration is not None:
+            robot = replace(robot, source=str(calibration))
+        return OpenedRecording(path, made, {}, True, [], found, robot, tables)
     reader = RecordingReader(path)
     header = reader.header
     if bench is not None:
@@ -138,12 +158,17 @@ def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
     return geometry.with_tyres(**header["tyres"]) if "tyres" in header else geometry
 
 
-def _read_foreign(path: Path, topics: Path | None, robot: Nominal) -> Any:
-    """Reads the runs of a bag, which is opened at once, or of a CSV file."""
-    if topics is None:
-        return lambda: map(to_run, read_recordings([path], nominal=robot))
-    found = read_bag(path, read_topic_map(topics), robot)
-    return lambda: [to_run(found)]
+def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[Recording]) -> Any:
+    """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
+    if topics is not None:
+        tables.append(read_bag(path, read_topic_map(topics), robot))
+        return lambda: map(to_run, tables)
+
+    def read() -> Iterator[RecordedRun]:
+        tables.extend(read_recordings([path], nominal=robot))
+        return map(to_run, tables)
+
+    return read
 
 
 def _bench(

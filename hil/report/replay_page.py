@@ -40,8 +40,9 @@ _LITTLE_M = 0.05
 
 
 def write_replay_page(
-    path: Path, title: str, motions: Mapping[str, Motion], numbers: Numbers, facts: Sequence[str] = ()
-) -> Path:
+    path: Path, title: str, motions: Mapping[str, Motion], numbers: Numbers, warnings: Sequence[str] = (),
+    facts: Sequence[str] = (), *, on_wall: bool = True,
+) -> Path:  # fmt: skip
     """Write the page; returns its path.
 
     Args:
@@ -49,7 +50,9 @@ def write_replay_page(
         title: heading.
         motions: the same run as recorded and as each estimator sees it, by name.
         numbers: `hil.replay.comparison.table` of them.
-        facts: warnings above the figures: what could not be read.
+        warnings: above the figures: what could not be read, or makes no sense.
+        facts: which sensors there are.
+        on_wall: whether x points up.
 
     Raises:
         DataError: the file cannot be written.
@@ -57,8 +60,9 @@ def write_replay_page(
     drawn = dict(_drawn(motions))
     figures = [
         Drawn("errors", "Errors", _errors(drawn),
-              "Estimate minus motion capture. X is up the wall, Y to the left."),
-        Drawn("path", "Path", _path(drawn),
+              "Estimate minus motion capture."
+              + (" X is up the wall, Y to the left." if on_wall else "")),
+        Drawn("path", "Path", _path(drawn, on_wall),
               "Motion capture, and what each estimator believed. Of a line along X or Y, what it does "
               "sideways is enlarged."),
         Drawn("confidence", "How sure, and how wrong", _confidence(drawn),
@@ -71,7 +75,7 @@ def write_replay_page(
                "NEES is ideal at 3, NIS at 1, the correlation of the gyro's innovations at 0. The last "
                "columns count measurements that were refused."),
     ]  # fmt: skip
-    return write_overview(path, Overview(title, _sentence(numbers), figures, tables, facts))
+    return write_overview(path, Overview(title, _sentence(numbers), figures, tables, warnings, facts))
 
 
 def _sentence(numbers: Numbers) -> str:
@@ -125,14 +129,15 @@ def _errors(motions: Mapping[str, Motion]) -> Figure:
     return figure
 
 
-def _path(motions: Mapping[str, Motion]) -> Figure:
-    """Seen by who stands before the wall: X up, Y to the left; a side on which little happens is enlarged."""
+def _path(motions: Mapping[str, Motion], on_wall: bool) -> Figure:
+    """X up, Y to the left, as who stands before a wall sees it; where little happens a side is enlarged."""
     truth = next(iter(motions.values())).mocap
     known = truth[np.isfinite(truth).all(axis=1), :2]
     extent = np.ptp(known, axis=0) if len(known) else np.ones(2)
     (in_x, x_unit), (in_y, y_unit) = ((1e3, "mm") if w < _LITTLE_M else (1.0, "m") for w in extent)
     figure = new_figure(5.2, 3.6)
-    axes = style(figure.add_subplot(), f"Y, left ({y_unit})", f"X, up ({x_unit})")
+    left, up = (", left", ", up") if on_wall else ("", "")
+    axes = style(figure.add_subplot(), f"Y{left} ({y_unit})", f"X{up} ({x_unit})")
     axes.plot(in_y * truth[:, 1], in_x * truth[:, 0], color=PALETTE["truth"], lw=2.2, label="motion capture")
     for (name, motion), colour in zip(motions.items(), SERIES, strict=False):
         x, y = motion.estimate[:, 0], motion.estimate[:, 1]

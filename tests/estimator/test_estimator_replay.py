@@ -44,6 +44,8 @@ def test_the_table_holds_all_four_and_the_filters_beat_odometry(recording, tmp_p
     written = page.read_text(encoding="utf-8")
     assert "smoother" in written
     assert "NEES: the squared error over the variance" in written
+    assert "X is up the wall" in written
+    assert "X, up" in written
 
 
 @pytest.mark.parametrize(
@@ -70,7 +72,10 @@ def test_what_is_fitted_is_not_held_out(recording, capsys):
 def test_a_choice_of_estimators(recording, capsys):
     assert main(["replay", str(recording), "--estimator", "smoother", "--estimator", "odometry"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == ["estimator", "recorded", "odometry", "smoother"]
+    assert [line.split()[0] for line in lines] == [
+        "estimator", "recorded", "odometry", "smoother", "sensors:",
+    ]  # fmt: skip
+    assert lines[-1] == "sensors: wheels, IMU, camera, motion capture"
 
 
 def test_each_sensor_has_the_noise_that_it_has(recording):
