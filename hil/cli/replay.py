@@ -69,9 +69,10 @@ def command(
 
     Example: hil replay recording.mcap --page replay.html
     """
-    from hil.replay.comparison import heard, told_of_sensors
+    from hil.replay.comparison import told_of_sensors
     from hil.replay.recordings import open_recording
     from hil.vocabulary.files import check_ending, check_file
+    from hil.vocabulary.signals import heard
 
     if page is not None:
         check_ending(page, ".html")

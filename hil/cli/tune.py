@@ -18,6 +18,7 @@ from hil.vocabulary.files import check_ending, check_file, put_whole, refused
 
 if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
+    from hil.config.estimator import EstimatorConfig
     from hil.estimator.tuning import Score, TruthRun, Tuned
     from hil.robot.kinematics import WheelGeometry
 
@@ -52,6 +53,8 @@ def command(
 ) -> int:  # fmt: skip
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
 
+    Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out.
+
     Example: hil tune out/wall_tracking/first
     """
     from hil.estimator.tuning import score, tune
@@ -65,17 +68,20 @@ def command(
         )
     config, runs = _read(_once(recordings), bench, calibration)
     held = _read(_once(check), bench, calibration)[1] if check else []
+    start = _start(config.estimator, runs)
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
-        found = tune(config.estimator, runs, names or _DEFAULT, evaluations, report)
+        found = tune(start, runs, names or _DEFAULT, evaluations, report, every=bool(names))
     result: dict[str, Any] = {
         "values": dict(found.values),
+        "silent": found.silent,
+        "untried": found.untried,
         "fitted": {"before": asdict(found.before), "after": asdict(found.after)},
         "evaluations": found.evaluations,
         "geometry": _geometry(runs[0].geometry, bench),
     }
     if held:
-        pair = (score(config.estimator, held), score(found.config, held))
+        pair = (score(start, held), score(found.config, held))
         result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
     if out is not None:
         _write(out, bench, found)
@@ -130,6 +136,15 @@ def _read(
     if config is None:
         raise UsageError("no recording given")
     return config, runs
+
+
+def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig:
+    """Where the search begins: with the filters that `hil replay` has for such recordings."""
+    from hil.replay.comparison import rest_on_wheels
+    from hil.vocabulary.signals import heard
+
+    sensors = heard(m for run in runs for m in run.measurements)
+    return config.on_wheels_alone() if rest_on_wheels(sensors) else config
 
 
 def _one_by_one(paths: Sequence[Path]) -> list[Path]:
@@ -187,6 +202,10 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
 
 def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:
     lines = [f"{name} = {value:.4g}" for name, value in found.values.items()]
+    if found.silent:
+        lines.append(f"not fitted, the recordings say nothing about: {', '.join(found.silent)}")
+    if found.untried:
+        lines.append(f"not reached in {found.evaluations} evaluations: {', '.join(found.untried)}")
     lines.append(f"{'':16} {'-ln L':>9} {'rmse mm':>9} {'rmse deg':>9} {'NEES':>9}")
     rows = [("fitted, before", found.before), ("fitted, after", found.after)]
     if held is not None:

@@ -7,13 +7,13 @@ because the pose hardly changes with it: so for wheels, gyro and camera the dive
 innovations that came and those that were expected is added, 1/2 (r - 1 - ln r) with the mean NIS r per row,
 0 where it is 1. The gravity heading is left out: its errors live for seconds. The search changes one figure
 after the other by a factor, keeps what helps and refines the factor: no derivative, no randomness, the same
-result every time.
+result every time. A figure on which no score depends is not fitted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,11 +26,13 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.progress import Report, silent
-from hil.vocabulary.signals import Measurements, RobotState
+from hil.vocabulary.signals import Measurements, RobotState, heard
 
 CHECK_EVERY_NS = 500_000_000
 _FACTORS = (3.0, 1.7, 1.3)
 _LEAST_GAIN = 1e-3
+_SENSORS = {"gyro", "tracker"}
+"""Tables of noise that are those of a sensor which a recording need not have."""
 _WHITE = ("wheels", "gyro", "tracker")
 _STEP_RESOLUTION_M = 1e-4
 _HEADING_RESOLUTION_RAD = 2e-4
@@ -72,10 +74,21 @@ class Score:
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of a search: the fitted values by dotted name, and the scores before and after."""
+    """Result of a search.
+
+    Attributes:
+        config: with the fitted values.
+        values: they by dotted name.
+        silent: names about which the recordings say nothing.
+        untried: names that the budget did not reach.
+        before, after: scores at the start and at the end.
+        evaluations: how often all runs were estimated.
+    """
 
     config: EstimatorConfig
     values: Mapping[str, float]
+    silent: tuple[str, ...]
+    untried: tuple[str, ...]
     before: Score
     after: Score
     evaluations: int
@@ -168,6 +181,8 @@ def tune(
     names: Sequence[str],
     evaluations: int = 60,
     report: Report = silent,
+    *,
+    every: bool = False,
 ) -> Tuned:
     """Fit noise figures.
 
@@ -177,6 +192,7 @@ def tune(
         names: dotted names of `tunable`, in the order in which they are tried.
         evaluations: budget: how often all runs are estimated at most.
         report: told (what, done, total).
+        every: whether a name about which the recordings say nothing is refused; else it is left out.
 
     Raises:
         UsageError: a name that cannot be tuned, or a run without truth.
@@ -187,21 +203,43 @@ def tune(
         raise UsageError(
             f"cannot tune {', '.join(unknown) or 'nothing'}", expected="some of " + ", ".join(start)
         )
-    values, used = {n: start[n] for n in names}, 1
+    sensors = {name for run in runs for name in heard(run.measurements)}
+    mute = {n for n in names if n.split(".")[0] in _SENSORS - sensors}
+    _refuse(mute if every else set())
+    values, used = {n: start[n] for n in names if n not in mute}, 1
+    tried, matter = set[str](), set[str]()
     before = best = score(config, runs)
     for factor in _FACTORS:
         improved = True
         while improved and used < evaluations:
             improved = False
-            for name, change in ((n, c) for n in names for c in (factor, 1.0 / factor)):
+            for name, change in ((n, c) for n in tuple(values) for c in (factor, 1.0 / factor)):
                 if used >= evaluations:
                     break
                 trial = {**values, name: values[name] * change}
                 found, used = _tried(config, trial, runs), used + 1
                 report("tuning", used, evaluations)
+                tried.add(name)
+                if found != best:
+                    matter.add(name)
                 if found is not None and found.likelihood < best.likelihood - _LEAST_GAIN:
                     values, best, improved = trial, found, True
-    return Tuned(with_values(config, values), values, before, best, used)
+            _refuse(tried - matter if every else set())
+            values = {n: value for n, value in values.items() if n in matter or n not in tried}
+    fitted = {n: value for n, value in values.items() if n in matter}
+    untried = tuple(n for n in values if n not in tried)
+    left_out = tuple(n for n in names if n not in values)
+    return Tuned(with_values(config, fitted), fitted, left_out, untried, before, best, used)
+
+
+def _refuse(mute: Set[str]) -> None:
+    """Refuse names about which the recordings say nothing."""
+    if mute:
+        raise UsageError(
+            f"the recordings say nothing about {', '.join(sorted(mute))}: no estimate depends on it",
+            expected="figures of sensors and motions that they have",
+            remedy="leave it out, or give recordings that show it",
+        )
 
 
 def _tried(config: EstimatorConfig, values: Mapping[str, float], runs: Sequence[TruthRun]) -> Score | None:

@@ -22,21 +22,11 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, wrap_array
 from hil.vocabulary.interfaces import Estimator
-from hil.vocabulary.signals import CycleRecord, Measurements, RobotState
+from hil.vocabulary.signals import CycleRecord, RobotState, heard
 
 KINDS = ("odometry", "ekf", "ukf", "smoother")
 SENSORS = {"wheels": "wheels", "gyro": "IMU", "tracker": "camera", "mocap": "motion capture"}
 """Names of sensors by their fields of `Measurements`."""
-
-
-def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
-    """Fields of `SENSORS` of which there is any sample."""
-    missing = set(SENSORS)
-    for m in cycles:
-        missing -= {name for name in missing if getattr(m, name)}
-        if not missing:
-            break
-    return tuple(name for name in SENSORS if name not in missing)
 
 
 def rest_on_wheels(sensors: Iterable[str]) -> bool:

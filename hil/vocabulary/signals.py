@@ -11,7 +11,7 @@ Z out of the wall (arXiv 2509.04016). On the floor the same names hold with Z up
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from operator import attrgetter
 from typing import Any
@@ -357,6 +357,19 @@ class Measurements:
     gyro: tuple[GyroMeasurement, ...] = ()
     tracker: tuple[PoseMeasurement, ...] = ()
     mocap: tuple[PoseMeasurement, ...] = ()
+
+
+def heard(cycles: Iterable[Measurements]) -> tuple[str, ...]:
+    """Sensors, by their fields of `Measurements`, of which there is any sample."""
+    missing = ["wheels", "gyro", "tracker", "mocap"]
+    found = dict.fromkeys(missing, False)
+    for m in cycles:
+        for name in [n for n in missing if getattr(m, n)]:
+            found[name] = True
+            missing.remove(name)
+        if not missing:
+            break
+    return tuple(name for name, there in found.items() if there)
 
 
 @quickly_made

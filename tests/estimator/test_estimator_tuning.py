@@ -99,7 +99,52 @@ def test_the_command_saves_what_it_found(tmp_path, capsys, csv_with_truth):
     saved = out.read_text()
     assert 'name = "table"' in saved
     assert "one_dof = 9.0" in saved
-    assert "drift_per_sqrt_m" in saved
+    assert "per_sqrt_m" in saved
+    assert "[estimator.tracker]" not in saved
+
+
+def test_what_the_recordings_say_nothing_about_is_not_fitted(tmp_path, capsys, csv_with_truth):
+    """Noise of gyro and camera, which are not there, had been written as if fitted."""
+    out = tmp_path / "tuned.toml"
+    words = [str(csv_with_truth), "--evaluations", "30", "--out", str(out)]
+    assert command.main([*words, "--json"], standalone_mode=False) == 0
+    result = json.loads(capsys.readouterr().out)
+    silent = ["tracker.drift_per_sqrt_m", "tracker.position_m", "gyro.rate_rad_s"]
+    assert result["silent"] == silent
+    assert not set(silent) & set(result["values"])
+    assert result["untried"] == []
+    assert "tracker" not in out.read_text()
+    assert "gyro" not in out.read_text()
+    assert command.main(words, standalone_mode=False) == 0
+    assert f"say nothing about: {', '.join(silent)}" in capsys.readouterr().out
+    for name in ("gyro.rate_rad_s", "wheels.steering_m_rad"):  # it has no gyro, its wheels do not steer
+        with pytest.raises(UsageError, match=f"say nothing about {name}"):
+            command.main([*words, "--parameter", name], standalone_mode=False)
+
+
+def test_the_gravity_heading_is_not_fitted_where_it_is_not_used():
+    config, runs = EstimatorConfig(gyro={"use_gravity": False}), [truth_run(0, 2.0)]
+    found = tune(config, runs, ("wheels.step_m", "gyro.gravity_rad"), evaluations=9)
+    assert found.silent == ("gyro.gravity_rad",)
+    assert list(found.values) == ["wheels.step_m"]
+
+
+def test_what_the_budget_does_not_reach_is_not_fitted():
+    found = tune(EstimatorConfig(), [truth_run(0, 2.0)], NAMES, evaluations=2)
+    assert list(found.values) == [NAMES[0]]
+    assert found.untried == (NAMES[1],)
+
+
+def test_a_folder_of_our_recordings_is_read_with_all_their_sensors(tmp_path, capsys, monkeypatch):
+    """They had been read as tables, which hold wheels and truth alone."""
+    opened = []
+    monkeypatch.setattr(
+        "hil.replay.recordings.open_recording", lambda path, **options: opened.append(path) or 1 / 0
+    )
+    (tmp_path / "run.mcap").touch()
+    with pytest.raises(ZeroDivisionError):
+        command.main([str(tmp_path)], standalone_mode=False)
+    assert opened == [tmp_path / "run.mcap"]
 
 
 def test_a_recording_of_another_robot_than_the_benchs_is_refused(monkeypatch, tmp_path):
