@@ -105,8 +105,7 @@ def open_recording(
         topics: topic mapping of a bag.
 
     Raises:
-        DataError, ConfigError: it cannot be read.
-        UsageError: a folder of recordings; they are opened one by one.
+        DataError, ConfigError: it cannot be read, or is a folder of recordings: they are opened one by one.
     """
     problems: list[str] = []
     if path.is_dir() and not is_bag(path):
@@ -143,9 +142,10 @@ def _refuse_folder(folder: Path, topics: Path | None) -> NoReturn:
     """Name the recordings of a folder, of which one is to be named."""
     names = [job.files[0].name for job in find_recordings([folder], topics)]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    raise UsageError(
-        f"{folder}: is a folder, with {', '.join(names[:_NAMED])}{more}",
-        expected="one recording", remedy=f"name one, as {folder / names[0]}",
+    count = f"{len(names)} recordings" if len(names) > 1 else "1 recording"
+    raise DataError(
+        str(folder), f"is a folder of {count} ({', '.join(names[:_NAMED])}{more})",
+        remedy=f"name one, as {folder / names[0]}",
     )  # fmt: skip
 
 

@@ -40,8 +40,7 @@ def test_a_folder_is_refused_with_what_lies_in_it(recording, tmp_path, capsys):
     written(tmp_path / "line_x_2.csv")
     assert main(["replay", str(tmp_path)]) == 2
     said = capsys.readouterr()
-    assert "is a folder, with line_x_1.csv, line_x_2.csv" in said.err
-    assert f"name one, as {recording}" in said.err
+    assert f"is a folder of 2 recordings (line_x_1.csv, line_x_2.csv); name one, as {recording}" in said.err
     assert said.out == ""
 
 
