@@ -108,8 +108,8 @@ def open_recording(
         DataError, ConfigError: it cannot be read, or is a folder of recordings: they are opened one by one.
     """
     problems: list[str] = []
-    if path.is_dir() and not is_bag(path):
-        _refuse_folder(path, topics)
+    if topics is None and path.is_dir() and not is_bag(path):
+        _refuse_folder(path)
     if topics is not None or path.suffix != ".mcap":
         config = load_bench(bench or _FOREIGN_BENCH)
         robot, tables = nominal_of(config), list[Recording]()
@@ -138,9 +138,9 @@ def open_recording(
     return OpenedRecording(path, made, header, False, problems, lambda: read_runs(path, problems))
 
 
-def _refuse_folder(folder: Path, topics: Path | None) -> NoReturn:
+def _refuse_folder(folder: Path) -> NoReturn:
     """Name the recordings of a folder, of which one is to be named."""
-    names = [job.files[0].name for job in find_recordings([folder], topics)]
+    names = [job.files[0].name for job in find_recordings([folder])]
     more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
     count = f"{len(names)} recordings" if len(names) > 1 else "1 recording"
     raise DataError(
