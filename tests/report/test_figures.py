@@ -87,10 +87,10 @@ def test_a_path_along_a_line_shows_what_it_does_sideways(x_m, y_m, aspect):
     assert axes.get_aspect() == aspect
     poses = np.column_stack([*path, turn])
     motion = SimpleNamespace(mocap=poses, estimate=poses + 0.01)
-    (axes,) = _path({"EKF": motion}).axes
+    (axes,) = _path({"EKF": motion}, on_wall=True).axes
     assert axes.get_aspect() == aspect
     motion.mocap = np.full_like(poses, np.nan)
-    assert _path({"EKF": motion}).axes[0].get_aspect() == 1.0
+    assert _path({"EKF": motion}, on_wall=True).axes[0].get_aspect() == 1.0
 
 
 RANGES = [(0.0, 0.02), (0.0, 0.55), (0.0, 0.999), (0.0, 1.2), (0.0, 9.0), (0.1, 25.0), (0.0, 90.0),
