@@ -12,7 +12,8 @@ from typing import Any, SupportsInt
 
 import numpy as np
 
-from hil.calibration.nominal import Nominal
+from hil.calibration.leaps import fastest_m_s, find_leaps
+from hil.calibration.nominal import Nominal, lever_m
 from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -124,6 +125,10 @@ def build_recording(
     for stamps in (t_s, truth_t_s):
         check_leaps(where, stamps)
     angle = _unwrap_jumps(w[:, :4], repairs)
+    keep = _without_leaps(where, truth_t_s, pose, fastest_m_s(t_s, angle, robot.radius_m), robot, repairs)
+    truth_t_s, pose, truth_receive_s = truth_t_s[keep], pose[keep], truth_receive_s[keep]
+    for kind, stamps in (("wheel", t_s), ("ground-truth", truth_t_s)):
+        _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(stamps) > _GAP_S))
     heading = pose[:, 2]
     pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
     check_units(where, angle, w[:, 4:8], truth_t_s, pose, heading, robot)
@@ -164,8 +169,31 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
     keep = np.concatenate([[True], np.diff(t_s) > _MIN_STEP_S])
     _count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
     t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
-    _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(t_s) > _GAP_S))
     return t_s, values, increasing(receive_s)
+
+
+def _without_leaps(
+    where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
+) -> Array:
+    """Which rows (m,) of a ground truth stay; raises `DataError` where that is not even half of them."""
+    found = find_leaps(t_s, pose, speed_m_s, lever_m(robot.geometry))
+    dropped = np.count_nonzero(~found.keep)
+    if 2 * dropped > len(t_s):
+        raise DataError(
+            where,
+            f"the ground truth (x, y, theta) leaps: {dropped} of {len(t_s)} rows are out of reach of the others",
+            expected="a path that the robot can have driven",
+            remedy="look at what the capture system tracked",
+        )
+    _count(repairs, "ground-truth rows that leap away and back dropped", dropped)
+    if found.lasting:
+        at_s, leap_m = found.lasting[0]
+        what = (
+            f"ground-truth leaps that last left as they are (first {at_s:.1f} s after its begin, by "
+            f"{leap_m:.2g} m): leave the recording out, or cut it there"
+        )
+        _count(repairs, what, len(found.lasting))
+    return found.keep
 
 
 def credible(values: Array) -> Array:
