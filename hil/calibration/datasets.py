@@ -12,7 +12,7 @@ from typing import Any, SupportsInt
 
 import numpy as np
 
-from hil.calibration.leaps import fastest_m_s, find_leaps
+from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
 from hil.calibration.nominal import Nominal, lever_m
 from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
@@ -174,14 +174,14 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
 
 def _without_leaps(
     where: str, t_s: Array, pose: Array, speed_m_s: float, robot: Nominal, repairs: dict[str, int]
-) -> Array:
+) -> Bools:
     """Which rows (m,) of a ground truth stay; raises `DataError` where that is not even half of them."""
     found = find_leaps(t_s, pose, speed_m_s, lever_m(robot.geometry))
     dropped = np.count_nonzero(~found.keep)
     if 2 * dropped > len(t_s):
         raise DataError(
             where,
-            f"the ground truth (x, y, theta) leaps: {dropped} of {len(t_s)} rows are out of reach of the others",
+            f"the ground truth (x, y, theta) leaps: {dropped} of {len(t_s)} rows are out of reach",
             expected="a path that the robot can have driven",
             remedy="look at what the capture system tracked",
         )

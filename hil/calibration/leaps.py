@@ -9,8 +9,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.vocabulary.geometry import Array
+
+Bools = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.int_]
 
 _NOISE_M, _NOISE_STEPS = 0.03, 10.0
 _TIMES_FASTER = 5.0
@@ -27,7 +31,7 @@ class Leaps:
         lasting: leaps between rows that stay, each with s since the first row and m.
     """
 
-    keep: Array
+    keep: Bools
     lasting: tuple[tuple[float, float], ...]
 
 
@@ -60,7 +64,7 @@ def find_leaps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> Leaps
     steps_m = _apart_m(pose, rows[:-1], rows[1:], lever)
     noise_m = max(_NOISE_M, _NOISE_STEPS * float(np.median(steps_m)))
 
-    def too_far_m(one: Array, other: Array) -> Array:
+    def too_far_m(one: Rows, other: Rows) -> Array:
         reach_m = noise_m + _TIMES_FASTER * speed_m_s * np.abs(t_s[other] - t_s[one])
         apart_m = _apart_m(pose, one, other, lever)
         return np.where(apart_m > reach_m, apart_m, 0.0)
@@ -83,7 +87,7 @@ def find_leaps(t_s: Array, pose: Array, speed_m_s: float, lever: float) -> Leaps
     return Leaps(keep, tuple(sorted(lasting)))
 
 
-def _apart_m(pose: Array, one: Array, other: Array, lever: float) -> Array:
+def _apart_m(pose: Array, one: Rows, other: Rows, lever: float) -> Array:
     """Ways between rows of poses, turns at the distance of the wheels, m."""
     x, y, turn = (pose[other] - pose[one]).T
     turn = (turn + np.pi) % (2.0 * np.pi) - np.pi
