@@ -31,7 +31,7 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     """Read one run of a robot, the CAD model by default.
 
     Raises:
-        DataError: missing columns, damaged file, no usable rows.
+        DataError: columns that are missing or there twice, damaged file, no usable rows.
     """
     data = read_bytes(path)
     header, _, body = data.partition(b"\n")
@@ -41,6 +41,12 @@ def read_plain(path: Path, nominal: Nominal | None = None) -> Recording:
     missing = [c for c in needed if c not in columns]
     if missing:
         raise DataError(str(path), f"lacks the columns {', '.join(missing)}", expected=",".join(needed))
+    twice = [c for c in (*needed, *RATE_COLUMNS) if columns.count(c) > 1]
+    if twice:
+        raise DataError(
+            str(path), f"has the columns {', '.join(twice)} more than once", expected="each once",
+            remedy="delete the one that is not meant",
+        )  # fmt: skip
     table = _table(path, data, body, len(columns))
     if len(table) == 0:
         raise DataError(str(path), "has a header but no rows")

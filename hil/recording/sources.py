@@ -121,19 +121,19 @@ def _folder(folder: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | No
     if rosbag.is_bag(folder):
         return [_bag(folder, mapping, nominal)]
     pairs = public_csv.find_pairs(folder)
-    if pairs:
-        return [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
+    paired = {file for pair in pairs for file in pair}
     bags = rosbag.bags_in(folder)
-    tables = sorted(f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind))
-    if mapping is not None:
-        return [_file(t, mapping, nominal) for t in tables] + [_bag(b, mapping, nominal) for b in bags]
-    files = sorted([*tables, *folder.glob("*.mcap")])
-    if bags and not files:
-        names = ", ".join(b.name for b in bags)
+    tables = {f for kind in ("*.csv", "*.csv.gz") for f in folder.glob(kind)} - paired
+    own = folder.glob("*.mcap") if mapping is None else ()
+    foreign = bags if mapping is not None else [b for b in bags if b.suffix != ".mcap"]
+    jobs = [_pair(odom, absolute, nominal, (odom, absolute)) for odom, absolute in pairs]
+    jobs += [_file(f, mapping, nominal) for f in sorted([*tables, *own])]
+    if foreign and mapping is None:
+        names = ", ".join(b.name for b in foreign)
         raise DataError(
             str(folder), f"holds rosbag2 recordings of another robot ({names})", remedy=NEEDS_TOPICS
         )
-    return [_file(f, None, nominal) for f in files]
+    return jobs + [_bag(b, mapping, nominal) for b in foreign]
 
 
 def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -> Job:

@@ -86,6 +86,33 @@ def test_both_files_of_a_public_pair_are_one_recording(tmp_path):
     assert again.repairs == {f"mentions of {odom} beyond the first left out": 1}
 
 
+def test_a_folder_of_pairs_and_other_recordings_gives_all_of_them(tmp_path, run):
+    write_pair(tmp_path)
+    write_plain(tmp_path / "line_y_1.csv", run)
+    assert [one.name for one in read_recordings([tmp_path])] == ["odom_3", "line_y_1"]
+    (tmp_path / "abs_7.csv").write_bytes((tmp_path / "abs_3.csv").read_bytes())
+    with pytest.raises(DataError, match=r"abs_7\.csv: has no odometry file; expected odom_7\.csv"):
+        read_recordings([tmp_path])
+
+
+def test_a_bag_of_another_robot_beside_recordings_is_not_passed_over(tmp_path, run):
+    write_plain(tmp_path / "line_y_1.csv", run)
+    (tmp_path / "foreign.db3").touch()
+    with pytest.raises(DataError, match=r"rosbag2 recordings of another robot \(foreign\.db3\).*--topics"):
+        read_recordings([tmp_path])
+
+
+def test_a_column_that_is_there_twice_is_named(tmp_path, run):
+    path = tmp_path / "line_x_1.csv"
+    write_plain(path, run)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0] + ",x,note,note", *(line + ",9,1,1" for line in lines[1:])]))
+    with pytest.raises(DataError, match=r"line_x_1\.csv: has the columns x more than once"):
+        read_plain(path)
+    path.write_text(path.read_text().replace(",x,note", ",other,note", 1))
+    assert len(read_plain(path).t_s) == len(run.t_s)
+
+
 @pytest.mark.parametrize("fast", [pytest.param(True, marks=needs_pyarrow), False])
 def test_quick_and_slow_path_agree_and_broken_rows_are_counted(tmp_path, fast, monkeypatch):
     monkeypatch.setattr(numbers, "is_installed", lambda extra: fast)
