@@ -24,6 +24,11 @@ RECORD = {
 }
 _CLEARLY_M, _CLEARLY_RAD = 2e-3, float(np.radians(0.5))
 _MUCH = 1.5
+_UNEXPLAINED = 0.2
+_NO_WORKSHOP = (
+    " (ten standard deviations of the prior, more than a workshop leaves; look for a wrong column, unit or "
+    "bench file)"
+)
 _POSITION, _HEADING = "rmse_position_m", "rmse_theta_rad"
 
 
@@ -49,8 +54,15 @@ def caveats(
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
     out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
+    out += unexplained(found)
     if spectrum.at_bound:
-        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound))
+        far = "" if found.problem.setting.bounds is not None else _NO_WORKSHOP
+        out.append("at their bound, so the bound decides them: " + ", ".join(spectrum.at_bound) + far)
+    if not found.solution.converged:
+        out.append(
+            "the fit ended before its parameters had settled within a twentieth of a standard error; "
+            "hold it against another --method"
+        )
     if spectrum.unobservable:
         out.append("unobservable, moved by their prior only: " + ", ".join(spectrum.unobservable))
     out += extrapolating(found)
@@ -80,6 +92,22 @@ def told_by(recordings: Sequence[Recording]) -> list[str]:
     return [
         *(line for r in recordings for line in r.warnings()),
         *(f"{places} hold the same bytes, and each counts; leave copies out" for places in copies),
+    ]
+
+
+def unexplained(found: Fit) -> list[str]:
+    """One line where the fit leaves more than a fifth of the way in the typical recording."""
+    blocks, weight = found.problem.blocks, np.array([1.0, 1.0, lever_m(found.geometry)])
+    inside = blocks.mask[..., None] * weight
+    left = np.linalg.norm(found.problem.errors(found.solution.z) * inside, axis=2)
+    way = np.linalg.norm((blocks.truth - blocks.start[:, None]) * inside, axis=2).max(axis=1)
+    rms = np.sqrt((left**2).sum(axis=1) / blocks.counts)
+    share = float(np.median(rms / np.maximum(way, 1e-9)))
+    if share < _UNEXPLAINED:
+        return []
+    return [
+        f"the result does not explain the recordings: {100 * share:.0f} % of the way is left as error in "
+        "the typical one; do not use it, look for a wrong column, sign, unit or bench file"
     ]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
+from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.vocabulary.errors import DataError
@@ -98,6 +99,7 @@ def read_recordings(
         out.append(recording)
         if progress is not None:
             progress(number, len(jobs))
+    check_signs(out, nominal if nominal is not None else Nominal())
     return out
 
 
