@@ -17,7 +17,14 @@ import numpy as np
 from hil.calibration.blocks import Blocks
 from hil.calibration.motion_models import linear_matrix, make_model
 from hil.calibration.problem import Problem, Setting
-from hil.calibration.solvers import Progress, Solution, interior_point, levenberg_marquardt, solve
+from hil.calibration.solvers import (
+    Progress,
+    Solution,
+    interior_point,
+    levenberg_marquardt,
+    solve,
+    standard_errors_left,
+)
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
@@ -26,6 +33,7 @@ _REWEIGHTINGS = 4
 _STEPS_IN_A_BOX = 100
 _BAD_WEIGHT = 0.3
 _CLEARLY_BETTER = 0.7
+_NEAR = 0.05
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,7 @@ def fit(
     if prefit is not None and prefit.problem.setting != setting:
         setting, problem = prefit.problem.setting, prefit.problem
     if method == "lm" and prefit is not None:
-        return prefit
+        return _settled(prefit)
     weights = prefit.problem.weights if prefit is not None else problem.weights
     z: Array | None = None
     first: Solution | None = None
@@ -103,7 +111,24 @@ def fit(
             solution, searched=first.searched, objective_before_polish=first.objective_before_polish,
             iterations=first.iterations,
         )  # fmt: skip
-    return Fit(stage, solution)
+    return _settled(Fit(stage, solution))
+
+
+def _settled(found: Fit) -> Fit:
+    """A fit that is near its end, or goes on to it, where the objective says what a standard error is."""
+    problem, solution = found.problem, found.solution
+    if solution.converged or problem.setting.sigma is None or problem.setting.bounds is not None:
+        return found
+    if standard_errors_left(problem, solution.z) < _NEAR:
+        return Fit(problem, replace(solution, converged=True))
+    further = levenberg_marquardt(problem, solution.z)
+    return Fit(
+        problem,
+        replace(
+            solution, z=further.z, objective=further.objective, converged=further.converged,
+            iterations=solution.iterations + further.iterations,
+        ),
+    )  # fmt: skip
 
 
 def _linear(stage: Problem) -> Problem:

@@ -32,7 +32,8 @@ class Solution:
     Attributes:
         z: (m,) parameters.
         objective: value at z.
-        iterations: of the method itself; `converged` whether its own criterion was met.
+        iterations: of the method itself.
+        converged: its own criterion was met, or less than a twentieth of a standard error is left to go.
         searched: dimension of the searched subspace (stochastic methods), else len(z).
         objective_before_polish: of a stochastic method's best candidate, None otherwise.
     """
@@ -109,6 +110,12 @@ def levenberg_marquardt(problem: Problem, z0: Array, limit: int = _LM_LIMIT) -> 
             damping *= 6.0
             converged = damping > 1e12
     return Solution(z, value, iterations, converged, len(z), history=tuple(history))
+
+
+def standard_errors_left(problem: Problem, z: Array) -> float:
+    """How far an undamped Gauss-Newton step would go from z (m,), in standard errors of its direction."""
+    _, gradient, hessian = problem.gradient_terms(z)
+    return float(np.sqrt(gradient @ np.linalg.solve(hessian, gradient)))
 
 
 def _box_step(

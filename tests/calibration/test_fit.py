@@ -243,3 +243,23 @@ def test_nonsense_is_refused(recordings):
     silent = [replace(recordings[0], wheel_rate_rad_s=np.full((len(recordings[0].t_s), 4), np.nan))]
     with pytest.raises(DataError, match="no wheel rates"):
         calibrate(silent, PAPER, CLOCK)
+
+
+@pytest.mark.parametrize("seed", [2, 4])
+def test_a_fit_ends_within_a_twentieth_of_a_standard_error_of_its_end(seed):
+    blocks = reduce_recordings(make_set(hidden_robot(seed, contact="coulomb"), seed, repetitions=2), 0.3)
+    found = fit(blocks, make_setting("recommended", model="dry-friction"), CAD)
+    assert found.solution.converged
+    _, _, hessian = found.problem.gradient_terms(found.solution.z)
+    end = levenberg_marquardt(found.problem, found.solution.z, limit=500)
+    moved = end.z - found.solution.z
+    assert np.sqrt(moved @ hessian @ moved) < 0.05
+
+
+def test_a_fit_that_did_not_end_is_no_secret(recordings, monkeypatch):
+    monkeypatch.setattr("hil.calibration.fitting._NEAR", 0.0)
+    monkeypatch.setattr("hil.calibration.fitting.levenberg_marquardt", lambda p, z, limit=1:
+                        replace(levenberg_marquardt(p, z, 1), converged=False))  # fmt: skip
+    found = calibrate(recordings, RECOMMENDED, CLOCK, validate=False)
+    assert not found.to_json()["converged"]
+    assert any("the fit ended before its parameters had settled" in line for line in found.warnings)
