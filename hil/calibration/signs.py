@@ -40,7 +40,7 @@ def check_signs(recordings: Sequence[Recording], nominal: Nominal) -> None:
             _check_rates(one)
         return
     likely = [words for words, found in explained.items() if np.count_nonzero(found) == best]
-    names = [_place(recordings[k]) for k in np.flatnonzero(explained[likely[0]])]
+    names = [_place(one) for one, wrong in zip(recordings, explained[likely[0]], strict=True) if wrong]
     others = f" ({len(names) - 1} more recordings likewise)" if len(names) > 1 else ""
     raise DataError(
         names[0],

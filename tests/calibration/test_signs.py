@@ -1,4 +1,4 @@
-"""A wrong sign is refused by file and column before anything is fitted; what slips through is no silent result."""
+"""A wrong sign is refused by file and column; a fit that explains nothing says so."""
 
 from dataclasses import replace
 
@@ -34,7 +34,7 @@ CHANGES = {
     "steering (delta) had": lambda one: replace(one, steering_rad=-one.steering_rad),
     "the heading (theta) had": lambda one: mirrored(one, 1, 1, -1),
     "y and the heading (theta) had": lambda one: mirrored(one, 1, -1, -1),
-    "half a turn": lambda one: replace(one, truth_pose=one.truth_pose + (0, 0, np.pi)),
+    "half a turn": lambda one: replace(one, truth_pose=one.truth_pose + np.array([0, 0, np.pi])),
 }
 
 
