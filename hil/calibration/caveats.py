@@ -14,6 +14,7 @@ from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import lever_m
 from hil.calibration.validation import Deployed, Table
+from hil.calibration.time_offset import different_clocks
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
 
@@ -84,7 +85,7 @@ def caveats(
 
 
 def told_by(recordings: Sequence[Recording]) -> list[str]:
-    """What recordings say about themselves: their repairs, and which of them are copies of each other."""
+    """What recordings say about themselves: their repairs, copies among them, and clocks that differ."""
     alike: dict[tuple[str, ...], list[str]] = {}
     for one in recordings:
         alike.setdefault(one.sha256, []).append(one.sources[0] if one.sources else one.name)
@@ -92,6 +93,7 @@ def told_by(recordings: Sequence[Recording]) -> list[str]:
     return [
         *(line for r in recordings for line in r.warnings()),
         *(f"{places} hold the same bytes, and each counts; leave copies out" for places in copies),
+        *different_clocks(recordings),
     ]
 
 

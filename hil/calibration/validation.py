@@ -19,6 +19,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
 Table = dict[str, dict[str, float]]
+_NEAR_START_M = 0.1
 _KEYS = ("rmse_position_m", "rmse_theta_rad", "final_position_m")
 
 
@@ -122,18 +123,37 @@ def deployed(
 
 
 def repeatability(recordings: Sequence[Recording]) -> dict[str, float]:
-    """Non-systematic floor by motion: spread of the repetitions' end points, m (NaN for one run)."""
-    ends: dict[str, list[Array]] = {}
+    """Non-systematic floor by motion: spread of the repetitions' end points, m (NaN for one run).
+
+    Only repetitions that go the same way count together: a line that is driven back ends elsewhere.
+    """
+    alike: dict[str, list[list[Array]]] = {}
     for r in recordings:
         c, s = np.cos(r.truth_pose[0, 2]), np.sin(r.truth_pose[0, 2])
         moved = r.truth_pose[-1, :2] - r.truth_pose[0, :2]
-        ends.setdefault(r.motion, []).append(
-            np.array([c * moved[0] + s * moved[1], -s * moved[0] + c * moved[1]])
-        )
-    return {
-        m: float(np.sqrt(np.sum(np.var(e, axis=0, ddof=1)))) if len(e) > 1 else float("nan")
-        for m, e in ends.items()
-    }
+        end = np.array([c * moved[0] + s * moved[1], -s * moved[0] + c * moved[1]])
+        ways = alike.setdefault(r.motion, [])
+        same = next((ends for ends in ways if _go_alike(end, ends[0])), None)
+        if same is None:
+            ways.append([end])
+        else:
+            same.append(end)
+    return {motion: _spread(ways) for motion, ways in alike.items()}
+
+
+def _go_alike(end: Array, other: Array) -> bool:
+    """Whether two end points (2,), m, are nearer to each other than to the start, or both near the start."""
+    apart_m = float(np.hypot(*(end - other)))
+    return apart_m < max(_NEAR_START_M, 0.5 * float(max(np.hypot(*end), np.hypot(*other))))
+
+
+def _spread(ways: Sequence[Sequence[Array]]) -> float:
+    """Standard deviation of end points (2,), m, about the mean of their way; NaN where each went alone."""
+    free = sum(len(ends) - 1 for ends in ways)
+    if not free:
+        return float("nan")
+    off = np.concatenate([np.array(ends) - np.mean(ends, axis=0) for ends in ways])
+    return float(np.sqrt(np.sum(np.sum(off**2, axis=0) / free)))
 
 
 def table_of(runs: Sequence[Track]) -> Table:

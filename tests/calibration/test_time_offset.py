@@ -1,0 +1,59 @@
+"""Clocks of wheels and ground truth that differ are told; those of the real recordings do not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hil.calibration.caveats import told_by
+from hil.calibration.synthetic import OTHER_MOTIONS, hidden_robot, make_set
+from hil.calibration.time_offset import different_clocks, time_offset_s
+from hil.cli import main
+from hil.recording.plain_csv import write_plain
+from hil.recording.sources import read_recordings
+
+
+@pytest.fixture(scope="module")
+def data():
+    return make_set(hidden_robot(2, contact="elastic"), 2, repetitions=1)
+
+
+def late(one, by_s):
+    return replace(one, truth_t_s=one.truth_t_s + by_s)
+
+
+@pytest.mark.parametrize("by_s", [-0.6, -0.2, 0.06, 0.2])
+def test_an_offset_is_measured_to_hundredths_of_a_second(data, by_s):
+    found = [time_offset_s(late(one, by_s)) for one in data]
+    assert found == pytest.approx([by_s] * len(data), abs=0.03)
+    (line,) = told_by([late(one, by_s) for one in data])
+    assert f"moves {abs(by_s):.2f} s {'later' if by_s > 0 else 'earlier'} than the wheels" in line
+
+
+def test_clocks_that_agree_are_not_mentioned(data):
+    others = make_set(hidden_robot(3, contact="coulomb"), 3, OTHER_MOTIONS, 2, corrupted="arc_1")
+    for one in (*data, *others):
+        assert time_offset_s(one) == pytest.approx(0.0, abs=0.03)
+    assert told_by(data) == different_clocks(others) == []
+
+
+def test_a_robot_that_never_rests_or_never_moves_tells_nothing(data):
+    steady = data[0]
+    inside = (steady.t_s > 5.0) & (steady.t_s < 15.0)
+    cut = replace(
+        steady, t_s=steady.t_s[inside], wheel_angle_rad=steady.wheel_angle_rad[inside],
+        steering_rad=steady.steering_rad[inside],
+    )  # fmt: skip
+    still = replace(steady, wheel_angle_rad=np.zeros_like(steady.wheel_angle_rad))
+    assert different_clocks([late(cut, 0.2)]) == different_clocks([still]) == []
+
+
+def test_evaluate_says_so(tmp_path, capsys, data):
+    write_plain(tmp_path / "line_x_1.csv", late(data[0], 0.2))
+    assert main(["evaluate", str(tmp_path)]) == 0
+    assert "the ground truth moves 0.20 s later than the wheels" in capsys.readouterr().err
+
+
+def test_the_real_recordings_have_one_clock(public_data):
+    found = [time_offset_s(one) for one in read_recordings([public_data])]
+    assert max(map(abs, found)) < 0.015
