@@ -13,8 +13,8 @@ from hil.calibration.fitting import Fit
 from hil.calibration.identifiability import Identifiability, identifiability
 from hil.calibration.motion_models import make_model
 from hil.calibration.nominal import lever_m
-from hil.calibration.validation import Deployed, Table
 from hil.calibration.time_offset import different_clocks
+from hil.calibration.validation import Deployed, Table
 from hil.robot.kinematics import WheelGeometry
 from hil.robot.odometry import integrate
 

@@ -19,7 +19,7 @@ _WORTH_S = 0.05
 def time_offset_s(recording: Recording) -> float | None:
     """How much later the ground truth moves than the wheels, s; None where their speeds are not alike.
 
-    It is where the speeds overlap most. A robot that moves at both ends of a recording gives less than there is.
+    It is where the speeds overlap most. Motion at both ends of a recording makes it smaller than it is.
     """
     at_s, pose = truth_window(recording)
     grid_s = np.arange(at_s[0], at_s[-1], _GRID_S)

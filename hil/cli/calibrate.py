@@ -121,9 +121,10 @@ def _spread(result: Calibration) -> str:
         return "no standard errors from one recording: repeat the motion"
     if math.isnan(result.intervals.std[0]):
         return "no standard errors: every parameter is at its bound"
-    return "standard errors of x, y, r (mm): " + ", ".join(
-        f"{1e3 * s:.2f}" for s in result.intervals.std[:12]
-    )
+    std = result.intervals.std
+    lengths = ", ".join(f"{1e3 * s:.2f}" for s in std[:12])
+    zeros = ", ".join(f"{math.degrees(s):.2f}" for s in std[12:])
+    return f"standard errors of x, y, r (mm): {lengths}" + (f"; of delta0 (deg): {zeros}" if zeros else "")
 
 
 def _text(result: Calibration) -> str:

@@ -47,6 +47,8 @@ def command(
 ) -> int:  # fmt: skip
     """Generate recordings (plain CSV) and, beside them, the hidden truth (truth.json).
 
+    By formulas, a quarter of the recordings hold three slips of a second each, by millimetres.
+
     FOLDER must hold no other recordings. The same command may be repeated there, except with --plant.
 
     Example: hil demo-data data --repetitions 2
