@@ -41,7 +41,8 @@ def time_offset_s(recording: Recording) -> float | None:
     if size == 0.0 or overlap[best] < _ALIKE * size or not 0 < best < len(overlap) - 1:
         return None
     before, top, after = overlap[best - 1 : best + 2]
-    part = 0.5 * (before - after) / (before - 2.0 * top + after)
+    bend = before - 2.0 * top + after
+    part = 0.5 * (before - after) / bend if bend < 0.0 else 0.0
     return float((best - len(wheels) + 1 + part) * _GRID_S)
 
 
