@@ -1,5 +1,8 @@
 """What the authors' own recordings must show: Table II, and a calibration that beats the paper's."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -8,6 +11,7 @@ from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track
 from hil.calibration.fitting import fit
 from hil.calibration.problem import RECOMMENDED, make_setting
+from hil.cli.calibrate import _text
 from hil.recording.sources import read_recordings
 from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.clock import MonotonicClock
@@ -39,8 +43,30 @@ def test_nominal_errors_equal_table_2(recordings):
             assert table["motions"][motion][f"e_{axis}_m"] <= largest + 0.0006
 
 
-def test_held_out_errors_of_the_recommended_setting(recordings):
-    result = calibrate(recordings, RECOMMENDED, MonotonicClock())
+@pytest.fixture(scope="module")
+def result(recordings):
+    return calibrate(recordings, RECOMMENDED, MonotonicClock())
+
+
+def test_the_page_on_calibration_shows_what_the_program_prints(result):
+    """Numbers may differ in their last digit, as on another computer; the first line holds a time."""
+    page = (Path(__file__).parents[2] / "docs/calibration.md").read_text(encoding="utf-8")
+    begin = page.index("$ hil calibrate recordings/4wis4wid --method lm\n")
+    shown = page[begin : page.index("\n```", begin)].split("\n")[2:]
+    printed = _text(result).split("\n")[1:]
+    number = re.compile(r"-?\d+\.\d+")
+    assert len(shown) == len(printed)
+    for one, other in zip(shown, printed, strict=True):
+        assert re.sub(r"\s+", "", number.sub("", one)) == re.sub(r"\s+", "", number.sub("", other))
+        found = [float(n) for n in number.findall(one)]
+        assert found == pytest.approx([float(n) for n in number.findall(other)], rel=0.01, abs=0.011)
+
+
+def test_a_fit_that_is_near_its_end_says_so(result):
+    assert result.to_json()["converged"]
+
+
+def test_held_out_errors_of_the_recommended_setting(result):
     tables = result.validation
     assert result.setting.model == "dry-friction"
     held_out = tables["leave_one_repetition_out"]["mean"]
