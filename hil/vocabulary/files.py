@@ -16,12 +16,13 @@ _NOT_YOURS = "choose a folder that you may write"
 
 
 def write_text(path: Path, text: str) -> Path:
-    """Write a text as UTF-8, over what was there; returns the path.
+    """Write a text as UTF-8, over what was there, in a folder that need not exist; returns the path.
 
     Raises:
         DataError: it cannot be written.
     """
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text, encoding="utf-8", errors="backslashreplace")
     except OSError as error:
         raise refused(path, error) from None

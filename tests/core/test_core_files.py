@@ -8,14 +8,15 @@ from hil.vocabulary.files import put_whole, write_text
 
 
 def test_a_text_is_written_over_what_was_there(tmp_path):
-    path = tmp_path / "page.html"
+    path = tmp_path / "new" / "page.html"
     assert write_text(path, "old and long") == path
     write_text(path, "Größe")
     assert path.read_bytes() == "Größe".encode()
 
 
-@pytest.mark.parametrize("name", ["no/page.html", "."])
+@pytest.mark.parametrize("name", ["file/page.html", "."])
 def test_what_cannot_be_written_is_named(tmp_path, name):
+    (tmp_path / "file").touch()
     with pytest.raises(DataError, match="cannot be written") as caught:
         write_text(tmp_path / name, "text")
     assert caught.value.path == str(tmp_path / name)
