@@ -244,4 +244,4 @@ def test_the_page_shows_every_estimator(tmp_path):
     assert "RMSE in mm" in page
     assert not re.search(r"\bnan\b", page)
     with pytest.raises(DataError, match="cannot be written"):
-        write_replay_page(tmp_path / "no" / "page.html", "Replay", motions, table(motions))
+        write_replay_page(tmp_path / "page.html" / "page.html", "Replay", motions, table(motions))

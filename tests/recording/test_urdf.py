@@ -119,7 +119,7 @@ def test_it_is_written_to_a_file_of_a_calibrated_robot(tmp_path, capsys):
     assert main(["robot", "urdf", "--out", str(tmp_path / "robot.urdf")]) == 0
     assert capsys.readouterr().out == ""
     assert Xml.parse(tmp_path / "robot.urdf").getroot().get("name") == "emulated"
-    assert main(["robot", "urdf", "--out", str(tmp_path / "none" / "robot.urdf")]) == 2
+    assert main(["robot", "urdf", "--out", str(tmp_path / "robot.urdf" / "robot.urdf")]) == 2
     assert "cannot be written" in capsys.readouterr().err
 
 
