@@ -1,7 +1,7 @@
 """Which wheel contradicts the other three: its hub slips, or its servo lies.
 
 The motion of the body has three unknowns and the wheels tell eight: any three say how far the fourth has
-to roll. Honest wheels of a driven robot keep to that within 0.4 mm in 0.4 s, on both plants, because all four
+to roll. Honest wheels of a driven robot keep to that within 0.6 mm in 0.4 s, on both plants, because all four
 are told to roll by one motion. A wheel that begins to slip leaves it by millimetres for as long as its motor
 needs to come back to its speed; after that nothing is seen of it while it goes on to slip, so that the
 estimate is unsure from then on by a share of the way. A wheel that has slipped from the start is not found.
@@ -22,8 +22,8 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.signals import SERVOS, WHEELS, Event, WheelMeasurement
 
 _STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
-_APART_M, _APART_SHARE, _AGAIN = 0.0005, 0.02, 2
-"""More than honest wheels contradict each other by (0.1 mm straight on, 0.4 mm where an arc begins or ends),
+_APART_M, _APART_SHARE, _AGAIN = 0.0008, 0.02, 2
+"""More than honest wheels contradict each other by (0.05 mm straight on, 0.3 to 0.55 mm where an arc begins or ends),
 per metre more, and how often in a row it is to be seen. Directions of wheels that are steered come late."""
 _SWUNG_RAD = 0.1
 """A wheel that is swung by so much in a step goes to another direction: what it rolls then does not count."""

@@ -143,8 +143,8 @@ def rolled(watch, angles, first=0, period_ns=100_000_000, valid=True):
     return events
 
 
-@pytest.mark.parametrize(("alone_m", "told"), [(0.0003, False), (0.0008, True), (-0.0008, True)])
-def test_a_wheel_that_rolls_alone_by_half_a_millimetre_is_named(alone_m, told):
+@pytest.mark.parametrize(("alone_m", "told"), [(0.0005, False), (0.0012, True), (-0.0012, True)])
+def test_a_wheel_that_rolls_alone_by_a_millimetre_is_named(alone_m, told):
     alone = [0.0, 0.0, alone_m / GEOMETRY.radius_m[2], 0.0]
     events = rolled(WheelWatch(GEOMETRY), [[0.0] * 4, alone, alone, alone])
     assert bool(events) is told
