@@ -83,7 +83,8 @@ def references(p: Parameters, config: BenchConfig) -> tuple[Trajectory, ...]:
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Every setting's lines, and the evaluation."""
     for setting in _settings(p, config):
-        yield PlannedStep(setting.name, references(p, config))
+        for case, way in zip(p.cases, references(p, config), strict=True):
+            yield PlannedStep(f"{setting.name}, {case}", (way,))
     yield PlannedStep("evaluate")
 
 

@@ -26,7 +26,7 @@ from hil.vocabulary.interfaces import Sink
 EXPECTED = {"exception": 2, "sigterm": 4, "one sigint": 4, "two sigints": 4, "time out": 3}
 KILL = "kill -9"
 WAYS = (*EXPECTED, KILL)
-QUIET_CYCLES = 150
+QUIET_CYCLES = 100
 PATIENCE_S = 120.0
 
 
