@@ -23,8 +23,8 @@ from hil.vocabulary.signals import SERVOS, WHEELS, Event, WheelMeasurement
 
 _STEP_NS, _WINDOW_NS = 78_000_000, 400_000_000
 _APART_M, _APART_SHARE, _AGAIN = 0.0008, 0.02, 2
-"""More than honest wheels contradict each other by (0.05 mm straight on, 0.3 to 0.55 mm where an arc begins or
-ends), per metre more, and how often in a row it is to be seen. Directions of wheels that are steered come late."""
+"""More than honest wheels contradict each other by (0.05 mm straight on, 0.55 mm where an arc begins or
+ends), per metre more, and how often in a row it is to be seen. Directions of steered wheels come late."""
 _SWUNG_RAD = 0.1
 """A wheel that is swung by so much in a step goes to another direction: what it rolls then does not count."""
 _AT_ONCE_M, _WAY_SHARE, _WIDEN_M = 0.003, 0.05, 0.003
