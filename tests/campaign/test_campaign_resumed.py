@@ -21,8 +21,6 @@ from pathlib import Path
 from hil.procedure import Measurement, procedure
 from hil.robot.trajectories import line
 
-print("a script that prints")
-
 
 @procedure(name="twice", measurements=[Measurement("first", "m"), Measurement("second", "m")])
 def run(ctx):
@@ -40,6 +38,18 @@ def run(ctx):
 
     ctx.checkpoint("one", lambda: drive("first", 0.0))
     ctx.checkpoint("two", fall_over)
+'''
+PLAIN = '''
+"""A procedure that asks no device."""
+from hil.procedure import Measurement, procedure
+
+print("a script that prints")
+
+
+@procedure(name="plain", measurements=[Measurement("seed", "1")])
+def run(ctx):
+    """Tell the seed."""
+    ctx.measure("seed", ctx.seed)
 '''
 WITH_HELPER = '''
 """A procedure with a module of its own."""
@@ -104,8 +114,8 @@ def test_a_run_is_not_resumed_where_the_emulated_robot_is_no_longer(tmp_path, mo
 
 
 def test_what_a_script_prints_is_no_part_of_the_json_object(campaign, tmp_path):
-    (tmp_path / "twice.py").write_text(DRIVES)
-    code, out, said = campaign("twice.py", "--seeds", "0:2", "--out", "o", "--json")
+    (tmp_path / "plain.py").write_text(PLAIN)
+    code, out, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--json")
     assert (code, json.loads(out)["cases"]) == (0, 2)
     assert "a script that prints" in said
 
@@ -115,11 +125,11 @@ def test_what_a_script_prints_is_no_part_of_the_json_object(campaign, tmp_path):
     [("hil_sources", "was begun with hil_sources"), ("numba", "was begun with numba")],
 )
 def test_other_versions_do_not_go_on_with_it(campaign, tmp_path, monkeypatch, changed, told):
-    (tmp_path / "twice.py").write_text(DRIVES)
-    assert campaign("twice.py", "--seeds", "0", "--out", "o")[0] == 0
+    (tmp_path / "plain.py").write_text(PLAIN)
+    assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     here = versions.make()
     monkeypatch.setattr("hil.cli.campaign_plan.make", lambda: {**here, changed: "another"})
-    code, _, said = campaign("twice.py", "--seeds", "0:2", "--out", "o", "--resume")
+    code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", "--resume")
     assert (code, told in said) == (2, True), said
 
 
@@ -148,23 +158,23 @@ def test_modules_beside_the_script_are_files_of_the_campaign(campaign, tmp_path,
 
 
 def test_a_campaign_that_is_at_work_is_left_alone(campaign, tmp_path):
-    (tmp_path / "twice.py").write_text(DRIVES)
-    assert campaign("twice.py", "--seeds", "0", "--out", "o")[0] == 0
+    (tmp_path / "plain.py").write_text(PLAIN)
+    assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     with alone_in(tmp_path / "o", resume=True):
         for options in ((), ("--resume",)):
-            code, _, said = campaign("twice.py", "--seeds", "0:2", "--out", "o", *options)
+            code, _, said = campaign("plain.py", "--seeds", "0:2", "--out", "o", *options)
             assert (code, "a campaign is at work there" in said) == (2, True), said
     with alone_in(tmp_path / "o", resume=True), pytest.raises(UsageError), alone_in(Path("o"), resume=True):
         pass
 
 
 def test_cases_are_not_left_out_and_files_are_those_of_the_same_folder(campaign, tmp_path, monkeypatch):
-    (tmp_path / "twice.py").write_text(DRIVES)
+    (tmp_path / "plain.py").write_text(PLAIN)
     late = '[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n'
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "late.toml").write_text(late)
-    out, options = str(tmp_path / "o"), (str(tmp_path / "twice.py"), "--fault", "late.toml")
+    out, options = str(tmp_path / "o"), (str(tmp_path / "plain.py"), "--fault", "late.toml")
     monkeypatch.chdir(tmp_path / "a")
     assert campaign(*options, "--seeds", "0:2", "--out", out)[0] == 0
     code, _, said = campaign(*options, "--seeds", "1", "--out", out, "--resume")
@@ -175,11 +185,11 @@ def test_cases_are_not_left_out_and_files_are_those_of_the_same_folder(campaign,
 
 
 def test_a_plan_of_another_version_and_an_empty_scheduler_are_named(campaign, tmp_path):
-    (tmp_path / "twice.py").write_text(DRIVES)
-    assert campaign("twice.py", "--seeds", "0", "--out", "o")[0] == 0
+    (tmp_path / "plain.py").write_text(PLAIN)
+    assert campaign("plain.py", "--seeds", "0", "--out", "o")[0] == 0
     plan = tmp_path / "o" / "plan.json"
     plan.write_text(json.dumps({**json.loads(plan.read_text()), "schema": 2}))
-    code, _, said = campaign("twice.py", "--seeds", "0", "--out", "o", "--resume")
+    code, _, said = campaign("plain.py", "--seeds", "0", "--out", "o", "--resume")
     assert (code, "another version of the package made it" in said) == (2, True), said
-    code, _, said = campaign("twice.py", "--seeds", "0", "--scheduler", "", "--out", "p")
+    code, _, said = campaign("plain.py", "--seeds", "0", "--scheduler", "", "--out", "p")
     assert (code, "--scheduler is empty" in said) == (2, True), said
