@@ -135,5 +135,5 @@ def _array_difference(a: Any, b: Any, where: str) -> str | None:
         return None
     for index in np.ndindex(a.shape):
         if a[index].tobytes() != b[index].tobytes():
-            return f"{where}{list(index)}: {a[index]!r} and {b[index]!r}"
+            return f"{where}{list(index)}: {a[index].item()!r} and {b[index].item()!r}"
     return None
