@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -15,6 +16,7 @@ from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.mistaken import meant
 
+_READERS = 2
 _OTHERS = (".py", ".toml", ".json", ".html")
 """Files of this project that hold no recording."""
 
@@ -90,8 +92,7 @@ def read_recordings(
     for job in found:
         jobs.setdefault(job.identity, job)
     out = []
-    for number, job in enumerate(jobs.values(), start=1):
-        recording = job.read()
+    for number, (job, recording) in enumerate(_at_once(jobs.values()), start=1):
         times = max(given[file] for file in job.identity)
         if times > 1:
             more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
@@ -101,6 +102,17 @@ def read_recordings(
             progress(number, len(jobs))
     check_signs(out, nominal if nominal is not None else Nominal())
     return out
+
+
+def _at_once(jobs: Iterable[Job]) -> Iterator[tuple[Job, Recording]]:
+    """Read some recordings at a time, in order: unpacking and reading of numbers leave Python to others."""
+    readers = ThreadPoolExecutor(_READERS)
+    try:
+        read = [(job, readers.submit(job.read)) for job in jobs]
+        for job, recording in read:
+            yield job, recording.result()
+    finally:
+        readers.shutdown(cancel_futures=True)
 
 
 def _times_given(jobs: Sequence[Job]) -> Counter[Path]:
