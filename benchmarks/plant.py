@@ -17,10 +17,10 @@ import time
 import numpy as np
 
 from hil.config.robot import RobotConfig
-from hil.fakes.arithmetic import numba_available
 from hil.fakes.plant import WallRobot, make_plant
 from hil.fakes.plant_api import JointCommand
 from hil.vocabulary.clock import nanoseconds
+from hil.vocabulary.extras import is_installed
 
 _NEEDED = 150.0
 _PERIOD_NS = nanoseconds(0.01)
@@ -57,10 +57,10 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, default=20.0, help="simulated seconds per repetition")
     parser.add_argument("--repeat", type=int, default=5)
     given = parser.parse_args()
-    found: dict[str, object] = {"numba": numba_available(), "needed": _NEEDED}
+    found: dict[str, object] = {"numba": is_installed("fast"), "needed": _NEEDED}
     interpreted = ratio(driving(False), min(given.seconds, 0.5), given.repeat, look=False)
     found["interpreted"] = round(interpreted, 2)
-    if not numba_available():
+    if not is_installed("fast"):
         print(json.dumps(found))
         return 0
     begin = time.process_time()

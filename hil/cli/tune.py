@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
     from hil.config.estimator import EstimatorConfig
     from hil.estimator.tuning import Score, TruthRun, Tuned
+    from hil.recording.sources import Job
     from hil.robot.kinematics import WheelGeometry
 
 _DEFAULT = (
@@ -62,12 +63,13 @@ def command(
     if out is not None:
         check_ending(out, ".toml")
         check_file(out)
-    if twice := _files(recordings) & _files(check):
+    fitted, held_out = _found(recordings), _found(check)
+    if twice := _files(fitted) & _files(held_out):
         raise UsageError(
             f"{min(twice)}: is fitted and held out at once", expected="other recordings for --check"
         )
-    config, runs = _read(_once(recordings), bench, calibration)
-    held = _read(_once(check), bench, calibration)[1] if check else []
+    config, runs = _read(_once(recordings, fitted), bench, calibration)
+    held = _read(_once(check, held_out), bench, calibration)[1] if check else []
     start = _start(config.estimator, runs)
     pair: tuple[Score, Score] | None = None
     with reporting(quiet=as_json) as report:
@@ -89,33 +91,38 @@ def command(
     return 0
 
 
-def _files(paths: Sequence[Path]) -> set[Path]:
-    """The files, resolved, of the recordings at paths."""
+def _found(paths: Sequence[Path]) -> list[list[Job]]:
+    """The recordings at each path; those of a folder each by itself, as one of ours is more than a table."""
     from hil.recording.sources import find_recordings
 
-    return {file for job in find_recordings(paths) for file in job.identity} if paths else set()
+    return [find_recordings([path]) for path in paths]
 
 
-def _once(paths: Sequence[Path]) -> list[Path]:
-    """Paths without those whose files others name as well; a warning names each that is left out."""
-    files = [_files([path]) for path in paths]
+def _files(found: Sequence[Sequence[Job]]) -> set[Path]:
+    """The files, resolved, of recordings."""
+    return {file for jobs in found for job in jobs for file in job.identity}
+
+
+def _once(paths: Sequence[Path], found: Sequence[Sequence[Job]]) -> list[Job]:
+    """Recordings at paths without those paths whose files others name as well; a warning names each such."""
+    files = [_files([jobs]) for jobs in found]
     kept = list(range(len(paths)))
     for k in reversed(range(len(paths))):
         if any(files[k] <= files[other] for other in kept if other != k):
             kept.remove(k)
             click.echo(f"warning: {paths[k]}: given more than once, taken once", err=True)
-    return [paths[k] for k in kept]
+    return [job for k in kept for job in found[k]]
 
 
 def _read(
-    paths: Sequence[Path], bench: str | None, calibration: Path | None
+    jobs: Sequence[Job], bench: str | None, calibration: Path | None
 ) -> tuple[BenchConfig, list[TruthRun]]:
     from hil.estimator.tuning import TruthRun
     from hil.replay.recordings import open_recording
     from hil.ring.motion import Motion
 
     config, runs = None, []
-    for path in _one_by_one(paths):
+    for path in (job.files[0] for job in jobs):
         opened = open_recording(path, bench=bench, calibration=calibration)
         _same_robot(path, opened.header, opened.bench.config)
         config, found = config or opened.bench.config, list[TruthRun]()
@@ -145,13 +152,6 @@ def _start(config: EstimatorConfig, runs: Sequence[TruthRun]) -> EstimatorConfig
 
     sensors = heard(m for run in runs for m in run.measurements)
     return config.on_wheels_alone() if rest_on_wheels(sensors) else config
-
-
-def _one_by_one(paths: Sequence[Path]) -> list[Path]:
-    """The recordings at paths, those of folders each by itself: one of ours holds more than a table would."""
-    from hil.recording.sources import find_recordings
-
-    return [job.files[0] for job in find_recordings(paths)]
 
 
 def _same_robot(path: Path, header: dict[str, Any], config: BenchConfig) -> None:

@@ -7,12 +7,12 @@ cosines; `math.hypot` is another one in machine code.
 
 from __future__ import annotations
 
-import importlib.util
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias, TypeVar
 
 import numpy as np
 
+from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array
 
 Vector: TypeAlias = Array | list[float]
@@ -23,20 +23,15 @@ F = TypeVar("F", bound=Callable[..., Any])
 _made: dict[Callable[..., Any], Callable[..., Any]] = {}
 
 
-def numba_available() -> bool:
-    """Whether the optional extra `fast` is installed."""
-    return importlib.util.find_spec("numba") is not None
-
-
 def vector(values: Sequence[float] | Array) -> Vector:
     """Numbers (n,) that arithmetic may read and change."""
     numbers = np.array(values, dtype=np.float64)
-    return numbers if numba_available() else numbers.tolist()
+    return numbers if is_installed("fast") else numbers.tolist()
 
 
 def rows(block: Array) -> Rows:
     """Numbers (n, m) that arithmetic may read row by row."""
-    return block if numba_available() else block.tolist()
+    return block if is_installed("fast") else block.tolist()
 
 
 def quick(function: F, *arguments: Any) -> F:
@@ -44,7 +39,7 @@ def quick(function: F, *arguments: Any) -> F:
 
     The first call on a machine compiles, later ones load the cache.
     """
-    if not numba_available():
+    if not is_installed("fast"):
         return function
     if function not in _made:
         from hil.vocabulary.kernels import machine_code

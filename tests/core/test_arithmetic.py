@@ -27,7 +27,7 @@ def twice(monkeypatch):
     def make(what):
         compiled = what()
         with monkeypatch.context() as without:
-            without.setattr(arithmetic, "numba_available", lambda: False)
+            without.setattr(arithmetic, "is_installed", lambda extra: False)
             return compiled, what()
 
     return make
@@ -61,7 +61,7 @@ def test_the_camera_sees_the_same_with_and_without_machine_code(twice, draws, mo
         for compiled, odometry in zip((True, False), made, strict=True):
             with monkeypatch.context() as patch:
                 if not compiled:
-                    patch.setattr(arithmetic, "numba_available", lambda: False)
+                    patch.setattr(arithmetic, "is_installed", lambda extra: False)
                 if k % 500 == 300:
                     odometry.jump(0.1)
                     odometry.drift(0.01, -0.02)
@@ -82,7 +82,7 @@ def test_the_chip_shows_the_same_with_and_without_machine_code(twice, draws, mon
         for compiled, sensors, count in zip((True, False), made, counting, strict=True):
             with monkeypatch.context() as patch:
                 if not compiled:
-                    patch.setattr(arithmetic, "numba_available", lambda: False)
+                    patch.setattr(arithmetic, "is_installed", lambda extra: False)
                 patch.setattr(output, "_counting", lambda found=count: found)
                 if k % 600 == 500:
                     sensors.set_remap(0x21, 0x04)

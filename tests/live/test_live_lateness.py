@@ -30,7 +30,7 @@ def test_what_to_do_depends_on_who_takes_the_time(late, work_ms, said):
 
 
 def test_where_estimators_are_interpreted_the_package_that_compiles_them_is_named(monkeypatch):
-    monkeypatch.setattr("hil.live.lateness.lacks", lambda extra: "not installed")
+    monkeypatch.setattr("hil.live.lateness.is_installed", lambda extra: False)
     told = advice(statistics(100, 62, 11.0).summary(), 100.0)
     assert "plain Python" in told
     assert "numba" in told

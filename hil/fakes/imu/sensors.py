@@ -2,7 +2,7 @@
 
 Earth axes: z up, x along the horizontal direction that wall X leans to. A tilt of `tau` turns the
 wall frame about its Y axis, so on a vertical wall (tau = pi/2) gravity lies in the motion plane.
-Plain floats throughout: this runs a hundred times a second of emulated time.
+What a sample takes is in `hil.fakes.imu.sample`; here is what changes seldom, and what calibration learns.
 """
 
 from __future__ import annotations

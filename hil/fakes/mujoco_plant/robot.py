@@ -13,7 +13,6 @@ from functools import cache
 
 import numpy as np
 
-from hil.fakes.arithmetic import numba_available
 from hil.fakes.faults import FaultPlan
 from hil.fakes.mujoco_plant import kernel as mk
 from hil.fakes.mujoco_plant.contact import CREEP_FLOOR_M_S, HOLDING_IMPRATIO
@@ -28,6 +27,7 @@ from hil.fakes.plant.surfaces import Patch
 from hil.fakes.plant_api import BodyMotion, PlantState
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import ConfigError, DeviceError
+from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array, ArrayLike
 
 VECTORS = (*np.zeros((4, 1)), np.zeros(1, np.int64), *np.zeros((3, 1)), np.zeros((1, 5)))
@@ -235,7 +235,7 @@ class MujocoRobot(SteppedBody):
 @cache
 def _kernels() -> tuple[Callable[..., float], Callable[..., None]]:
     """`prepare` and `finish`; machine code for the types of `VECTORS` where numba is installed."""
-    if not numba_available():
+    if not is_installed("fast"):
         return mk.prepare, mk.finish
     from hil.vocabulary.kernels import machine_code
 

@@ -11,8 +11,8 @@ from functools import cache
 
 import numpy as np
 
-from hil.fakes.arithmetic import numba_available
 from hil.fakes.plant import kernel
+from hil.vocabulary.extras import is_installed
 from hil.vocabulary.geometry import Array
 
 Advance = Callable[[int, float, Array, Array, Array], None]
@@ -41,5 +41,5 @@ def interpreted_advance(n: int, adhesion_factor: float, c: Array, s: Array, q: A
 def choose_advance(compiled: bool | None) -> Advance:
     """Compiled, interpreted, or (None) compiled if it can be."""
     if compiled is None:
-        compiled = numba_available()
+        compiled = is_installed("fast")
     return compiled_advance() if compiled else interpreted_advance
