@@ -34,6 +34,19 @@ def rows(block: Array) -> Rows:
     return block if is_installed("fast") else block.tolist()
 
 
+def put(block: Rows, row: int, numbers: Array) -> None:
+    """Write numbers (n,) into a row."""
+    if isinstance(block, list):
+        block[row] = numbers.tolist()
+    else:
+        block[row] = numbers
+
+
+def listed(block: Rows) -> list[list[Any]]:
+    """A block's rows as lists that stay as they are."""
+    return block.tolist() if isinstance(block, np.ndarray) else [list(row) for row in block]
+
+
 def quick(function: F, *arguments: Any) -> F:
     """The function, compiled for arguments of these types if it can be; it must be called with no others.
 

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.fakes import arithmetic
 from hil.fakes.imu import output, registers
 from hil.fakes.imu.sample import counts
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix
 from hil.fakes.plant_api import BodyMotion
+from hil.fakes.servos.sensing import Sensing
 from hil.fakes.tracker.odometry import VisualOdometry
 from hil.fakes.tracker.options import TrackerTruthOptions
 
@@ -93,6 +95,52 @@ def test_the_chip_shows_the_same_with_and_without_machine_code(twice, draws, mon
                 blocks = b"".join(output.encode(sensed, mode, units, 0, 20.0) for units in UNITS)
                 shown.append(bits(sensed) + blocks)
         assert shown[0] == shown[1], k
+
+
+class Joints:
+    """Joints that turn, and rest at times, as told."""
+
+    def __init__(self):
+        self.now = np.zeros((3, 8))
+
+    def joints(self):
+        return tuple(self.now)
+
+
+def test_the_servos_measure_the_same_with_and_without_machine_code(twice, draws):
+    joints, seed = Joints(), int(draws.integers(1000))
+    made = twice(lambda: Sensing(joints, np.random.default_rng(seed), (servo_model(DEFAULT_MODEL),) * 8))
+    assert [type(sensing._history) for sensing in made] == [np.ndarray, list]
+    for k in range(400):  # more than two blocks of dither
+        if k % 90 > 20:
+            joints.now = joints.now + draws.normal(size=(3, 8)) * [[0.02], [0.1], [0.1]]
+        for sensing in made:
+            sensing.tick()
+        if k % 5 < 3:
+            assert made[0].measure() == made[1].measure(), k
+        for age_ns in (0, 8_000_000, 10**9):
+            assert made[0].counts(age_ns) == made[1].counts(age_ns), k
+            assert made[0].velocity(age_ns) == made[1].velocity(age_ns), k
+
+
+def test_the_servos_measure_what_their_firmware_does():
+    """Counts to the nearest with dither, velocity over 76 ms that ended 12 ms ago, truncated towards zero."""
+    joints, model = Joints(), servo_model(DEFAULT_MODEL)
+    sensing = Sensing(joints, np.random.default_rng(1), (model,) * 8)
+    dither = np.random.default_rng(1).normal(0.0, 0.25, (128, 8))
+    rate_rad_s = np.linspace(-3.0, 3.0, 8)
+    seen = [np.zeros(8)]
+    for k in range(1, 100):
+        joints.now[0] = rate_rad_s * 0.004 * k
+        joints.now[2] = rate_rad_s
+        seen.append(np.rint(joints.now[0] / model.rad_per_count + dither[k]))
+        sensing.tick()
+    counts, velocities, currents = sensing.measure()
+    assert counts == seen[-1].tolist()
+    turned = (seen[-4] - seen[-23]) * model.rad_per_count / 0.076
+    assert velocities == np.trunc(turned / model.rad_s_per_count).tolist()
+    assert currents == np.trunc(rate_rad_s / model.a_per_count).tolist()
+    assert sensing.counts(40_000_000) == seen[-11].tolist()
 
 
 @pytest.mark.parametrize(

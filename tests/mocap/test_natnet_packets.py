@@ -52,7 +52,16 @@ def test_emulated_frames_have_the_published_layout(version):
         sections.insert(4, [])
     data = struct.pack("<i", 77) + b"".join(build.counted(s, version) for s in sections)
     data += struct.pack("<IId3QHi", 0, 0, 12.5, 1000, 1400, 2000, 0, 0)
-    assert encode.frame(77, SEEN, TIMES, version) == build.message(7, data)
+    assert encode.Frames().frame(77, SEEN, TIMES, version) == build.message(7, data)
+
+
+@pytest.mark.parametrize("version", encode.VERSIONS)
+def test_a_frame_is_the_same_whatever_was_sent_before(version):
+    moved = SEEN[1]._replace(position_m=(3.0, 2.0, 1.0), markers_m=MARKERS[::-1], tracked=True)
+    frames = encode.Frames()
+    for k, bodies in enumerate((SEEN, (SEEN[0], moved), SEEN[::-1], SEEN, SEEN[:1], (SEEN[0], moved))):
+        times = encode.FrameTimes(*(k + t for t in TIMES))
+        assert frames.frame(k, bodies, times, version) == encode.Frames().frame(k, bodies, times, version)
 
 
 @pytest.mark.parametrize("version", encode.VERSIONS)
@@ -74,7 +83,8 @@ def test_emulated_definitions_and_description_have_the_published_layout(version)
 @pytest.mark.parametrize("version", encode.VERSIONS)
 def test_a_public_client_reads_the_emulated_packets(version):
     public = Version(*version)
-    seen = DataFrame.read_from_buffer(PacketBuffer(payload(encode.frame(77, SEEN, TIMES, version))), public)
+    frame = encode.Frames().frame(77, SEEN, TIMES, version)
+    seen = DataFrame.read_from_buffer(PacketBuffer(payload(frame)), public)
     assert seen.prefix.frame_number == 77
     assert [b.id_num for b in seen.rigid_bodies] == [2, 1]
     assert seen.rigid_bodies[1].pos == (-1.5, 0.25, 4.0)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from functools import lru_cache
 from typing import NamedTuple
 
 from hil.fakes.mocap.capture import SeenBody
@@ -70,22 +69,34 @@ def _body_model(name: str, identifier: int, version: tuple[int, int]) -> bytes:
     return name.encode() + b"\0" + struct.pack("<ii3f", identifier, -1, 0.0, 0.0, 0.0) + markers + labels
 
 
-def frame(number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]) -> bytes:
-    """One frame of capture data."""
-    form = _frame_form(tuple([(body.name, body.identifier) for body in bodies]), version)
-    return form.pack(number, bodies, times)
+class Frames:
+    """Frames of capture data, packed by one template for the same bodies and version."""
+
+    def __init__(self) -> None:
+        self._templates: dict[tuple[object, ...], _Template] = {}
+
+    def frame(
+        self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes, version: tuple[int, int]
+    ) -> bytes:
+        """One frame."""
+        names = tuple([(body.name, body.identifier) for body in bodies])
+        template = self._templates.get((version, names))
+        if template is None:
+            template = self._templates[version, names] = _Template(names, version)
+        return template.filled(number, bodies, times)
 
 
-class _Pieces(NamedTuple):
-    """What a frame says of one body: all of its markers, the body, its labelled markers."""
+class _Places(NamedTuple):
+    """Where a frame tells of one body: its markers, twice, itself, its labelled markers."""
 
-    points: bytes
-    body: bytes
-    labelled: bytes
+    points: int
+    points_in_all: int
+    body: int
+    labelled: int
 
 
-class _FrameForm:
-    """What frames of the same bodies have in common, so that only what has moved is packed.
+class _Template:
+    """A frame of certain bodies, in which only what has changed is written anew.
 
     Args:
         names: name and streaming id of the bodies, in order.
@@ -93,57 +104,57 @@ class _FrameForm:
     """
 
     def __init__(self, names: tuple[tuple[str, int], ...], version: tuple[int, int]) -> None:
-        self._sized, count = version >= (4, 1), len(names)
-        self._sets = [name.encode() + b"\0" + _INT.pack(4) for name, _ in names]
-        self._labels = [tuple(identifier << 16 | k for k in range(1, 5)) for _, identifier in names]
+        sized, count = version >= (4, 1), len(names)
+
+        def head(items: int, size: int) -> bytes:
+            """Beginning of a section."""
+            return _PAIR.pack(items, size) if sized else _INT.pack(items)
+
+        sets = [name.encode() + b"\0" + _INT.pack(4) for name, _ in names]
         shown_as_all = _SHOWN_AS_ALL + _INT.pack(4 * count)
-        sets_size = sum(map(len, self._sets)) + len(shown_as_all) + 2 * count * _POINTS.size
-        nothing = self._head(0, 0)
-        self._set_head, self._all = self._head(count + 1, sets_size), shown_as_all
-        self._body_head = nothing + self._head(count, count * _BODY.size)
-        self._label_head = nothing * (2 if self._sized else 1) + self._head(4 * count, count * _LABELLED.size)
-        self._end = nothing * 2
-        fixed = (self._set_head, self._body_head, self._label_head, self._end)
-        each = count * (_BODY.size + _LABELLED.size)
-        self._payload = _INT.size + sets_size + each + sum(map(len, fixed)) + _SUFFIX.size
-        self._known: list[tuple[SeenBody, _Pieces] | None] = [None] * count
+        sets_size = sum(map(len, sets)) + len(shown_as_all) + 2 * count * _POINTS.size
+        frame, nothing = bytearray(_HEAD.size + _INT.size), head(0, 0)
 
-    def _head(self, count: int, size: int) -> bytes:
-        """Beginning of a section of that many items."""
-        return _PAIR.pack(count, size) if self._sized else _INT.pack(count)
+        def room(size: int) -> int:
+            """A place that is written later."""
+            frame.extend(bytes(size))
+            return len(frame) - size
 
-    def _pieces(self, place: int, body: SeenBody) -> _Pieces:
-        """What the frame says of a body; one that is seen as before is not packed again."""
-        known = self._known[place]
-        if known is not None and known[0] is body:
-            return known[1]
-        _, identifier, position_m, rotation_xyzw, markers_m, error_m, tracked = body
-        labelled: list[float] = []
-        for label, marker in zip(self._labels[place], markers_m, strict=True):
-            labelled += (label, *marker, _MARKER_SIZE_M, _SOLVED, error_m)
-        a, b, c, d = markers_m
-        pieces = _Pieces(
-            _POINTS.pack(*a, *b, *c, *d),
-            _BODY.pack(identifier, *position_m, *rotation_xyzw, error_m, tracked),
-            _LABELLED.pack(*labelled),
-        )
-        self._known[place] = body, pieces
-        return pieces
+        frame += head(count + 1, sets_size)
+        points = []
+        for one in sets:
+            frame += one
+            points.append(room(_POINTS.size))
+        frame += shown_as_all
+        in_all = [room(_POINTS.size) for _ in names]
+        frame += nothing + head(count, count * _BODY.size)
+        itself = [room(_BODY.size) for _ in names]
+        frame += nothing * (2 if sized else 1) + head(4 * count, count * _LABELLED.size)
+        labelled = [room(_LABELLED.size) for _ in names]
+        frame += nothing * 2
+        self._suffix = room(_SUFFIX.size)
+        _HEAD.pack_into(frame, 0, FRAME, len(frame) - _HEAD.size)
+        self._frame = frame
+        self._places = [_Places(*places) for places in zip(points, in_all, itself, labelled, strict=True)]
+        self._labels = [tuple(identifier << 16 | k for k in range(1, 5)) for _, identifier in names]
+        self._known: list[SeenBody | None] = [None] * count
 
-    def pack(self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes) -> bytes:
-        """One frame."""
-        pieces = [self._pieces(place, body) for place, body in enumerate(bodies)]
-        parts = [_HEAD.pack(FRAME, self._payload), _INT.pack(number), self._set_head]
-        for name, piece in zip(self._sets, pieces, strict=True):
-            parts += (name, piece.points)
-        parts.append(self._all)
-        parts += [piece.points for piece in pieces]
-        parts.append(self._body_head)
-        parts += [piece.body for piece in pieces]
-        parts.append(self._label_head)
-        parts += [piece.labelled for piece in pieces]
-        parts += (self._end, _SUFFIX.pack(0, 0, *times, 0, 0))
-        return b"".join(parts)
+    def filled(self, number: int, bodies: tuple[SeenBody, ...], times: FrameTimes) -> bytes:
+        """One frame; a body that is seen as before stands there already."""
+        frame = self._frame
+        _INT.pack_into(frame, _HEAD.size, number)
+        for k, body in enumerate(bodies):
+            if self._known[k] is not body:
+                self._write(k, body)
+        _SUFFIX.pack_into(frame, self._suffix, 0, 0, *times, 0, 0)
+        return bytes(frame)
 
-
-_frame_form = lru_cache(maxsize=16)(_FrameForm)
+    def _write(self, k: int, body: SeenBody) -> None:
+        frame, places, (i, j, m, n) = self._frame, self._places[k], self._labels[k]
+        _, identifier, position_m, rotation_xyzw, (a, b, c, d), error_m, tracked = body
+        rest = _MARKER_SIZE_M, _SOLVED, error_m
+        _POINTS.pack_into(frame, places.points, *a, *b, *c, *d)
+        _POINTS.pack_into(frame, places.points_in_all, *a, *b, *c, *d)
+        _BODY.pack_into(frame, places.body, identifier, *position_m, *rotation_xyzw, error_m, tracked)
+        _LABELLED.pack_into(frame, places.labelled, i, *a, *rest, j, *b, *rest, m, *c, *rest, n, *d, *rest)
+        self._known[k] = body

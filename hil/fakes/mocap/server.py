@@ -110,6 +110,7 @@ class NatNetServer(Scheduled):
         self._faults = MocapFaults(world.faults, name, self._rng)
         self._volume = CaptureVolume(self._options, self._rng, body=body, body_id=body_id, up_axis=up_axis)
         self._stretch = 1.0 + 1e-6 * self._options.clock_ppm * float(self._rng.standard_normal())
+        self._frames = encode.Frames()
         self._network = WorldNetwork(self, world)
         self._outlets: list[Outlet] = [self._network]
         self.offered_group: str | None = None
@@ -217,7 +218,7 @@ class NatNetServer(Scheduled):
     def _frame(self, version: tuple[int, int], packets: dict[tuple[int, int], bytes]) -> bytes:
         assert self._last is not None
         if version not in packets:
-            packets[version] = encode.frame(*self._last, version)
+            packets[version] = self._frames.frame(*self._last, version)
         return packets[version]
 
     def _send(self, packet: bytes, destination: Address, outlet: Outlet, ready_ns: int, t_ns: int) -> None:
