@@ -8,6 +8,8 @@ from hil.fakes import arithmetic
 from hil.fakes.imu import output, registers
 from hil.fakes.imu.sample import counts
 from hil.fakes.imu.sensors import ImuTruthOptions, InertialSensors, Sensed, matrix
+from hil.fakes.mocap.capture import CaptureVolume
+from hil.fakes.mocap.options import MocapTruthOptions
 from hil.fakes.plant_api import BodyMotion
 from hil.fakes.servos.sensing import Sensing
 from hil.fakes.tracker.odometry import VisualOdometry
@@ -95,6 +97,22 @@ def test_the_chip_shows_the_same_with_and_without_machine_code(twice, draws, mon
                 blocks = b"".join(output.encode(sensed, mode, units, 0, 20.0) for units in UNITS)
                 shown.append(bits(sensed) + blocks)
         assert shown[0] == shown[1], k
+
+
+@pytest.mark.parametrize("up_axis", ["y", "z"])
+def test_motion_capture_sees_the_same_with_and_without_machine_code(twice, draws, up_axis):
+    seed, options = int(draws.integers(1000)), MocapTruthOptions(occlusions_per_s=1.0)
+    kwargs = {"body": "robot", "body_id": 1, "up_axis": up_axis}
+    made = twice(lambda: CaptureVolume(options, np.random.default_rng(seed), **kwargs))
+    assert [type(volume._draws) for volume in made] == [np.ndarray, list]
+    for k in range(1200):  # more than two blocks of noise
+        body, seen = motion(draws, k), []
+        for compiled, volume in zip((True, False), made, strict=True):
+            with pytest.MonkeyPatch.context() as patch:
+                if not compiled:
+                    patch.setattr(arithmetic, "is_installed", lambda extra: False)
+                seen.append(volume.see(body, k * 10_000_000))
+        assert seen[0] == seen[1], k
 
 
 class Joints:

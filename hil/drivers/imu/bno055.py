@@ -222,7 +222,7 @@ class Bno055Imu(Sensor[ImuSample]):
         self._judge(status, now_ns)
         if status in _WITHOUT_VALUES:
             return self._empty(status, now_ns)
-        return burst.sample(counts, self._stamp(now_ns, now_ns - link.asked_ns + self._age_ns), status)
+        return burst.sample(data, self._stamp(now_ns, now_ns - link.asked_ns + self._age_ns), status)
 
     def _status(self, counts: burst.Counts, data: bytes, now_ns: int) -> Status:
         stuck = self._stuck.stuck(data[: burst.MEASURED], now_ns)

@@ -1,25 +1,21 @@
-"""What the cameras see: the robot's rigid body, another one, and when they see them.
-
-Poses are made in the wall frame (z out of the surface) and turned into the streamed axes: Motive's
-y-up stream has y out of the calibrated ground plane, so that (x, y, z) of the wall is (x, z, -y) there.
-"""
+"""What the cameras see: the robot's rigid body, another one, and when they see them."""
 
 from __future__ import annotations
 
-import math
 from typing import Literal, NamedTuple
 
 import numpy as np
 
+from hil.fakes.arithmetic import Rows, quick, rows
 from hil.fakes.mocap.options import MocapTruthOptions
+from hil.fakes.mocap.seeing import DRAWS, seen_at
 from hil.fakes.plant_api import BodyMotion
+from hil.vocabulary.geometry import Four, Three
+from hil.vocabulary.records import named
 
 _BLOCK = 512
 _RARE_GAP = 0.02
-_MARKERS = ((0.10, 0.08, 0.02), (-0.12, 0.09, 0.02), (-0.10, -0.09, 0.03), (0.13, -0.02, 0.05))
 _DISTRACTOR = (1.2, -0.7, 0.4)
-
-Point = tuple[float, float, float]
 
 
 class SeenBody(NamedTuple):
@@ -27,9 +23,9 @@ class SeenBody(NamedTuple):
 
     name: str
     identifier: int
-    position_m: Point
-    rotation_xyzw: tuple[float, float, float, float]
-    markers_m: tuple[Point, ...]
+    position_m: Three
+    rotation_xyzw: Four
+    markers_m: tuple[Three, ...]
     marker_error_m: float
     tracked: bool = True
 
@@ -54,12 +50,16 @@ class CaptureVolume:
         up_axis: Literal["y", "z"],
     ) -> None:
         self._options, self._rng = options, rng
-        self._body, self._body_id, self._y_up = body, body_id, up_axis == "y"
-        x, y, theta = _DISTRACTOR
-        name, identifier = "distractor" + "2" * (body == "distractor"), body_id + 1
-        self._other = self._body_at(name, identifier, x, y, theta, (0.0,) * 7)
+        self._body, self._body_id = body, body_id
+        self._errors = (
+            options.height_m, options.position_noise_m, options.angle_noise_rad, options.marker_error_m,
+        )  # fmt: skip
+        self._y_up = up_axis == "y"
+        self._draws, self._row = rows(np.zeros((1, DRAWS))), 0
+        self._see = quick(seen_at, *[0.0] * 7, self._y_up, self._draws, 0)
+        name = "distractor" + "2" * (body == "distractor")
+        self._other = self._body_at(name, body_id + 1, _DISTRACTOR, self._draws, 0)
         self._last: SeenBody | None = None
-        self._draws: list[list[float]] = []
         self._hidden_until_ns = self._gap_until_ns = 0
 
     @property
@@ -69,14 +69,15 @@ class CaptureVolume:
 
     def see(self, motion: BodyMotion, t_ns: int, *, hidden: bool = False) -> tuple[SeenBody, SeenBody]:
         """Both bodies at an exposure; a hidden body keeps its last pose and is not tracked."""
-        x, y, theta = motion[:3]
-        noise = self._noise()
+        if not self._row:
+            self._draws, self._row = rows(self._rng.standard_normal((_BLOCK, DRAWS))), _BLOCK
+        self._row -= 1
         often = self._options.occlusions_per_s / self._options.rate_hz
         if often and t_ns >= self._hidden_until_ns and self._rng.random() < often:
             self._hidden_until_ns = t_ns + round(1e9 * self._options.occlusion_s)
         if (hidden or t_ns < self._hidden_until_ns) and self._last is not None:
             return self._other, self._last._replace(tracked=False)
-        self._last = self._body_at(self._body, self._body_id, x, y, theta, tuple(noise))
+        self._last = self._body_at(self._body, self._body_id, motion[:3], self._draws, self._row)
         return self._other, self._last
 
     def in_gap(self, t_ns: int) -> bool:
@@ -92,33 +93,7 @@ class CaptureVolume:
             self._gap_until_ns = t_ns + round(1e9 * max(0.0, longest_s * length - 1.0 / options.rate_hz))
         return True
 
-    def _noise(self) -> list[float]:
-        if not self._draws:
-            self._draws = self._rng.standard_normal((_BLOCK, 7)).tolist()
-        return self._draws.pop()
-
-    def _body_at(
-        self, name: str, identifier: int, x: float, y: float, theta: float, noise: tuple[float, ...]
-    ) -> SeenBody:
-        options = self._options
-        c, s = math.cos(theta), math.sin(theta)
-        y_up, height_m = self._y_up, options.height_m
-        places = [(x + c * mx - s * my, y + s * mx + c * my, height_m + mz) for mx, my, mz in _MARKERS]
-        markers = tuple([(u, w, -v) for u, v, w in places] if y_up else places)
-        sigma, half = options.position_noise_m, 0.5 * options.angle_noise_rad
-        c, s = math.cos(0.5 * theta), math.sin(0.5 * theta)
-        ex, ey, ez = half * noise[3], half * noise[4], half * noise[5]
-        vector = self._streamed(c * ex - s * ey, c * ey + s * ex, s + c * ez)
-        return SeenBody(
-            name=name,
-            identifier=identifier,
-            position_m=self._streamed(
-                x + sigma * noise[0], y + sigma * noise[1], options.height_m + sigma * noise[2]
-            ),
-            rotation_xyzw=(*vector, c - s * ez),
-            markers_m=markers,
-            marker_error_m=options.marker_error_m * (1.0 + 0.1 * abs(noise[6])),
-        )
-
-    def _streamed(self, x: float, y: float, z: float) -> Point:
-        return (x, z, -y) if self._y_up else (x, y, z)
+    def _body_at(self, name: str, identifier: int, place: Three, draws: Rows, row: int) -> SeenBody:
+        """A body at a pose in the wall, with a row of noise."""
+        seen = self._see(*place, *self._errors, self._y_up, draws, row)
+        return named(SeenBody, (name, identifier, *seen, True))
