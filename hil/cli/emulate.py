@@ -105,14 +105,14 @@ def command(
     )  # fmt: skip
 
     _end_when_asked(server.stop, only_by_sigterm=await_start)
-    _as_prompt_as_hardware(config.loop.fifo_priority)
     endpoints = server.endpoints()
     line = json.dumps(endpoints)
     nothing = contextlib.nullcontext()
     robot = (
         nothing if await_start else _told_of(OnItsWall(config, server.world, "servos" in server.faces))
     )  # whoever awaits the start looks after it
-    with robot, file or nothing, _linked(PortLinks(config, endpoints, of_hardware=standard_ports)):
+    links, first = PortLinks(config, endpoints, of_hardware=standard_ports), config.loop.fifo_priority
+    with _as_prompt_as_hardware(first), robot, file or nothing, _linked(links):
         _answer(line)
         server.run(ready=partial(file.write, line) if file is not None else None)
     return EXIT_PASS
@@ -159,7 +159,8 @@ def _answer(line: str) -> None:
         answered.already = True
 
 
-def _as_prompt_as_hardware(fifo_priority: int | None) -> None:
+@contextlib.contextmanager
+def _as_prompt_as_hardware(fifo_priority: int | None) -> Iterator[None]:
     """Hardware does not wait for a busy host: go first where that is allowed, and keep collections short."""
     sleep_punctually()
     with contextlib.suppress(OSError):
@@ -168,3 +169,7 @@ def _as_prompt_as_hardware(fifo_priority: int | None) -> None:
             os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(fifo_priority))
     gc.collect()
     gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import os
 import pkgutil
 import sys
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 from types import ModuleType
 
@@ -97,16 +99,20 @@ def _load(name: str, path: Path) -> ModuleType:
     return module
 
 
+_real = lru_cache(maxsize=None)(os.path.realpath)  # thousands of modules, looked through more than once
+
+
 def modules_beside(script: Path) -> tuple[Path, ...]:
     """Files and folders beside a script from which modules have been imported; no installed ones."""
-    folder, package = script.resolve().parent, Path(hil.__file__).resolve().parent
+    itself, package = script.resolve(), Path(hil.__file__).resolve().parent
+    folder, found = itself.parent, set()
     installed = [Path(sys.prefix).resolve(), Path(sys.base_prefix).resolve(), package, SHIPPED_FOLDER]
-    found = set()
     for module in tuple(sys.modules.values()):
-        path = Path(getattr(module, "__file__", None) or folder).resolve()
-        if path == script.resolve() or folder not in path.parents:
+        file = getattr(module, "__file__", None)
+        if not file or not _real(file).startswith(f"{folder}{os.sep}"):
             continue
-        if not any(place in path.parents for place in installed):
+        path = Path(_real(file))
+        if path != itself and not any(place in path.parents for place in installed):
             found.add(folder / path.relative_to(folder).parts[0])
     return tuple(sorted(found))
 

@@ -130,8 +130,9 @@ def record_types(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
     return found
 
 
-def describe(added: tuple[DeviceKind, ...] = ()) -> dict[str, Any]:
-    """Layout of a cycle record as JSON, stored in every recording.
+@cache
+def describe(added: tuple[DeviceKind, ...] = ()) -> Mapping[str, Any]:
+    """Layout of a cycle record as JSON, stored in every recording; the same object for the same kinds.
 
     Args:
         added: kinds of other packages whose samples it may hold; they are named with their packages.
