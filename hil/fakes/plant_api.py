@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.records import quickly_made
 
 JointMode = Literal["off", "velocity", "position", "pwm", "current"]
 
@@ -49,6 +50,7 @@ class HoldingForces:
     propeller_gain: float = 1.0
 
 
+@quickly_made
 @dataclass(frozen=True)
 class PlantState:
     """Physical truth at `t_ns`.
