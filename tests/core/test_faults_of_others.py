@@ -6,6 +6,7 @@ import pytest
 import hil
 from hil.fakes.faults import Fault, FaultPlan
 from hil.vocabulary.signals import ServoSetpoint
+from tests.to_the_bit import bits
 
 CYCLES, RATE_HZ = 60, 100
 LATER = (
@@ -23,9 +24,9 @@ def told(*faults):
         actuators.enable()
         for k in range(CYCLES):
             bench.clock.sleep_until_ns(deadline_ns)
-            seen.append(repr(bench.rig.read(k)))
+            seen.append(bits(bench.rig.read(k)))
             actuators.command(ServoSetpoint(np.full(4, 0.02 * k), np.full(4, 0.002 * k)))
-            seen.append(repr(bench.truth()))
+            seen.append(bits(bench.truth()))
             deadline_ns += 1_000_000_000 // RATE_HZ
     return seen
 

@@ -7,6 +7,7 @@ import hil
 from hil.fakes.world import World
 from hil.vocabulary.errors import HilError
 from hil.vocabulary.signals import ServoSetpoint
+from tests.to_the_bit import bits
 
 SECONDS, RATE_HZ = 2.0, 50
 FAULTS = (
@@ -27,7 +28,7 @@ def told(bench_name, faults):
         for k in range(round(SECONDS * RATE_HZ)):
             bench.clock.sleep_until_ns(deadline_ns)
             try:
-                seen.append(repr(bench.rig.read(k)))
+                seen.append(bits(bench.rig.read(k)))
                 actuators.command(ServoSetpoint(np.full(4, 0.02 * k), np.full(4, 0.002 * k)))
             except HilError as error:
                 seen.append(str(error))
