@@ -12,7 +12,7 @@ import numpy as np
 from hil.config.servo_models import ServoModel
 from hil.fakes.arithmetic import listed, put, quick, rows
 from hil.fakes.plant_api import Plant
-from hil.fakes.servos.counting import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SPAN, count, show
+from hil.fakes.servos.counting import ANGLES, CURRENTS, OLD, PER_RAD, PER_SPAN, SPAN, show
 from hil.vocabulary.geometry import Array
 
 GRID_NS = 4_000_000
@@ -51,9 +51,7 @@ class Sensing:
         self._row = self.ticks = 0
         self._raw_from = 1
         self._now, self._shown = rows(np.zeros((2, 8))), rows(np.zeros((3, 8), dtype=np.int64))
-        vectors = self._history, self._dither, self._scales
-        self._make_counts = quick(count, *vectors, 0, 0)
-        self._show = quick(show, self._now, *vectors, 0, 0, self._shown)
+        self._show = quick(show, self._now, self._history, self._dither, self._scales, 0, 0, self._shown)
 
     def _draw(self) -> None:
         """Dither of the next samples of the grid, counts."""
@@ -71,18 +69,17 @@ class Sensing:
         put(self._history, row, self._plant.joints()[0])
 
     def _count(self) -> None:
-        """Make counts of the angles in the history from `_raw_from` on."""
-        self._make_counts(self._history, self._dither, self._scales, self._raw_from, self._row)
-        self._raw_from = self._row + 1
-
-    def measure(self) -> tuple[list[int], list[int], list[int]]:
-        """`counts` and `velocity` now, and Present Current in its counts."""
+        """Make counts of the angles in the history from `_raw_from` on, and of those now."""
         now, row = self._now, self._row
         angles, _, amps = self._plant.joints()
         put(now, ANGLES, angles)
         put(now, CURRENTS, amps)
         self._show(now, self._history, self._dither, self._scales, self._raw_from, row, self._shown)
         self._raw_from = row + 1
+
+    def measure(self) -> tuple[list[int], list[int], list[int]]:
+        """`counts` and `velocity` now, and Present Current in its counts."""
+        self._count()
         counts, velocities, currents = listed(self._shown)
         return counts, velocities, currents
 
