@@ -6,6 +6,7 @@ from functools import partial
 import pytest
 
 from hil.bench.held import Held
+from hil.cli import main
 from hil.procedure import Measurement, procedure
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.elsewhere import Errand
@@ -178,3 +179,9 @@ def test_a_robot_that_was_let_go_is_no_error(tmp_path):
     released = Held("NOT HELD", None, "released", wanted=False)
     benches.add("released", released, tethered=False)
     assert (benches.held, benches.not_held) == (released, [])
+
+
+def test_the_list_of_results_says_that_a_robot_was_not_held(tmp_path, capsys):
+    ran(tmp_path / "run", one_after_the_other)
+    assert main(["results", "list", "--in", str(tmp_path)]) == 0
+    assert f"bench 1 (falls): the accelerometer feels less than the weight: {WHY}" in capsys.readouterr().out

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from hil.cli import main
 from hil.cli.run import text_of
 from hil.config.bench import BenchConfig
 from hil.procedure import BenchSource, Measurement, procedure
@@ -128,3 +129,16 @@ def test_a_headline_has_no_values_that_are_no_numbers(tmp_path):
     source = BenchSource(BenchConfig(schema=1, name="bare"))
     run_procedure(nan, source, RunOptions(tmp_path / "out", MonotonicClock(), "2026-01-01", {}))
     assert read_result(tmp_path / "out")["headline"] == ""
+
+
+def test_the_list_of_results_names_what_was_not_measured(tmp_path, capsys):
+    @procedure(name="partly", measurements=(Measurement("seen", "mm", high=1.0), Measurement("told", "mm")))
+    def partly(ctx):
+        """Measures one of two, and that to no number."""
+        ctx.measure("seen", float("nan"))
+
+    source = BenchSource(BenchConfig(schema=1, name="bare"))
+    run_procedure(partly, source, RunOptions(tmp_path / "one", MonotonicClock(), "2026-01-01", {}))
+    assert main(["results", "list", "--in", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "seen is no finite number (at most 1) FAIL; told was never measured FAIL" in said
