@@ -6,6 +6,7 @@ across the lanes, has truly been. Lanes go up and down the wall, X, and step alo
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Literal
 
@@ -22,6 +23,7 @@ from hil.procedure.tracking import (
     series,
     stand,
     tracking_errors,
+    unseen,
 )
 from hil.procedures.parts import headlines
 from hil.robot.trajectories import Trajectory, scan
@@ -121,13 +123,14 @@ def _drive(ctx: Context, p: Parameters, feedback: str) -> dict[str, Any]:
     motion = bench.drive(
         reference(p, start), controller=p.law, feedback=feedback, hold_s=p.hold_s, start_pose=start
     )
-    known = motion.mocap[np.all(np.isfinite(motion.mocap), axis=1)]
+    truth = motion.mocap
+    first = int(np.argmax(np.all(np.isfinite(truth), axis=1)))
     return {
         "errors": tracking_errors(motion),
         "series": series(motion),
         "start": start.tolist(),
-        "path": np.round(known[::5, :2], 5).tolist(),
-        "lanes": lane_offsets(motion.mocap, motion.reference, start, p).tolist(),
+        "path": np.round(truth[first::5, :2], 5).tolist(),
+        "lanes": lane_offsets(truth, motion.reference, start, p).tolist(),
     }
 
 
@@ -154,7 +157,7 @@ def covered_cells(path: Array, start: ArrayLike, p: Parameters) -> Array:
     """Cells of the scanned rectangle that the probe has seen, shape (along X, along Y), true or false.
 
     Args:
-        path: true positions (n, 2) in order, m.
+        path: true positions (n, 2) in order, m; NaN where nobody saw the robot, and so not what it covered.
         start: where the scan began, its corner.
         p: size of scan and probe.
     """
@@ -164,6 +167,8 @@ def covered_cells(path: Array, start: ArrayLike, p: Parameters) -> Array:
     seen = np.zeros(cells, dtype=bool)
     y_m = (np.arange(cells[1]) + 0.5) * size[1] / cells[1]
     for (x0, y0), (x1, y1) in zip(path[:-1] - origin, path[1:] - origin, strict=True):
+        if not math.isfinite(x0 + x1):
+            continue
         low, high = sorted((x0, x1))
         first, last = np.floor(low / _CELL_M), np.ceil(high / _CELL_M)
         rows = slice(int(max(first, 0)), int(max(last, 0)))
@@ -174,6 +179,9 @@ def covered_cells(path: Array, start: ArrayLike, p: Parameters) -> Array:
 def _evaluate(ctx: Context, p: Parameters, runs: dict[str, Any]) -> None:
     own = runs[p.feedback]
     errors = own["errors"]
+    for label, run in runs.items():
+        if missing := unseen(run["errors"]):
+            ctx.note(f"scan by {label}: {missing}")
     for name in ("rmse_x", "rmse_y", "rmse_heading"):
         ctx.measure(name, errors[name])
     ctx.measure("end", float(np.hypot(errors["end_x"], errors["end_y"])))

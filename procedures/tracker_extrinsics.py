@@ -179,6 +179,9 @@ def evaluate(ctx: Context, driven: Sequence[Sequence[Leg]]) -> Extrinsics:
     assert config is not None
     truth_series, seen, parts = collected(legs)
     truth = Truth(truth_series)
+    whole, parts = len(parts), parts.seen_by(truth)
+    if missed := whole - len(parts):
+        ctx.note(f"Motion capture did not see {missed} of the camera's {whole} intervals; they do not count.")
     found = solve(parts, truth, config.mount_position_m, config.mount_rotation_wxyz)
     found = by_whole_legs(legs, found)
     for k, axis in enumerate("xy"):
@@ -202,15 +205,22 @@ def evaluate(ctx: Context, driven: Sequence[Sequence[Leg]]) -> Extrinsics:
 
 
 def disagreement_m(legs: Iterable[Leg]) -> float:
-    """RMS distance of the aligned camera from motion capture, both from the start of each leg."""
+    """RMS distance of the aligned camera from motion capture, both from the start of each leg.
+
+    Legs whose start motion capture did not see do not count, nor does any sample while it saw nothing.
+    """
     errors = []
     for leg in legs:
         truth, seen = leg.truth, leg.aligned
         if len(truth) < 2 or len(seen) < 2:
             continue
-        begin_s = np.full(len(seen), seen.t_s[0])
-        path, _ = Truth(truth).steps(begin_s, seen.t_s)
-        own, _ = Truth(seen).steps(begin_s, seen.t_s)
+        known = Truth(truth).sees(seen.t_s)
+        if not known[0]:
+            continue
+        at_s = seen.t_s[known]
+        begin_s = np.full(len(at_s), at_s[0])
+        path, _ = Truth(truth).steps(begin_s, at_s)
+        own, _ = Truth(seen).steps(begin_s, at_s)
         errors.append(np.sum((path - own) ** 2, axis=1))
     return float(np.sqrt(np.mean(np.concatenate(errors)))) if errors else float("nan")
 

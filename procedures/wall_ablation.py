@@ -20,7 +20,7 @@ from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.ablation import Setting, Table, settings_of
 from hil.procedure.elsewhere import Errand
 from hil.procedure.learning import known_parts
-from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors
+from hil.procedure.tracking import refuse_what_cannot_be_followed, stand, tracking_errors, unseen
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.report.ablation_figure import EVERYTHING, NOTHING, ablation_figure
@@ -161,6 +161,8 @@ def evaluate(ctx: Context, jobs: list[tuple[Setting, Case]], errors: list[dict[s
     p: Parameters = ctx.parameters
     table: Table = {}
     for (setting, case), own in zip(jobs, errors, strict=True):
+        if missing := unseen(own):
+            ctx.note(f"{setting.name}, {case}: {missing}")
         table.setdefault(setting.name, {})[case] = {
             "end_m": 1e-3 * float(np.hypot(own["end_x"], own["end_y"])),
             "rmse_x_m": 1e-3 * own["rmse_x"],

@@ -27,6 +27,7 @@ from hil.procedure.tracking import (
     series,
     stand,
     tracking_errors,
+    unseen,
 )
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
@@ -245,6 +246,10 @@ def evaluate(ctx: Context, worlds: list[dict[str, Any]]) -> None:
         }
         for label in worlds[0]
     }
+    for number, world in enumerate(worlds):
+        for label, run in world.items():
+            if missing := unseen(run["errors"]):
+                ctx.note(f"{label} seed {ctx.seed + number}: {missing}")
     for case in p.cases:
         for feedback in p.feedbacks:
             _measure(ctx, case, feedback, errors)

@@ -132,7 +132,7 @@ def _print(kept: Kept) -> None:
     when = f"{kept.when.astimezone():%Y-%m-%d %H:%M}"
     line = printable(f"{when}  {{}}  {kept.what:22} {on:28} {kept.name}")
     click.echo(line.replace("{}", mark, 1).rstrip())
-    problem = kept.result.get("error")
+    problem = kept.result.get("error") or next(iter(kept.result.get("teardown_errors", ())), None)
     said = problem["message"] if problem else "; ".join(_key_rows(kept)) or kept.why
     if said:
         click.echo(printable(f"{'':18}{said}"))
@@ -140,23 +140,31 @@ def _print(kept: Kept) -> None:
 
 def _key_rows(kept: Kept) -> list[str]:
     """The measurements that a reader wants first: what failed, then what is nearest to its limit."""
-    from hil.report.pages import number
+    from hil.report.pages import digits_of, number
+    from hil.report.run_words import missing_words
 
     def nearness(row: Mapping[str, Any]) -> tuple[bool, float]:
         limits = [abs(v) for v in (row["low"], row["high"]) if v]
         return row["outcome"] != "FAIL", (row["margin"] or 0.0) / max([*limits, 1e-12])
 
-    rows = [r for r in kept.result.get("measurements", ()) if r["value"] is not None and r["limited"]]
+    rows = [
+        r
+        for r in kept.result.get("measurements", ())
+        if r["outcome"] == "FAIL" or (r["value"] is not None and r["limited"])
+    ]
     told = []
     for row in sorted(rows, key=nearness)[:_KEY_ROWS]:
+        digits = digits_of(row)
         limits = [
-            f"{w} {number(row[k])}"
+            f"{w} {number(row[k], digits)}"
             for w, k in (("at least", "low"), ("at most", "high"))
             if row[k] is not None
         ]
         unit = "" if row["unit"] == "1" else f" {row['unit']}"
         bad = " FAIL" if row["outcome"] == "FAIL" else ""
-        told.append(f"{row['name']} {number(row['value'])}{unit} ({', '.join(limits)}){bad}")
+        value = missing_words(row) if row["value"] is None else f"{number(row['value'], digits)}{unit}"
+        within = f" ({', '.join(limits)})" if limits else ""
+        told.append(f"{row['name']} {value}{within}{bad}")
     return told
 
 

@@ -182,7 +182,7 @@ def text_of(result: Result) -> str:
     """What ended it first, then what was measured, and the verdict."""
     from hil.bench.held import held_in_words
     from hil.procedure.measurements import Verdict
-    from hil.report.run_words import sentence
+    from hil.report.pages import digits_of
 
     lines = []
     for problem in (result.error, *result.teardown_errors):
@@ -190,15 +190,17 @@ def text_of(result: Result) -> str:
             lines.append(f"{problem.kind} {problem.place}: {problem.message}")
     measured = [row for row in result.measurements if row["outcome"] != "NOT MEASURED"]
     for row in measured:
-        value = "-" if row["value"] is None else f"{row['value']:.4g}"
-        limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+        digits = digits_of(row)
+        value = "-" if row["value"] is None else f"{row['value']:.{digits}g}"
+        shown = max(digits, 6)
+        limits = [f"{s} {row[k]:.{shown}g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
         lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
     if result.verdict is not Verdict.PASS:
         lines += [f"note: {note}" for note in result.facts["notes"]]
     lines.append(held_in_words(result.facts["held"]))
-    said = f"It ended early, {result.error.place}." if result.error else sentence(result.to_json())
+    said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())
     lines.append(f"results: {result.folder}")
     return "\n".join(lines)

@@ -46,11 +46,16 @@ def _origin(problem: BaseException) -> str:
 
 
 def not_held(context: Context, known: Failure | None) -> list[Failure]:
-    """A robot that should be held and is not is an error of a run that knows of no other."""
-    held = context.held
-    if known is not None or held is None or held.state != "NOT HELD" or not held.wanted:
+    """A robot that should be held and is not is an error of a run that knows of no other.
+
+    Where another error counts, and the run had several benches, notes say of which the robot was not held.
+    """
+    lost = [(bench.name, bench.held.why) for bench in context.left.not_held]
+    if known is not None and context.left.opened > 1:
+        context.findings.notes += [f"NOT HELD: {name}: {why}" for name, why in lost]
+    if known is not None:
         return []
-    return [Failure("NotHeld", held.why, "closing the bench", EXIT_DEVICE)]
+    return [Failure("NotHeld", f"{name}: {why}", "closing the bench", EXIT_DEVICE) for name, why in lost]
 
 
 def conclude(
@@ -118,6 +123,6 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
 
 
 def _held(context: Context) -> dict[str, object]:
-    if context.held is not None:
-        return context.held.to_json()
+    if context.left.held is not None:
+        return context.left.held.to_json()
     return untouched("no device was opened: the robot is as it was before").to_json()

@@ -14,6 +14,7 @@ from hil.procedure.elsewhere import Driven, Errand, Result, Sent, driven
 from hil.procedure.guard import LoopGuard
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
+from hil.procedure.left_benches import LeftBenches
 from hil.procedure.measurements import Measurement
 from hil.procedure.operator import Operator
 from hil.procedure.outputs import Keep, Notebook
@@ -26,7 +27,6 @@ from hil.vocabulary.progress import WHOLE, Report
 
 if TYPE_CHECKING:
     from hil.bench import Bench
-    from hil.bench.held import Held
 
 STEP_LIMIT_S = 1800.0
 _GO_ON = "the steps that follow, and what they measure, are left out; --resume goes on with them"
@@ -43,6 +43,7 @@ class Context(Notebook):
         report: receives progress.
         interrupts: signals and time limits.
         past: what an earlier run finished, by title.
+        past_held: how its benches left the robot.
         on_recording_failure: what a disk that takes no more means for the run.
         keep: what stays of it.
 
@@ -52,8 +53,7 @@ class Context(Notebook):
         source: which bench, to open it again (`reopen`) or in another process.
         clock: for how long computing takes; the bench has its own.
         started: date and time at which the run began, ISO 8601.
-        held: how the bench that was closed last left the robot; None before that. Of benches that were driven
-            at once it is that of the last one, or of the first that was not held.
+        left: how the benches that were closed left the robot.
     """
 
     def __init__(
@@ -71,6 +71,7 @@ class Context(Notebook):
         report: Report,
         interrupts: Interrupts,
         past: Mapping[str, list[Entry]],
+        past_held: Sequence[Entry] = (),
         on_recording_failure: OnFailure = "stop",
         keep: Keep = "all",
     ) -> None:
@@ -90,8 +91,9 @@ class Context(Notebook):
         self._path_history = path_history.PathHistory()
         self._seen: set[str] = set()
         self._bench: Bench | None = None
+        self._bench_name = ""
         self._left_behind = False
-        self.held: Held | None = None
+        self.left = LeftBenches(journal, self.guard, past_held, self._past)
         self._teardown: list[tuple[str, Callable[[], None]]] = []
 
     @property
@@ -145,6 +147,7 @@ class Context(Notebook):
         if source.real and (again or prompt):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
+        self._bench_name = self.left.begin(label)
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
@@ -157,7 +160,7 @@ class Context(Notebook):
                 self.note(bench.pressed)
         except BaseException:
             bench.close()
-            self.held = bench.held
+            self._leave(bench)
             raise
         self._interrupts.stop_here()
         return bench
@@ -170,8 +173,12 @@ class Context(Notebook):
                 with self._interrupts.deferred():
                     bench.__exit__(None, None, None)
             finally:
-                self.held = bench.held
+                self._leave(bench)
                 self._recordings.finish()
+
+    def _leave(self, bench: Bench) -> None:
+        if bench.held is not None:
+            self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
 
     def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
@@ -193,34 +200,33 @@ class Context(Notebook):
             sent.append(Sent(errand, path, self._recordings.on_failure))
         from hil.bench.held import abandoned
 
-        waiting = [one.recording for one in sent]
-        held: list[Held] = []
+        waiting = [(self.left.begin(one.errand.label), one.recording) for one in sent]
         failed = False
         try:
             for found in workers.at_once(driven, sent):
-                recording = waiting.pop(0)
+                name, recording = waiting.pop(0)
                 if recording is not None and recording.exists():
                     self._recordings.add(recording)
                 failed = found.error is not None
-                self._take_over(found, held)
+                self._take_over(found, name)
                 yield found.result
         finally:
-            for left in waiting:
-                if left is not None and left.exists():
-                    self._recordings.add(left)
+            for _, recording in waiting:
+                if recording is not None and recording.exists():
+                    self._recordings.add(recording)
             if waiting and not failed:
                 on_wall = self.source.config.environment.on_wall
-                self.held = abandoned("the process that drove it was ended with the run", on_wall=on_wall)
+                held = abandoned("the process that drove it was ended with the run", on_wall=on_wall)
+                self.left.add(waiting[0][0], held, tethered=False)
 
-    def _take_over(self, found: Driven, held: list[Held]) -> None:
+    def _take_over(self, found: Driven, name: str) -> None:
         self.guard.driven_ns += nanoseconds(found.driven_s)
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
-        if found.pressed and self.held is None:
+        if found.pressed and self.left.held is None:
             self.note(found.pressed)
         if found.held is not None:
-            held.append(found.held)
-            self.held = next((h for h in held if h.state == "NOT HELD"), found.held)
+            self.left.add(name, found.held, tethered=found.tethered)
         if found.lost:
             self._note_lost(found.lost)
         if found.objection is not None:
@@ -299,19 +305,17 @@ class Context(Notebook):
             return self._resumed(title)
         with self.step(title, timeout_s):
             self._journal.add("checkpoint", {"title": title})
-            before = self._world_at()
-            value = function()
+            self.left.enter(title)
+            finished, before = False, self._world_at()
             try:
-                kept = json.loads(json.dumps(value))
-            except (TypeError, ValueError) as error:
-                raise UsageError(
-                    f"checkpoint {title!r} returned what JSON cannot hold ({error})",
-                    expected="numbers, texts, lists and dictionaries; put arrays into a file",
-                ) from None
-            after = self._world_at()
-            moved = after is not None and after != before
-            self._journal.add("value", {"title": title, "value": kept, "moved": moved})
-        return kept
+                value = _as_json(title, function())
+                after = self._world_at()
+                moved = after is not None and after != before
+                self._journal.add("value", {"title": title, "value": value, "moved": moved})
+                finished = True
+            finally:
+                self.left.leave(finished=finished)
+        return value
 
     def _world_at(self) -> tuple[int, int] | None:
         """Which emulated world the run has open, and its time; None for none."""
@@ -359,3 +363,14 @@ class Context(Notebook):
         """The registered actions in the order in which they are to run; empty afterwards."""
         actions, self._teardown = self._teardown[::-1], []
         return actions
+
+
+def _as_json(title: str, value: Any) -> Any:
+    """What a checkpoint returned, as JSON gives it back."""
+    try:
+        return json.loads(json.dumps(value))
+    except (TypeError, ValueError) as error:
+        raise UsageError(
+            f"checkpoint {title!r} returned what JSON cannot hold ({error})",
+            expected="numbers, texts, lists and dictionaries; put arrays into a file",
+        ) from None

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import inspect
 import logging
+import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -102,9 +103,13 @@ class Procedure:
         return tuple(PlannedStep(m["title"]) for m in _STEP_CALL.finditer(source))
 
     def said(self, values: Mapping[str, float]) -> str:
-        """The headline; empty where it misses a value. A fault in it must not cost the results."""
+        """The headline; empty where it misses a value, or one that is no number.
+
+        A fault in it must not cost the results.
+        """
+        known = {name: value for name, value in values.items() if math.isfinite(value)}
         try:
-            return "" if self.headline is None else str(self.headline(values))
+            return "" if self.headline is None else str(self.headline(known))
         except KeyError:
             return ""
         except Exception as problem:

@@ -25,7 +25,7 @@ LOG = logging.getLogger(__name__)
 SCHEMA = 1
 NAME = "journal.jsonl"
 _KINDS = frozenset({"run", "resume", "step", "end_step", "checkpoint", "value", "measure", "attach", "table",
-                    "figure", "data", "note", "recording", "answer", "end"})  # fmt: skip
+                    "figure", "data", "note", "recording", "answer", "held", "end"})  # fmt: skip
 
 _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "checkpoint": {"title": str},
@@ -37,6 +37,15 @@ _HOLDS: Mapping[str, Mapping[str, type | tuple[type, ...]]] = {
     "data": {"name": str, "value": object},
     "note": {"text": str},
     "recording": {"path": str},
+    "held": {
+        "bench": str,
+        "checkpoint": str,
+        "tethered": bool,
+        "wanted": bool,
+        "state": str,
+        "moved_m": (int, float, type(None)),
+        "why": str,
+    },
     "end": {"verdict": str},
 }
 _MOST_BYTES = 256 << 20
@@ -113,12 +122,14 @@ class PastRun:
         header: first entry: procedure, parameters, seed, bench.
         checkpoints: entries made inside each finished checkpoint, by title; its value comes last.
         recordings: files written so far.
+        held: how each bench left the robot, and to which checkpoint it belongs.
         resumed: how often the run was resumed before.
     """
 
     header: Entry
     checkpoints: dict[str, list[Entry]] = field(default_factory=dict)
     recordings: list[str] = field(default_factory=list)
+    held: list[Entry] = field(default_factory=list)
     resumed: int = 0
 
     @property
@@ -153,12 +164,14 @@ def read_journal(path: Path) -> PastRun:
                 pending.clear()
             elif kind == "recording":
                 past.recordings.append(entry["path"])
+            elif kind == "held":
+                past.held.append(entry)
             elif kind == "checkpoint":
                 pending[entry["title"]] = []
             elif kind == "value":
                 past.checkpoints[entry["title"]] = [*pending.pop(entry["title"]), entry]
             for open_entries in pending.values():
-                if kind not in ("checkpoint", "recording", "end"):
+                if kind not in ("checkpoint", "recording", "held", "end"):
                     open_entries.append(entry)
         except KeyError as error:
             raise ConfigError(f"{path}: line {number} lacks {error}", remedy="start the run anew") from None

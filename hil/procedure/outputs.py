@@ -7,10 +7,13 @@ from __future__ import annotations
 
 import re
 import shutil
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
 
 from hil.config.record import NewPart
 from hil.procedure.journal import Entry, Journal
@@ -73,14 +76,22 @@ class Notebook:
         """Set a declared measurement.
 
         Raises:
-            UsageError: not declared.
+            UsageError: not declared, or not one number.
         """
         if name not in self._declared:
             raise UsageError(
                 f"measurement {name!r} is not declared", expected="one of " + ", ".join(self._declared)
             )
-        self._journal.add("measure", {"name": name, "value": float(value)})
-        self._keep_value(name, float(value), self.where)
+        number = _one_number(value)
+        if number is None:
+            script = sys._getframe(1)
+            raise UsageError(
+                f"measurement {name!r} was set to {_what(value)} "
+                f"({Path(script.f_code.co_filename).name}, line {script.f_lineno})",
+                expected="one number", remedy="measure one element of it, its mean or its largest",
+            )  # fmt: skip
+        self._journal.add("measure", {"name": name, "value": number})
+        self._keep_value(name, number, self.where)
 
     def _keep_value(self, name: str, value: float, where: str) -> None:
         self.findings.values[name] = value
@@ -173,6 +184,21 @@ class Notebook:
 def slug(text: str) -> str:
     """A text as part of a file name."""
     return re.sub(r"[^a-zA-Z0-9]+", "_", text).strip("_").lower()[:60] or "unnamed"
+
+
+def _one_number(value: Any) -> float | None:
+    """A number as `float`; None for an array, a text and whatever else is not one."""
+    try:
+        return None if isinstance(value, str) or np.ndim(value) else float(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def _what(value: object) -> str:
+    """A wrong value in words: an array by its shape, else what it is."""
+    if isinstance(value, np.ndarray):
+        return f"an array of shape {value.shape}"
+    return f"a {type(value).__name__}, {value!r:.60}"
 
 
 def _cell(value: object) -> str:

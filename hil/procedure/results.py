@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from hil.procedure.measurements import Measurement, Verdict
+from hil.vocabulary.digits import digits_apart
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_LIMIT_FAILED, EXIT_PASS, DataError
 
 SCHEMA = 1
@@ -81,6 +82,8 @@ class Result:
 
     def to_json(self) -> dict[str, Any]:
         """Keys may be added, never renamed."""
+        from hil.report.run_words import sentence
+
         found: dict[str, Any] = {
             "schema": SCHEMA,
             "procedure": self.procedure,
@@ -92,7 +95,7 @@ class Result:
             **self.facts,
         }
         clean: dict[str, Any] = _finite(found)
-        return clean
+        return {**clean, "said": sentence(clean)}
 
 
 def judge(
@@ -177,8 +180,9 @@ def junit(tree: Mapping[str, Any]) -> str:
 def _sentence(row: Mapping[str, Any]) -> str:
     if row["value"] is None:
         return "declared but never set, or not a number"
-    limits = [f"{s} {row[k]:g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
-    return f"{row['value']:.6g} {row['unit']}, expected {' and '.join(limits)} {row['unit']}"
+    limits = [f"{s} {row[k]:.12g}" for s, k in ((">=", "low"), ("<=", "high")) if row[k] is not None]
+    digits = digits_apart(row["value"], (row["low"], row["high"]), least=6)
+    return f"{row['value']:.{digits}g} {row['unit']}, expected {' and '.join(limits)} {row['unit']}"
 
 
 def _replace(path: Path, text: str) -> None:

@@ -103,7 +103,7 @@ def _recorded_run(
         context = Context(
             parameters, source, options.folder, procedure=proc.name, declared=declared, journal=journal,
             clock=options.clock, started=options.started, operator=options.operator, report=options.report,
-            interrupts=interrupts, past=past.checkpoints if past else {},
+            interrupts=interrupts, past=past.checkpoints if past else {}, past_held=past.held if past else (),
             on_recording_failure=options.on_recording_failure, keep=options.keep,
         )  # fmt: skip
         if options.keep == "results" and past is None:

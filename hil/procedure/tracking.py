@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import math
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from hil.bench import Bench
 
 _END_S = 0.3
+_LEAST_SEEN = 0.9
 COLOURS = dict(zip(("odometry", "ekf", "ukf", "optimal"), SERIES, strict=False))
 LABELS = {"odometry": "odometry", "ekf": "EKF", "ukf": "UKF", "optimal": "EKF, optimal law"}
 _DASHES: dict[str, Any] = {"ukf": (0, (4, 3)), "optimal": (0, (1, 1.5))}
@@ -55,7 +57,9 @@ def tracking_errors(motion: Motion) -> dict[str, float]:
     """Truth (motion capture) against reference: errors in mm and deg, ends after the hold.
 
     Keys: `rmse_x`, `rmse_y`, `rmse_heading` over the motion, `worst` (distance), `end_x`, `end_y`,
-    `end_heading` (truth minus reference), `saturated_s`, `steering_travel` (rad, mean of the wheels).
+    `end_heading` (truth minus reference), `saturated_s`, `steering_travel` (rad, mean of the wheels), `seen`
+    (share of the motion that motion capture saw). RMSE and `worst` are NaN where that is less than 0.9, ends
+    where motion capture did not see the last 0.3 s.
     """
     error = motion.mocap - motion.reference
     error[:, 2] = wrap_array(error[:, 2])
@@ -63,25 +67,42 @@ def tracking_errors(motion: Motion) -> dict[str, float]:
     known = np.all(np.isfinite(error), axis=1)
     t_s = motion.t_s
     ending = known & (t_s > t_s[-1] - _END_S)
-    if not np.any(known & moving) or not np.any(ending):
-        return dict.fromkeys(_KEYS, float("nan"))
+    seen = float(np.mean(known[moving])) if np.any(moving) else 0.0
     scale = np.array([1e3, 1e3, np.degrees(1.0)])
-    rmse = np.sqrt(np.mean(error[known & moving] ** 2, axis=0)) * scale
-    end = error[ending].mean(axis=0) * scale
+    rmse, worst, end = np.full(3, np.nan), np.nan, np.full(3, np.nan)
+    if seen >= _LEAST_SEEN:
+        rmse = np.sqrt(np.mean(error[known & moving] ** 2, axis=0)) * scale
+        worst = np.hypot(error[known, 0], error[known, 1]).max() * 1e3
+    if np.any(ending):
+        end = error[ending].mean(axis=0) * scale
     rates = np.array([np.max(np.abs(r.setpoint.wheel_rate_rad_s)) for r in motion.records])
     steering = motion.wheels[:, 4:]
     travel = np.nansum(np.abs(np.diff(steering, axis=0)), axis=0).mean()
     values = (
-        *rmse, np.hypot(error[known, 0], error[known, 1]).max() * 1e3, *end,
-        np.count_nonzero(rates > 0.995 * 4.8) * float(np.median(np.diff(t_s))), travel,
+        *rmse, worst, *end, np.count_nonzero(rates > 0.995 * 4.8) * float(np.median(np.diff(t_s))), travel,
+        seen,
     )  # fmt: skip
     return dict(zip(_KEYS, map(float, values), strict=True))
 
 
 _KEYS = (
     "rmse_x", "rmse_y", "rmse_heading", "worst", "end_x", "end_y", "end_heading", "saturated_s",
-    "steering_travel",
+    "steering_travel", "seen",
 )  # fmt: skip
+
+
+def unseen(errors: Mapping[str, float]) -> str:
+    """What `tracking_errors` could not tell for want of motion capture, in a sentence; empty for nothing."""
+    said = []
+    if errors["seen"] < _LEAST_SEEN:
+        said.append(
+            f"saw {100.0 * errors['seen']:.0f} % of the motion (RMSE needs {100.0 * _LEAST_SEEN:.0f} %)"
+        )
+    if math.isnan(errors["end_x"]):
+        said.append(f"did not see its last {_END_S:g} s (errors at the end need them)")
+    if not said:
+        return ""
+    return f"motion capture {' and '.join(said)}. Look at its cameras, and drive again."
 
 
 def series(motion: Motion) -> dict[str, Any]:

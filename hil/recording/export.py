@@ -25,6 +25,7 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.extras import how_to_install
 from hil.vocabulary.files import refused
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.interpolation import between_samples
 from hil.vocabulary.signals import CycleRecord, WheelMeasurement
 
 _GAP_S = 0.1
@@ -50,19 +51,6 @@ def _truth(records: Sequence[CycleRecord]) -> tuple[Array, Array]:
     return t_s[order], poses[order]
 
 
-def _interpolate(at_s: Array, t_s: Array, poses: Array) -> Array:
-    """Poses (n, 3) at `at_s`; NaN outside the data and inside gaps."""
-    out = np.full((len(at_s), 3), np.nan)
-    if len(t_s) < 2:
-        return out
-    after = np.clip(np.searchsorted(t_s, at_s), 1, len(t_s) - 1)
-    close = (t_s[after] - t_s[after - 1] <= _GAP_S) | (at_s == t_s[after]) | (at_s == t_s[after - 1])
-    inside = (at_s >= t_s[0]) & (at_s <= t_s[-1]) & close
-    for k in range(3):
-        out[inside, k] = np.interp(at_s[inside], t_s, poses[:, k])
-    return out
-
-
 def tabulate(records: Sequence[CycleRecord]) -> Array:
     """One row per wheel sample, columns `COLUMNS`; shape (n, len(COLUMNS))."""
     if not records:
@@ -76,7 +64,7 @@ def tabulate(records: Sequence[CycleRecord]) -> Array:
             rows.append([*wheels.wheel_angle_rad, *wheels.steering_rad, *wheels.wheel_rate_rad_s, *tail])
     t_s = np.array(stamps)
     body = np.array(rows, dtype=np.float64).reshape(len(t_s), -1)
-    truth = _interpolate(t_s, *_truth(records))
+    truth = between_samples(t_s, *_truth(records), longest=_GAP_S)
     return (
         np.column_stack([t_s, body[:, :8], truth, body[:, 8:]]) if len(t_s) else np.empty((0, len(COLUMNS)))
     )

@@ -19,6 +19,7 @@ from hil.recording.numbers import numbers_at_once
 from hil.recording.public_csv import read_bytes
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
+from hil.vocabulary.interpolation import between_samples
 
 WHEEL_COLUMNS = tuple(f"phi{i}" for i in range(1, 5)) + tuple(f"delta{i}" for i in range(1, 5))
 TRUTH_COLUMNS = ("x", "y", "theta")
@@ -121,13 +122,14 @@ def _lines(path: Path, data: bytes) -> Iterator[list[str]]:
 
 
 def write_plain(path: Path, recording: Recording) -> None:
-    """Write a recording; ground truth is interpolated to the wheel rows, but not across a gap in it."""
-    t_s, at_s = recording.t_s, recording.truth_t_s
-    before = np.clip(np.searchsorted(at_s, t_s, side="right") - 1, 0, len(at_s) - 2)
-    blind = (at_s[before + 1] - at_s[before] > _GAP_S) & (t_s > at_s[before]) & (t_s < at_s[before + 1])
-    truth = [np.interp(t_s, at_s, recording.truth_pose[:, k]) for k in range(3)]
-    truth = [np.where(blind, np.nan, column) for column in truth]
-    columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth]
+    """Write a recording; ground truth is interpolated to the wheel rows, but not across a gap in it.
+
+    Outside of it the first and the last pose count for as long as such a gap may be.
+    """
+    truth = between_samples(
+        recording.t_s, recording.truth_t_s, recording.truth_pose, longest=_GAP_S, before=_GAP_S, after=_GAP_S
+    )
+    columns = [recording.t_s, *recording.wheel_angle_rad.T, *recording.steering_rad.T, *truth.T]
     names = ["t", *WHEEL_COLUMNS, *TRUTH_COLUMNS]
     if recording.has_rates:
         columns += list(recording.wheel_rate_rad_s.T)

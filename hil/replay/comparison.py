@@ -161,7 +161,7 @@ def _mean_nis(figures: Mapping[str, float], name: str) -> float:
 
 
 def errors(motion: Motion, truth: Array | None = None) -> dict[str, float]:
-    """Errors against motion capture; NaN without it.
+    """Errors against motion capture; NaN without it, the one at the end also where it did not see the end.
 
     Args:
         motion: what was estimated.
@@ -180,7 +180,7 @@ def errors(motion: Motion, truth: Array | None = None) -> dict[str, float]:
     return {
         "rmse_position_m": float(np.sqrt(np.mean(distance_m**2))),
         "rmse_theta_rad": float(np.sqrt(np.mean(wrap_array(known[:, 2]) ** 2))),
-        "final_position_m": float(distance_m[-1]),
+        "final_position_m": float(np.hypot(*difference[-1, :2])),
         "max_position_m": float(distance_m.max()),
     }
 

@@ -14,6 +14,7 @@ from jinja2 import Environment, PackageLoader
 from markupsafe import Markup
 
 from hil.report.figures import theme
+from hil.vocabulary.digits import digits_apart
 
 _PLAIN = 1e6
 _READ = {
@@ -86,11 +87,19 @@ def outcome_words(row: Mapping[str, Any]) -> dict[str, str]:
     return {"word": row["outcome"], "tone": row["outcome"]}
 
 
-def limit_words(row: Mapping[str, Any]) -> str:
+def limit_words(row: Mapping[str, Any], digits: int = 4) -> str:
     """Limits of a measurement in words: `at most 8 mm`; empty for none."""
     low, high, unit = row["low"], row["high"], row["unit"]
     if low is not None and high is not None:
-        return f"{number(low)} to {quantity(high, unit)}"
+        return f"{number(low, digits)} to {quantity(high, unit, digits)}"
     if high is not None:
-        return f"at most {quantity(high, unit)}"
-    return f"at least {quantity(low, unit)}" if low is not None else ""
+        return f"at most {quantity(high, unit, digits)}"
+    return f"at least {quantity(low, unit, digits)}" if low is not None else ""
+
+
+def digits_of(row: Mapping[str, Any]) -> int:
+    """Digits with which the value of a measurement reads differently from limits that it does not meet."""
+    value = row["value"]
+    if value is None or not math.isfinite(value):
+        return 4
+    return digits_apart(value, (row["low"], row["high"]))

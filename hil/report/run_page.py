@@ -15,7 +15,7 @@ from typing import Any
 from markupsafe import Markup
 
 from hil.report.figures import figure_image
-from hil.report.pages import duration, environment, outcome_words
+from hil.report.pages import digits_of, duration, environment, outcome_words
 from hil.report.result_file import RESULT, address, inside, own_file, read_result
 from hil.report.run_words import grouped, sentence
 from hil.vocabulary.errors import DataError
@@ -34,7 +34,9 @@ def write_run_page(folder: Path, out: Path | None = None) -> Path:
             cannot be written.
     """
     tree = read_result(folder)
-    rows = [row | {"bar": bar(row)} | outcome_words(row) for row in tree["measurements"]]
+    rows = [
+        row | {"bar": bar(row), "digits": digits_of(row)} | outcome_words(row) for row in tree["measurements"]
+    ]
     judged = [row for row in rows if row["tone"] != "reported"]
     page = (
         environment()

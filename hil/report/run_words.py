@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 from hil.report.pages import as_people_read, limit_words, quantity
+from hil.vocabulary.digits import digits_apart
 
 _WHEEL = re.compile(r"^(?:steer|drive|wheel)_(FL|BL|BR|FR)$")
 _CASES = {"x_line": "up the wall (X line)", "y_line": "across the wall (Y line)", "scan": "scan"}
@@ -27,24 +29,47 @@ def sentence(tree: Mapping[str, Any]) -> str:
     if tree["error"]:
         where = "after" if tree["error"].get("finished") else "in"
         return f"The run ended early, {where} “{tree['error']['step']}”: {tree['error']['message']}"
-    own = str(tree.get("headline") or "")
-    return f"{own} {_limits(tree['measurements'], told=bool(own))}".strip()
+    own, rows = str(tree.get("headline") or ""), tree["measurements"]
+    if not rows:
+        return f"{own} Nothing was measured.".strip()
+    later = _left_out_after_a_failure(rows)
+    said = [own, _limits([r for r in rows if r not in later], rows, told=bool(own))]
+    if later:
+        said.append(f"What comes after that was not measured: {_listed([_name(r) for r in later])}.")
+    if unmeasured := [r for r in rows if not _has_limits(r) and r["outcome"] == "FAIL" and r not in later]:
+        said.append(f"Failed for want of a value: {_named(unmeasured)}.")
+    return " ".join(filter(None, said))
 
 
-def _limits(rows: Sequence[Mapping[str, Any]], *, told: bool) -> str:
-    judged = [r for r in rows if r["low"] is not None or r["high"] is not None]
-    judged = [r for r in judged if r["value"] is not None or r["outcome"] == "FAIL"]
+def _has_limits(row: Mapping[str, Any]) -> bool:
+    return row["low"] is not None or row["high"] is not None
+
+
+def _is_number(row: Mapping[str, Any]) -> bool:
+    return row["value"] is not None and math.isfinite(row["value"])
+
+
+def _was_set(row: Mapping[str, Any]) -> bool:
+    """Whether the procedure set it, if to a value that JSON cannot hold: then there is a step alone."""
+    return row["value"] is not None or bool(row.get("step"))
+
+
+def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Those at the end that were never set, where what was set before them failed by a number."""
+    count = next((k for k, row in enumerate(reversed(rows)) if _was_set(row)), len(rows))
+    before, later = rows[: len(rows) - count], rows[len(rows) - count :]
+    failed = any(r["outcome"] == "FAIL" and _is_number(r) for r in before)
+    return [r for r in later if r["outcome"] == "FAIL"] if failed else []
+
+
+def _limits(rows: Sequence[Mapping[str, Any]], every: Sequence[Mapping[str, Any]], *, told: bool) -> str:
+    """How the limits of `rows` did, counted against those of `every` row."""
+    judged = [r for r in rows if _has_limits(r) and r["outcome"] != "NOT MEASURED"]
     failed = [r for r in judged if r["outcome"] == "FAIL"]
-    measured = [r for r in failed if r["value"] is not None]
-    if measured and len(measured) < len(failed):
-        missing = len(failed) - len(measured)
-        return (
-            f"{_of(measured, judged, 'failed')}: {_named(measured)}. "
-            f"What comes after that was not measured: {missing} more."
-        )
-    near = [r for r in judged if r["outcome"] == "MARGINAL"]
     if failed:
-        return f"{_of(failed, judged, 'failed')}: {_named(failed)}."
+        counted = [r for r in every if _has_limits(r) and r["outcome"] != "NOT MEASURED"]
+        return f"{_of(failed, counted, 'failed')}: {_named(failed)}."
+    near = [r for r in judged if r["outcome"] == "MARGINAL"]
     if not judged:
         return ""
     if near:
@@ -73,28 +98,32 @@ def _room(row: Mapping[str, Any]) -> tuple[bool, float]:
 
 
 def _named(rows: Sequence[Mapping[str, Any]]) -> str:
-    said = [_value_and_limit(r) for r in rows[:_NAMED]]
-    return "; ".join(said) + (f"; and {len(rows) - _NAMED} more" if len(rows) > _NAMED else "")
+    return _listed([_value_and_limit(r) for r in rows])
+
+
+def _listed(words: Sequence[str]) -> str:
+    return "; ".join(words[:_NAMED]) + (f"; and {len(words) - _NAMED} more" if len(words) > _NAMED else "")
+
+
+def _name(row: Mapping[str, Any]) -> str:
+    name = str(row["name"])
+    return name if "." in name else name.replace("_", " ")
+
+
+def missing_words(row: Mapping[str, Any]) -> str:
+    """What is wrong with a value that is not there."""
+    return "is no finite number" if _was_set(row) else "was never measured"
 
 
 def _value_and_limit(row: Mapping[str, Any]) -> str:
     """`end error 2.3 mm, at most 10 mm`: in mm and deg, with digits enough to tell it from its limits."""
-    name = str(row["name"])
-    name = name if "." in name else name.replace("_", " ")
-    own = as_people_read(row)
-    limits = [own[k] for k in ("low", "high") if own[k] is not None]
+    name, own = _name(row), as_people_read(row)
     value = own["value"]
-    if value is None:
-        return f"{name} was never measured, {limit_words(own)}"
-    digits = next(
-        (
-            n
-            for n in (3, 4, 6, 8)
-            if all(value == v or float(f"{value:.{n}g}") != float(f"{v:.{n}g}") for v in limits)
-        ),
-        12,
-    )
-    return f"{name} {quantity(float(f'{value:.{digits}g}'), own['unit'], max(digits, 4))}, {limit_words(own)}"
+    if not _is_number(row):
+        return ", ".join(filter(None, (f"{name} {missing_words(row)}", limit_words(own))))
+    digits = digits_apart(value, (own["low"], own["high"]), least=3)
+    shown = max(digits, 4)
+    return f"{name} {quantity(float(f'{value:.{digits}g}'), own['unit'], shown)}, {limit_words(own, shown)}"
 
 
 def grouped(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

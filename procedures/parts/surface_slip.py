@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from hil.ring.motion import Motion
@@ -15,6 +16,8 @@ from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 
 _HELD_M = 2e-3
+_LEAST_SEEN = 0.8
+_FEWEST_CYCLES = 10
 _TILT_RAD = 0.02  # how far the direction of slip may be off that of gravity in the next line
 
 
@@ -58,9 +61,12 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     """
     wheels, truth = motion.wheels, motion.mocap
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
-    if np.count_nonzero(known) < 10:
-        raise DataError("surface_identification", "has no wheels or no ground truth for a whole motion",
-                        remedy="hil run bring_up")  # fmt: skip
+    if not _seen_to_its_end(known):
+        raise DataError(
+            "surface_identification",
+            f"has wheels and motion capture together for {100.0 * np.mean(known):.0f} % of a motion",
+            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
+        )  # fmt: skip
     rolled, truth = rolled[known], truth[known]
     heading, believed = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
     off = heading - believed
@@ -75,6 +81,12 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     lost = truth[-1, :2] - truth[0, :2] - by_wheels
     turned = off[-1] - off[0]
     return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
+
+
+def _seen_to_its_end(known: NDArray[np.bool_]) -> bool:
+    """Whether most cycles (n,) are known, and some of the last tenth: else the end is anyone's guess."""
+    tenth = max(len(known) // 10, 1)
+    return len(known) >= _FEWEST_CYCLES and bool(np.mean(known) >= _LEAST_SEEN and np.any(known[-tenth:]))
 
 
 @dataclass(frozen=True)
@@ -135,9 +147,15 @@ def next_lines(every: Mapping[str, ArrayLike], systematic: float) -> dict[str, N
 
 def moved_at_rest(motion: Motion) -> float:
     """How far the robot moved while it should have stood, m."""
-    truth = motion.mocap[np.all(np.isfinite(motion.mocap), axis=1)]
-    if len(truth) < 10:
-        raise DataError("surface_identification", "has no ground truth while the robot stands")
+    truth = motion.mocap
+    known = np.all(np.isfinite(truth), axis=1)
+    if not _seen_to_its_end(known):
+        raise DataError(
+            "surface_identification",
+            f"has motion capture for {100.0 * np.mean(known):.0f} % of the time that the robot stands",
+            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
+        )  # fmt: skip
+    truth = truth[known]
     return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
 
 

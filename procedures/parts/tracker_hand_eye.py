@@ -13,9 +13,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from hil.procedure.samples import Series
+from hil.ring.motion import LONGEST_GAP_S
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array, ArrayLike, quat_from_rotvec, quat_multiply
 
@@ -42,6 +44,14 @@ class Intervals:
 
     def __len__(self) -> int:
         return len(self.begin_s)
+
+    def only(self, kept: NDArray[np.bool_]) -> Intervals:
+        """Those of which `kept` (n,) is true."""
+        return Intervals(self.begin_s[kept], self.end_s[kept], self.moved_m[kept], self.turned[kept])
+
+    def seen_by(self, truth: Truth) -> Intervals:
+        """Those whose begin and end motion capture saw."""
+        return self.only(truth.sees(self.begin_s) & truth.sees(self.end_s))
 
 
 @dataclass(frozen=True)
@@ -102,8 +112,14 @@ class Truth:
     def __init__(self, seen: Series) -> None:
         self._t_s, self._pose = seen.t_s, seen.values
 
+    def sees(self, t_s: Array) -> NDArray[np.bool_]:
+        """Whether there was a sample around each instant (n,), as in a gap that is interpolated."""
+        near = np.clip(np.searchsorted(self._t_s, t_s), 1, max(len(self._t_s) - 1, 1))
+        away_s = np.minimum(*(np.abs(np.take(self._t_s, k, mode="clip") - t_s) for k in (near - 1, near)))
+        return np.asarray(away_s <= 0.5 * LONGEST_GAP_S)
+
     def pose(self, t_s: Array) -> Array:
-        """(n, 3), interpolated; the ends are held."""
+        """(n, 3), interpolated; the ends are held. What was not seen is for the caller to leave out."""
         return np.column_stack([np.interp(t_s, self._t_s, self._pose[:, k]) for k in range(3)])
 
     def steps(self, begin_s: Array, end_s: Array) -> tuple[Array, Array]:
@@ -148,7 +164,7 @@ def solve(parts: Intervals, truth: Truth, believed_m: ArrayLike, believed_wxyz: 
             "tracker", f"{int(used.sum())} usable intervals of {INTERVAL_S} s with motion",
             expected=f"at least {_FEWEST}", remedy="check confidence and light; drive further",
         )  # fmt: skip
-    parts = Intervals(parts.begin_s[used], parts.end_s[used], parts.moved_m[used], parts.turned[used])
+    parts = parts.only(used)
 
     def errors(z: Array) -> tuple[Array, Array]:
         moved, turned = predict(z, believed_wxyz, *truth.steps(parts.begin_s - z[6], parts.end_s - z[6]))

@@ -50,8 +50,9 @@ def table(ctx: Context, found: Extrinsics) -> None:
 
 def draw_path(ctx: Context, truth: Truth, seen: Series, found: Extrinsics) -> None:
     """Path of the camera by motion capture, and by the camera, aligned to it."""
-    by_truth = camera_path(truth, seen.t_s - found.late_s, found)
-    laid = laid_over(seen.values[:, 0:3] / found.scale, by_truth)
+    rows = truth.sees(seen.t_s - found.late_s)
+    by_truth = camera_path(truth, seen.t_s[rows] - found.late_s, found)
+    laid = laid_over(seen.values[rows, 0:3] / found.scale, by_truth)
     figure = new_figure(5.2, 3.4)
     axes = style(figure.add_subplot(), "y, left (m)", "x, forwards (m)")
     x, y = thin(*by_truth.T)

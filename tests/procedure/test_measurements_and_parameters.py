@@ -1,9 +1,12 @@
 """Limits decide, and nothing else; parameters are typed and all their faults are named at once."""
 
+import inspect
 import math
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -127,3 +130,36 @@ def test_settings_for_the_bench_are_told_apart():
     assert bench == {"loop.rate_hz": 50, "name": "it"}
     with pytest.raises(UsageError, match="key=value"):
         split_settings(["novalue"])
+
+
+@pytest.mark.parametrize(
+    ("value", "what"),
+    [
+        (np.zeros(3), "an array of shape (3,)"),
+        (np.zeros((1, 1)), "an array of shape (1, 1)"),
+        ([1.0, [2.0]], "a list, [1.0, [2.0]]"),
+        ("3", "a str, '3'"),
+        (None, "a NoneType, None"),
+    ],
+)
+def test_a_value_that_is_not_one_number_is_named_with_the_line_of_the_script(run_small, value, what):
+    @procedure(name="wrong", measurements=(Measurement("length", "mm"),))
+    def wrong(ctx):
+        ctx.measure("length", value)
+
+    result = run_small(wrong)
+    line = inspect.getsourcelines(wrong.body)[1] + 2
+    assert result.error.kind == "UsageError"
+    assert result.error.message == (
+        f"measurement 'length' was set to {what} ({Path(__file__).name}, line {line}); expected one number; "
+        "measure one element of it, its mean or its largest"
+    )
+
+
+@pytest.mark.parametrize("value", [np.float32(2.0), np.array(2.0), True, 2, np.bool_(True)])
+def test_whatever_is_one_number_is_measured(run_small, value):
+    @procedure(name="right", measurements=(Measurement("length", "mm"),))
+    def right(ctx):
+        ctx.measure("length", value)
+
+    assert run_small(right).measurements[0]["value"] == float(value)

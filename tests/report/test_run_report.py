@@ -14,7 +14,6 @@ from hypothesis import strategies as st
 
 from hil.config.bench import BenchConfig
 from hil.procedure import BenchSource, Measurement, procedure
-from hil.procedure.results import judge
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.compare_page import compare, comparison_text, write_compare_page
 from hil.report.figures import figure_image, save_figure, themed_svg
@@ -22,7 +21,7 @@ from hil.report.readings import taken_out
 from hil.report.result_file import read_result
 from hil.report.run_page import bar, write_run_page
 from hil.report.run_plots import PALETTE, legend, new_figure, plain_log, style
-from hil.report.run_words import grouped, sentence
+from hil.report.run_words import grouped
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError, UsageError
 
@@ -62,39 +61,6 @@ def folder(tmp_path_factory):
     run_procedure(shown, source, RunOptions(out, MonotonicClock(), "2026-01-01", {}, operator=SCRIPTED))
     write_run_page(out)
     return out
-
-
-def said_of(declared, values, headline=""):
-    rows = judge(declared, values, {}, ended=True)
-    return sentence({"error": None, "headline": headline, "measurements": rows})
-
-
-def test_a_procedure_without_a_headline_has_its_values_told_in_the_units_that_people_read():
-    gap = Measurement("gap_width", "m", high=0.005)
-    assert said_of([gap], {"gap_width": 0.0031}) == "Its one limit held: gap width 3.1 mm, at most 5 mm."
-    assert said_of([gap], {"gap_width": 0.00500004}) == (
-        "Its one limit failed: gap width 5.00004 mm, at most 5 mm."
-    )
-    assert said_of([gap], {}) == "Its one limit failed: gap width was never measured, at most 5 mm."
-    turn = Measurement("turn", "rad", low=-0.1, high=0.1)
-    assert said_of([turn], {"turn": 0.05}) == "Its one limit held: turn 2.86 deg, -5.73 to 5.73 deg."
-    assert said_of([gap], {"gap_width": 0.0031}, "It fits.") == "It fits. Its one limit held."
-
-
-def test_of_many_limits_those_nearest_to_theirs_are_told():
-    many = [Measurement(f"m{k}", "N", high=10.0) for k in range(5)] + [Measurement("found", "1", low=1.0)]
-    said = said_of(many, {**{f"m{k}": 2.0 * k for k in range(5)}, "found": 1.0})
-    assert said == (
-        "All 6 limits held; nearest to their limits: m4 8 N, at most 10 N; m3 6 N, at most 10 N; "
-        "m2 4 N, at most 10 N."
-    )
-
-
-def test_what_was_not_measured_after_a_failure_does_not_count_as_one():
-    gap, more = Measurement("gap_width", "m", high=0.005), Measurement("after", "m", high=1.0)
-    assert said_of([gap, more], {"gap_width": 0.006}) == (
-        "1 of 2 limits failed: gap width 6 mm, at most 5 mm. What comes after that was not measured: 1 more."
-    )
 
 
 class Page(HTMLParser):
