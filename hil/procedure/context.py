@@ -172,6 +172,8 @@ class Context(Notebook):
             finally:
                 self.held = bench.held
                 self._recordings.finish()
+                for warning in bench.warnings:
+                    self._note_lost(warning)
 
     def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
         """Drive benches in worker processes. The run's own bench, if it is open, stays as it is.
