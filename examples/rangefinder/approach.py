@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hil.procedure import Context, Measurement, procedure
+from hil.procedure.tracking import stand
 from hil.robot.trajectories import line
 from hil.vocabulary.signals import Status
 
-_MEAN_OF = 20
+_MEAN_OF, _UP = 20, np.array([0.05, 0.0, 0.0])
 
 
 @procedure(
@@ -18,8 +21,9 @@ _MEAN_OF = 20
 )
 def run(ctx: Context) -> None:
     """Drive 5 cm up and measure by how much the plate has come nearer."""
+    start = stand(ctx.bench)
     with ctx.step("drive"):
-        motion = ctx.bench.drive(line((0, 0, 0), (0.05, 0, 0), duration_s=2.0), hold_s=0.5)
+        motion = ctx.bench.drive(line(start, start + _UP, duration_s=2.0), hold_s=0.5)
     samples = [s for record in motion.records for s in record.inputs.of("rangefinder")]
     good = [s.distance_m for s in samples if s.status is Status.OK]
     ctx.measure("seen", 1e3 * (sum(good[:_MEAN_OF]) - sum(good[-_MEAN_OF:])) / _MEAN_OF)

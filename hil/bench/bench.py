@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hil.bench.beginning import blind_to_the_drive, must_begin_where_it_stands
 from hil.bench.held_rig import HeldRig
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
@@ -52,6 +53,7 @@ class Bench(HeldRig):
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
         held: how the robot was left; known from `close` on, None where no device was opened.
+        warnings: what was logged about this bench before the robot moved.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class Bench(HeldRig):
         )  # fmt: skip
         self.world = world
         self._left: RobotState | None = None
+        self.warnings: list[str] = []
         self.statistics = LoopStatistics()
         self.real_time = real_time(config, clock)
 
@@ -100,16 +103,19 @@ class Bench(HeldRig):
         """Where the robot stands, (3,): m, m, rad in the wall frame.
 
         Args:
-            mocap: what motion capture saw during a rest, (n, 3); its mean counts. Where it saw nothing, the
-                configured start pose does, if that is where this robot stands.
+            mocap: what motion capture saw during a rest, (n, 3); its mean counts. Where it saw nothing, or
+                sees another world than the servos', the robot stands where the last drive left it; before
+                any, at the configured start pose, if that is where this robot was put.
 
         Raises:
             ConfigError: it saw nothing of a real robot, and no start pose was given.
         """
         self.config.must_know_start()
         known = mocap[np.all(np.isfinite(mocap), axis=1)]
-        if len(known):
+        if len(known) and not self._capture_is_blind:
             return np.asarray(known.mean(axis=0), dtype=np.float64)
+        if self._left is not None:
+            return np.array(self._left.pose_body_in_wall, dtype=np.float64)
         if not self.config.placed:
             raise ConfigError(
                 f"{self.config.name}: motion capture has not seen the robot while it rested",
@@ -153,23 +159,35 @@ class Bench(HeldRig):
             on_cycle: called with every record (progress).
 
         Raises:
-            TrajectoryError, SafetyStop, DeviceError: in each case the robot is stopped.
+            TrajectoryError: the limits cannot follow it, or it begins elsewhere than the robot stands.
+            SafetyStop, DeviceError: the robot is stopped.
             ConfigError: the start pose is unknown.
         """
         self.check(trajectory)
-        if start_pose is None:
+        stands = None if start_pose is None else self.start_state(start_pose)
+        if stands is None:
             self.config.must_know_start()
+        else:
+            must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
         brain = self.make_brain(trajectory, controller=controller, feedback=feedback, observers=observers)
-        warm_up(brain, self.start_state(start_pose))
+        warm_up(brain, stands or self.start_state())
         self.rig.actuators().enable()
+        if stands is None:
+            stands = self._where_it_stands()
+            must_begin_where_it_stands(trajectory, stands.pose_body_in_wall)
         start = RunStart(
-            self._where_it_stands() if start_pose is None else self.start_state(start_pose),
+            stands,
             feedback,
             controller or self.config.control.law,
             observers,
             trajectory.to_mapping(),
         )
         return self._run(brain, start, trajectory.duration_s + hold_s, on_cycle)
+
+    @property
+    def _capture_is_blind(self) -> bool:
+        """Whether motion capture sees another world than that of the servos' robot."""
+        return "mocap" in self.config.elsewhere()
 
     def _where_it_stands(self) -> RobotState:
         """At rest where motion capture sees the robot.
@@ -179,11 +197,11 @@ class Bench(HeldRig):
         left = None if self._left is None else self._hold.at_rest(self._left)
         seen = self.observe(_SETTLE_S, feedback="odometry").mocap
         moved_m = self._hold.frame_moved_m("mocap")
-        unseen = not np.isfinite(seen).all(axis=1).any()
+        unseen = self._capture_is_blind or not np.isfinite(seen).all(axis=1).any()
         if left is None or not (unseen or moved_m > _FRAME_MOVED_M):
             return self.start_state(self.measured_pose(seen))
         why = "does not see the robot" if unseen else f"has jumped by {1e3 * moved_m:.0f} mm"
-        if self.has("mocap"):
+        if self.has("mocap") and not self._capture_is_blind:
             LOG.warning(
                 "motion capture %s: the robot is taken to stand where the last drive left it. Look at its "
                 "cameras and at mocap.body, or give the start pose", why,
@@ -221,6 +239,8 @@ class Bench(HeldRig):
             until: whether this record was the last.
             drop_old: let go of what the devices have piled up meanwhile.
         """
+        if start.trajectory is not None:
+            self._warn_of_blind_sensors()
         warm_up(brain, start.state)
         with ExitStack() as stack:
             stack.enter_context(without_collector() if self.real_time is None else self.real_time)
@@ -235,6 +255,13 @@ class Bench(HeldRig):
                 self._hold.stopped(brain.supervisor.doubted, brain.supervisor.agreed)
                 if start.trajectory is not None:
                     self._left = self._hold.last_state
+
+    def _warn_of_blind_sensors(self) -> None:
+        """Tell once, before the robot moves, that sensors will not see that."""
+        said = blind_to_the_drive(self.config)
+        if said and said not in self.warnings:
+            self.warnings.append(said)
+            LOG.warning("%s", said)
 
     def make_loop(self, brain: Brain, start: RunStart) -> ControlLoop:
         """A loop over this bench's devices, clock and sinks; its statistics become the bench's.

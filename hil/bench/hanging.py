@@ -14,6 +14,7 @@ from hil.ring.adhesion import AdhesionLimits, apart
 from hil.ring.rig import Rig
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.errors import DeviceError, SafetyStop
+from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import Status
 
 _STEP_NS = nanoseconds(0.01)
@@ -65,7 +66,12 @@ class Hanging:
         self._ask("adhesion", force_wanted_n(self._config))
         limit_n = self._wait(limits, thrust_n)
         self._compare()
-        return f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        told = f"Pressed on the wall with {self._told()}; {limit_n:.1f} N are the least on this surface."
+        blind = [kinds()[name].noun for name in self._config.elsewhere() if name in MEASURES]
+        if blind:
+            told += " In another world than the servos, with no word on what presses this robot: "
+            told += ", ".join(blind) + "."
+        return told
 
     def _ask(self, name: str, force_n: float) -> None:
         """Ask a device for a force; a keeper may have to hear its motor first."""

@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+from hil.vocabulary.signals import SERVOS, ServoHold, Status
+
 State = Literal["HELD", "NOT HELD", "not needed"]
 
 
@@ -61,3 +63,13 @@ def on_the_floor(held: Held) -> Held:
 def untouched(why: str) -> Held:
     """Of a robot whose devices were never opened: nothing has been done after which it must be held."""
     return Held("not needed", None, why, wanted=False)
+
+
+def lacking_in_words(hold: ServoHold) -> str:
+    """What the servos lack, and what is left to do about it."""
+    silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
+    if len(silent) == len(SERVOS):
+        found = "no servo answers: check the servos' supply, the bus and its adapter"
+    else:
+        found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())
+    return f"{found}; torque comes back with the servos only while this program runs: secure the robot"

@@ -68,6 +68,7 @@ class HeldRig(Blueprint):
             on_wall=self.on_wall,
             can_fall=can_fall(config),
             lightest_m_s2=config.safety.adhesion_limit_m_s2,
+            elsewhere=config.elsewhere(),
         )
         self._sinks = list(sinks)
         self._stack = ExitStack()

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.held import Held, State, on_the_floor
+from hil.bench.held import Held, State, lacking_in_words, on_the_floor
 from hil.bench.leaps import Leaps
 from hil.bench.pressing import PressWatch
 from hil.bench.sighting import JOINTS, WINDOW_NS, Trail, Travel
@@ -28,7 +28,6 @@ from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import (
-    SERVOS,
     CycleRecord,
     ImuSample,
     Inputs,
@@ -63,6 +62,7 @@ class HoldWatch(Sink):
         on_wall: whether the robot has to be held at all.
         can_fall: whether nothing else holds it there: somebody then has to see that it does not slide.
         lightest_m_s2: specific force below which it is falling.
+        elsewhere: devices in another world than the servos: they see another robot, and are not asked.
 
     Attributes:
         last_state: as the latest cycle estimated it; None before.
@@ -78,13 +78,16 @@ class HoldWatch(Sink):
         on_wall: bool,
         can_fall: bool,
         lightest_m_s2: float,
+        elsewhere: Collection[str] = (),
     ) -> None:
         self._press = press
         self._lightest_m_s2 = lightest_m_s2
         self._felt_m_s2: deque[float] = deque(maxlen=_FELT)
         self._rig, self._clock = rig, clock
         present = [k for k in kinds().values() if rig.get(k.name) is not None]
-        self._witnesses = {k.name: k.witness for k in present if k.witness is not None}
+        able = {k.name: k.witness for k in present if k.witness is not None}
+        self._witnesses = {name: witness for name, witness in able.items() if name not in elsewhere}
+        self._blind = [kinds()[n].noun for n, witness in able.items() if n in elsewhere and witness.is_place]
         self._on_wall, self._can_fall = on_wall, can_fall
         self._travel = Travel(self._witnesses, radius_m)
         self._tellers = [(name, samples_of(name), self._witnesses[name].value) for name in self._travel.names]
@@ -265,7 +268,7 @@ class HoldWatch(Sink):
         """
         felt = self._doubt_of_weight()
         if hold.trouble or felt:
-            servos = _in_words(hold) if hold.trouble else "torque is on"
+            servos = lacking_in_words(hold) if hold.trouble else "torque is on"
             return "; ".join([felt, servos] if felt else [servos])
         if JOINTS not in seen:
             return "torque is on, but the servos have not been seen at rest for long enough"
@@ -294,6 +297,8 @@ class HoldWatch(Sink):
         """Wheels and IMU do not: somebody has to who sees places, or measures the force."""
         doubted = [kinds()[name].noun for name in seen if self._witnesses[name].is_place]
         why = f" (what the {' and the '.join(doubted)} said before the stop is in doubt)" if doubted else ""
+        if self._blind:
+            why += f" ({', '.join(self._blind)}: in another world than the servos, blind to this robot)"
         return (
             f"torque is on, but nobody can tell whether the robot slides{why}: that takes a camera, motion "
             "capture or load cells; secure the robot"
@@ -303,13 +308,3 @@ class HoldWatch(Sink):
 def _felt_m_s2(sample: ImuSample) -> float:
     """Size of the specific force."""
     return float(np.linalg.norm(sample.specific_force_m_s2))
-
-
-def _in_words(hold: ServoHold) -> str:
-    """What the servos lack, and what is left to do about it."""
-    silent = [text for text in hold.trouble.values() if Status.TIMEOUT.value in text]
-    if len(silent) == len(SERVOS):
-        found = "no servo answers: check the servos' supply, the bus and its adapter"
-    else:
-        found = ", ".join(f"{name} ({text})" for name, text in hold.trouble.items())
-    return f"{found}; torque comes back with the servos only while this program runs: secure the robot"

@@ -161,7 +161,11 @@ class PressWatch:
 
 
 def press_watch(config: BenchConfig, rig: Rig) -> PressWatch:
-    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether."""
+    """That of a bench: it looks at what presses a robot that hangs on a wall without a tether.
+
+    What is in another world than the servos presses another robot, or none.
+    """
+    config = config.of_one_world()
     fan = config.of(AdhesionConfig)
     kept = fan if isinstance(fan, KeptMotorConfig) else None
     return PressWatch(rig, adhesion_limits(config) if can_fall(config) else None, kept)

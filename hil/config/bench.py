@@ -76,6 +76,21 @@ class BenchConfig(Strict):
         """Names of the devices whose backend is emulated."""
         return tuple(n for n, c in self.devices().items() if c.backend == "emulated")
 
+    def elsewhere(self) -> tuple[str, ...]:
+        """Names of the devices that are in another world than the servos: they see nothing of their robot.
+
+        Emulated ones beside real servos, real ones beside emulated servos; none on a bench without servos.
+        """
+        servos = self.of(ServosConfig)
+        if servos is None:
+            return ()
+        return tuple(name for name, one in self.devices().items() if one.backend != servos.backend)
+
+    def of_one_world(self) -> BenchConfig:
+        """The same bench without the devices that are `elsewhere`: all that tells of the servos' robot."""
+        others = self.elsewhere()
+        return self.model_copy(update=dict.fromkeys(others)) if others else self
+
     @property
     def placed(self) -> bool:
         """Whether `environment.start_pose` is where the robot stands: an emulated one, or it is written so.

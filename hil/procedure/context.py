@@ -175,6 +175,8 @@ class Context(Notebook):
             finally:
                 self._leave(bench)
                 self._recordings.finish()
+                for warning in bench.warnings:
+                    self._note_lost(warning)
 
     def _leave(self, bench: Bench) -> None:
         if bench.held is not None:

@@ -25,6 +25,7 @@ from hil.ring.motion_check import MotionCheck
 from hil.ring.pace_watch import PaceWatch
 from hil.ring.sample_watch import SampleWatch
 from hil.ring.servo_watch import ServoWatch
+from hil.ring.state_check import must_be_usable
 from hil.ring.stream_watch import Healthy, StreamWatch
 from hil.ring.wheel_watch import WheelWatch
 from hil.vocabulary.errors import SafetyStop
@@ -140,6 +141,7 @@ class Supervisor:
         self._filter.reset()
         self._pace.reset()
         self._causes: dict[str, str] = {}
+        self._now_ns: int | None = None
         self.left_out.reset()
         self.doubted.clear()
 
@@ -165,7 +167,7 @@ class Supervisor:
     def _judge(self, inputs: Inputs, measurements: Measurements | None) -> tuple[Event, ...]:
         """Events of a cycle; `_causes` holds its conditions, the gravest first."""
         events: list[Event] = []
-        self._causes = {}
+        self._causes, self._now_ns = {}, inputs.t_ns
         self._begin()
         self._fall.judge(inputs, self._blame_hold)
         if self.checks.hold is not None:
@@ -263,16 +265,16 @@ class Supervisor:
         """Judge the estimate.
 
         Raises:
-            SafetyStop: `not_finite`, `heading`, `tracking`, or `sensors_disagree` with motion capture.
+            SafetyStop: `not_finite`, `negative_variance`, `stale_estimate`, `heading`, `tracking`, or
+                `sensors_disagree` with motion capture.
         """
         events: list[Event] = []
+        must_be_usable(state, self._now_ns)
         self._filter.judge(state, events)
         found: dict[str, str] = {}
-        x_m, y_m, heading_rad = pose = state.pose_body_in_wall.tolist()
+        x_m, y_m, heading_rad = state.pose_body_in_wall.tolist()
         if self.checks.hold is not None:
             self.checks.hold.heading_rad = heading_rad
-        if not _finite(pose + state.twist_body.tolist()):
-            raise SafetyStop("not_finite", "the estimated state is not finite")
         if self.limits.on_wall and abs(wrap(heading_rad)) > self.limits.heading_limit_rad:
             found["heading"] = (
                 f"heading {math.degrees(heading_rad):.1f} deg exceeds "

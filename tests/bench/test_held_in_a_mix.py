@@ -1,0 +1,159 @@
+"""HELD in a mix: who is in another world than the servos is no witness of the robot that they hold."""
+
+import json
+import subprocess
+import sys
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+import hil
+from hil.config.bench import BenchConfig
+from hil.config.loading import load_bench
+from hil.procedure.bench_source import BenchSource
+from hil.procedure.declaration import Measurement, Procedure
+from hil.procedure.runner import RunOptions, run_procedure
+from hil.robot.trajectories import line
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import SafetyStop
+
+HOP = line((0, 0, 0), (0.12, 0, 0), duration_s=2.4)
+SEES = ("imu", "tracker", "mocap")
+PRESSES = ("adhesion", "load_cells")
+REAL_SERVOS = {
+    "servos.backend": "real", "servos.port": "/dev/no-such-port", "environment.start_pose": [0.0, 0.0, 0.0],
+}  # fmt: skip
+
+
+@contextmanager
+def mixed(monkeypatch, *blind, **given):
+    """A bench in virtual time, of whose devices these count as those of another world."""
+    monkeypatch.setattr(BenchConfig, "elsewhere", lambda self: blind)
+    with hil.open_bench("emulated", seed=5, **given) as bench:
+        yield bench
+
+
+@contextmanager
+def servos_of_another_process(*options):
+    """The overrides by which a bench uses them as real ones; it emulates everything else by itself."""
+    command = [sys.executable, "-m", "hil.cli", "emulate", "--only", "servos", *options]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as child:
+        try:
+            found = json.loads(child.stdout.readline())["servos"]
+            yield REAL_SERVOS | {"servos.port": found["port"], "servos.baud": found["baud"]}
+        finally:
+            child.terminate()
+
+
+def test_who_is_in_the_servos_world_and_who_is_not():
+    emulated = load_bench("emulated")
+    assert emulated.elsewhere() == ()
+    assert emulated.of_one_world() is emulated
+    others = tuple(name for name in emulated.devices() if name != "servos")
+    real_servos = load_bench("emulated", overrides=REAL_SERVOS)
+    assert real_servos.elsewhere() == others
+    assert tuple(real_servos.of_one_world().devices()) == ("servos",)
+    real_imu = load_bench("emulated", overrides={"imu.backend": "real", "imu.port": "/dev/no-such-port"})
+    assert real_imu.elsewhere() == ("imu",), "a real one does not see an emulated robot either"
+    assert load_bench("emulated", overrides={"servos": None, "imu.backend": "real"}).elsewhere() == ()
+
+
+def test_nobody_of_another_world_says_that_the_robot_is_held(monkeypatch):
+    with mixed(monkeypatch, *SEES, *PRESSES) as bench:
+        pass
+    assert bench.held.state == "NOT HELD"
+    assert bench.held.moved_m is None
+    assert (
+        "nobody can tell whether the robot slides (camera, motion capture: in another world than the servos, "
+        "blind to this robot)" in bench.held.why
+    )
+    assert "pressed" not in bench.held.why
+
+
+def test_who_is_in_the_servos_world_does_without_the_others(monkeypatch):
+    with mixed(monkeypatch, "imu", "tracker", "load_cells") as bench:
+        assert bench.look().why.startswith("torque on, at rest by servo positions, motion capture; pressed")
+        bench.drive(HOP, feedback="odometry", hold_s=0.3)
+    assert bench.held.state == "HELD"
+    assert bench.held.moved_m < 0.005
+    assert "IMU" not in bench.held.why
+    assert "camera" not in bench.held.why
+    assert "N by the fan's speed" in bench.held.why
+    assert "load cells" not in bench.held.why
+
+
+def test_a_fan_of_another_world_is_not_said_to_press_this_robot(monkeypatch):
+    with mixed(monkeypatch, *PRESSES) as bench:
+        assert bench.pressed.endswith(
+            "In another world than the servos, with no word on what presses this robot: fan, load cells."
+        )
+    with mixed(monkeypatch) as bench:
+        assert "another world" not in bench.pressed
+
+
+def test_motion_capture_of_another_world_does_not_say_where_the_robot_stands(monkeypatch):
+    """It would see the robot of its own world at its start for ever."""
+    with mixed(monkeypatch, "mocap", start_pose=(0.1, 0.0, 0.0)) as bench:
+        np.testing.assert_array_equal(bench.measured_pose(np.ones((5, 3))), (0.1, 0.0, 0.0))
+        way = line((0.1, 0, 0), (0.22, 0, 0), duration_s=2.4)
+        end = bench.drive(way, feedback="odometry", hold_s=0.3).estimate[-1]
+        np.testing.assert_allclose(bench.settle(), end, atol=1e-3)
+        back = line((0.22, 0, 0), (0.1, 0, 0), duration_s=2.4)
+        begun = bench.drive(back, feedback="odometry", hold_s=0.3).estimate[0]
+        np.testing.assert_allclose(begun, end, atol=2e-3)
+
+
+def test_a_drive_past_blind_sensors_is_told_of_before_it_moves(monkeypatch, tmp_path, caplog):
+    def body(ctx):
+        ctx.bench.observe(0.1)
+        assert "in another world" not in caplog.text, "nothing moves yet"
+        for k in range(2):
+            ctx.bench.drive(line((0.05 * k, 0, 0), (0.05 * (k + 1), 0, 0), duration_s=2.0), hold_s=0.3)
+        ctx.measure("x", 0.0)
+
+    monkeypatch.setattr(BenchConfig, "elsewhere", lambda self: ("tracker", "load_cells"))
+    proc = Procedure(
+        name="past", body=body, summary="", needs=("servos",), measurements=(Measurement("x", "m"),)
+    )
+    options = RunOptions(
+        folder=tmp_path / "o", clock=MonotonicClock(), started="2025-01-01T00:00:00", parameters={}
+    )
+    result = run_procedure(proc, BenchSource("emulated"), options)
+    said = (
+        "camera: in another world than the servos (emulated beside real ones, or the reverse), so they do not"
+    )
+    assert sum(said in record.getMessage() for record in caplog.records) == 1, "once, and of no load cells"
+    assert sum(note.startswith(said) for note in result.facts["notes"]) == 1
+    assert said in (tmp_path / "o" / "result.json").read_text()
+
+
+@pytest.mark.parametrize("blind", [(), PRESSES])
+def test_a_drive_that_all_see_who_could_needs_no_word(monkeypatch, caplog, blind):
+    with mixed(monkeypatch, *blind) as bench:
+        bench.drive(HOP, hold_s=0.1)
+        assert bench.warnings == []
+    assert "another world" not in caplog.text
+
+
+def test_real_servos_beside_emulated_sensors_are_not_held_by_them():
+    """Another process has the robot; it falls off its wall, which no sensor of ours can see."""
+    with (
+        servos_of_another_process("--fault", "plant:adhesion_loss@2") as overrides,
+        hil.open_bench("emulated", overrides=overrides) as bench,
+    ):
+        bench.clock.sleep_until_ns(bench.clock.now_ns() + 2_000_000_000)
+    assert bench.held.state == "NOT HELD"
+    assert "at rest by" not in bench.held.why
+
+
+def test_an_emulated_camera_stops_the_drive_of_real_servos():
+    """It rests while the wheels roll: so the mix that the examples once showed could not pass."""
+    with (
+        servos_of_another_process() as overrides,
+        hil.open_bench("emulated", overrides=overrides) as bench,
+    ):
+        with pytest.raises(SafetyStop) as stop:
+            bench.drive(HOP)
+        assert stop.value.reason == "sensors_disagree"
+        assert bench.warnings[0].startswith("IMU, camera, motion capture: in another world")
