@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.held import untouched
+from hil.bench.not_begun import not_begun, not_begun_in_words
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.journal import PastRun
@@ -48,7 +49,7 @@ def _origin(problem: BaseException) -> str:
 def not_held(context: Context, known: Failure | None) -> list[Failure]:
     """A robot that should be held and is not is an error of a run that knows of no other."""
     held = context.held
-    if known is not None or held is None or held.state != "NOT HELD" or not held.wanted:
+    if known is not None or held is None or not held.lost:
         return []
     return [Failure("NotHeld", held.why, "closing the bench", EXIT_DEVICE)]
 
@@ -89,9 +90,14 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         past: the interrupted run that this one goes on with.
         wall_s: how long the body and the teardown took, in s.
     """
+    from hil.bench import planned_faults
     from hil.vocabulary.versions import versions
 
     findings, source = context.findings, context.source
+    missed: tuple[str, ...] = ()
+    if past is None:  # of a run that was cut off nobody has kept how far its world had come
+        missed = not_begun(planned_faults(source.config, source.faults), context.world_ns)
+    told = [not_begun_in_words(missed, context.world_ns)] if missed else []
     return {
         "summary": proc.summary,
         "headline": proc.said(findings.values),
@@ -112,7 +118,8 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
-        "notes": findings.notes,
+        "faults_not_begun": list(missed),
+        "notes": findings.notes + told,
         "held": _held(context),
     }
 

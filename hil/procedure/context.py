@@ -54,6 +54,7 @@ class Context(Notebook):
         started: date and time at which the run began, ISO 8601.
         held: how the bench that was closed last left the robot; None before that. Of benches that were driven
             at once it is that of the last one, or of the first that was not held.
+        world_ns: how far the emulated world has come; of several, the one that has come farthest.
     """
 
     def __init__(
@@ -92,6 +93,7 @@ class Context(Notebook):
         self._bench: Bench | None = None
         self._left_behind = False
         self.held: Held | None = None
+        self.world_ns = 0
         self._teardown: list[tuple[str, Callable[[], None]]] = []
 
     @property
@@ -145,6 +147,7 @@ class Context(Notebook):
         if source.real and (again or prompt):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
+        bench.tells_held = False
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
@@ -158,6 +161,7 @@ class Context(Notebook):
         except BaseException:
             bench.close()
             self.held = bench.held
+            self.world_ns = max(self.world_ns, bench.world_ns)
             raise
         self._interrupts.stop_here()
         return bench
@@ -171,6 +175,7 @@ class Context(Notebook):
                     bench.__exit__(None, None, None)
             finally:
                 self.held = bench.held
+                self.world_ns = max(self.world_ns, bench.world_ns)
                 self._recordings.finish()
 
     def at_once(self, errands: Sequence[Errand[Result]], workers: Workers) -> Generator[Result, None, None]:
@@ -214,6 +219,7 @@ class Context(Notebook):
 
     def _take_over(self, found: Driven, held: list[Held]) -> None:
         self.guard.driven_ns += nanoseconds(found.driven_s)
+        self.world_ns = max(self.world_ns, found.world_ns)
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
         if found.pressed and self.held is None:

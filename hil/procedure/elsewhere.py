@@ -61,6 +61,7 @@ class Driven:
         driven_s: how long it took on the bench's clock, s.
         pressed: as of the bench.
         held: how the bench left the robot; None where no device was opened.
+        world_ns: how far the bench's emulated world has come.
         hold, path: what the figures of every report are drawn from.
         lost: why there is no recording, or only a part of it; empty if it is whole or none was wanted.
         objection: what the run has to end with for it.
@@ -71,6 +72,7 @@ class Driven:
     driven_s: float
     pressed: str
     held: Held | None
+    world_ns: int
     hold: HoldHistory
     path: PathHistory
     lost: str
@@ -87,13 +89,14 @@ def driven(sent: Sent[Any]) -> Driven:
         Exception: whatever is no error of the bench, a mistake in `drive` for one.
     """
     bench = sent.errand.source.open()
+    bench.tells_held = False
     hold, path = HoldHistory(), PathHistory()
     result, error, driven_s = None, None, 0.0
     try:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, hold, path, "", None)
+        return Driven(None, refused, 0.0, "", bench.held, 0, hold, path, "", None)
     for sink in (hold, path) if recorder is None else (recorder, hold, path):
         bench.add_sink(sink)
     try:
@@ -110,7 +113,9 @@ def driven(sent: Sent[Any]) -> Driven:
         objection = recorder.objection()
         if recorder.shortfall:
             lost = f"{recorder.path.name} is not complete: {recorder.shortfall}"
-    return Driven(result, error, driven_s, bench.pressed, bench.held, hold, path, lost, objection)
+    return Driven(
+        result, error, driven_s, bench.pressed, bench.held, bench.world_ns, hold, path, lost, objection
+    )
 
 
 def _recorder(sent: Sent[Any], bench: Bench) -> tuple[McapRecorder | None, str]:
