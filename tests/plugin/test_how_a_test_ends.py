@@ -1,4 +1,4 @@
-"""What the plugin says of a test that leaves its robot falling, and of a fault that had no part in its test."""
+"""What the plugin says of a test that leaves its robot falling, or in which a fault had no part."""
 
 from types import SimpleNamespace
 from xml.etree import ElementTree

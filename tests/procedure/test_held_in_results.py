@@ -56,7 +56,7 @@ def test_a_result_says_whether_the_robot_is_held(tmp_path, faults, state, verdic
 
 @pytest.mark.parametrize(("options", "missed"), [((), []), (("--fault", "imu:off@1000"), ["imu:off@1000"])])
 def test_a_fault_that_the_run_ended_before_is_named(tmp_path, capsys, caplog, options, missed):
-    options = [*options, "--fault", "tracker:stuck@0.6+0.1", "--quick", "--set", "watch_s=1", "--json"]
+    options = [*options, "--fault", "tracker:stuck@0.6+0.1", "--quick", "--set", "watch_s=2", "--json"]
     assert main(["run", "bring_up", "--out", str(tmp_path / "run"), *options]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["faults_not_begun"] == missed
