@@ -6,12 +6,19 @@ line and the procedures have.
 """
 
 from hil.bench.bench import Bench
-from hil.bench.emulation import check_faults, hidden_truth, open_emulation, supported_faults
+from hil.bench.emulation import (
+    check_faults,
+    hidden_truth,
+    open_emulation,
+    planned_faults,
+    supported_faults,
+)
 from hil.bench.held import Held
 from hil.bench.opening import open_bench, plan_bench
 from hil.bench.settings import alignment_parameters, safety_limits
 from hil.drivers.servos import set_up
 from hil.fakes.faults import Fault, make_fault
+from hil.fakes.faults import check_kind as check_fault_kind
 from hil.fakes.faults import describe as describe_fault
 from hil.fakes.world import World
 
@@ -21,6 +28,7 @@ __all__ = [
     "Held",
     "World",
     "alignment_parameters",
+    "check_fault_kind",
     "check_faults",
     "describe_fault",
     "hidden_truth",
@@ -28,6 +36,7 @@ __all__ = [
     "open_bench",
     "open_emulation",
     "plan_bench",
+    "planned_faults",
     "safety_limits",
     "set_up",
     "supported_faults",

@@ -13,11 +13,13 @@ from hil.bench.beginning import blind_to_the_drive, must_begin_where_it_stands
 from hil.bench.held_rig import HeldRig
 from hil.bench.settings import real_time
 from hil.config.bench import BenchConfig
+from hil.fakes.faults import Fault
 from hil.fakes.plant_api import PlantState
 from hil.fakes.world import World
 from hil.recording.runs import RUN, RunStart
 from hil.ring.loop import Brain, ControlLoop, LoopStatistics
 from hil.ring.motion import Motion
+from hil.ring.own_parts import own_name
 from hil.ring.realtime import warm_up
 from hil.ring.rig import Rig
 from hil.robot.kinematics import WheelGeometry
@@ -54,6 +56,9 @@ class Bench(HeldRig):
             empty where nobody measures it.
         held: how the robot was left; known from `close` on, None where no device was opened.
         warnings: what was logged about this bench before the robot moved.
+        tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
+            back.
+        faults: planned for its emulated devices.
     """
 
     def __init__(
@@ -68,10 +73,11 @@ class Bench(HeldRig):
         fitted_with: str = "",
         seed: int = 0,
         sinks: tuple[Sink, ...] = (),
+        faults: tuple[Fault, ...] = (),
     ) -> None:
         super().__init__(
             config, clock, rig, geometry=geometry, calibration=calibration, fitted_with=fitted_with,
-            seed=seed, sinks=sinks,
+            seed=seed, sinks=sinks, faults=faults,
         )  # fmt: skip
         self.world = world
         self._left: RobotState | None = None
@@ -273,7 +279,7 @@ class Bench(HeldRig):
             brain: what decides.
             start: what `brain` was made of, and where the robot stands.
         """
-        begun = replace(start, state=replace(start.state, t_ns=self.clock.now_ns()))
+        begun = replace(_as_decided(start, brain), state=replace(start.state, t_ns=self.clock.now_ns()))
         brain.reset(begun.state)
         self._note(begun.state.t_ns, RUN, begun.note())
         config = self.config.loop
@@ -288,3 +294,14 @@ class Bench(HeldRig):
         )
         self.statistics = loop.statistics
         return loop
+
+
+def _as_decided(start: RunStart, brain: Brain) -> RunStart:
+    """How a run began, with parts of one's own under their own names: nothing of ours has decided there."""
+    observers = [own_name(one) or name for name, one in brain.observers.items()]
+    return replace(
+        start,
+        controller=own_name(brain.controller) or start.controller,
+        feedback=own_name(brain.estimator) or start.feedback,
+        observers=tuple(observers) or start.observers,
+    )

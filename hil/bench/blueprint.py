@@ -31,6 +31,7 @@ from hil.vocabulary.interfaces import Controller, Estimator
 from hil.vocabulary.versions import versions
 
 FEEDBACK = ("odometry", "ekf", "ukf")
+LAWS = ("nonlinear", "optimal")
 
 
 class Blueprint:
@@ -98,8 +99,8 @@ class Blueprint:
             law = ScriptedController(trajectory)
         elif trajectory is not None:
             control = config.control
-            if controller not in (None, "nonlinear", "optimal"):
-                raise UsageError(f"controller {controller!r} is unknown", expected="nonlinear or optimal")
+            if controller not in (None, *LAWS):
+                raise UsageError(f"controller {controller!r} is unknown", expected=" or ".join(LAWS))
             if controller is not None:
                 control = control.model_copy(update={"law": controller})
             law = make_controller(control, self.geometry, trajectory, rate_hz=config.loop.rate_hz)

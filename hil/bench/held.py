@@ -28,6 +28,11 @@ class Held:
     why: str
     wanted: bool = True
 
+    @property
+    def lost(self) -> bool:
+        """Whether it should be held and is not."""
+        return self.state == "NOT HELD" and self.wanted
+
     def to_json(self) -> dict[str, object]:
         """As in `result.json` and the summary of the live loop."""
         return {"state": self.state, "moved_m": self.moved_m, "why": self.why}

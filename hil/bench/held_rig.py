@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from types import TracebackType
@@ -14,11 +15,13 @@ from hil.bench.by_need import by_need
 from hil.bench.hanging import Hanging
 from hil.bench.held import Held
 from hil.bench.holding import HoldWatch
+from hil.bench.not_begun import not_begun
 from hil.bench.pressing import press_watch
 from hil.bench.replug import replugged
 from hil.bench.settings import can_fall
 from hil.bench.wheel_feed import wheel_feed
 from hil.config.bench import BenchConfig
+from hil.fakes.faults import Fault
 from hil.recording.clocks import ptp_offsets
 from hil.recording.frames import describe_clock
 from hil.recording.runs import HELD
@@ -28,6 +31,7 @@ from hil.vocabulary.clock import Clock
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.interfaces import Sink
 
+LOG = logging.getLogger(__name__)
 Opened = TypeVar("Opened", bound="HeldRig")
 
 
@@ -40,6 +44,9 @@ class HeldRig(Blueprint):
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
         held: how the robot was left; known from `close` on, None where no device was opened.
+        tells_held: whether a warning is logged where it is left NOT HELD; whoever says so otherwise takes it
+            back.
+        faults: planned for its emulated devices.
     """
 
     def __init__(
@@ -53,12 +60,17 @@ class HeldRig(Blueprint):
         fitted_with: str,
         seed: int,
         sinks: tuple[Sink, ...],
+        faults: tuple[Fault, ...],
     ) -> None:
         super().__init__(
             config, geometry=geometry, calibration=calibration, fitted_with=fitted_with, seed=seed
         )
         self.clock, self.rig = clock, rig
         self.held: Held | None = None
+        self.tells_held = True
+        self.faults = faults
+        self._begun_ns: int | None = None
+        self._closed_ns: int | None = None
         self.pressed = ""
         self._hold = HoldWatch(
             rig,
@@ -104,6 +116,8 @@ class HeldRig(Blueprint):
 
         Whatever `held` says then is in the recordings too. Idempotent.
         """
+        if self._closed_ns is None:
+            self._closed_ns = self.clock.now_ns()
         try:
             if self.rig.servos is not None and self.rig.servos.identity():
                 self.held = self._hold.unseen("ended before anybody had looked")
@@ -113,6 +127,8 @@ class HeldRig(Blueprint):
                     self.rig.servos.release()
                     self.held = self._hold.released()
                 self._note(self.clock.now_ns(), HELD, self.held.to_json())
+                if self.tells_held and self.held.lost:
+                    LOG.warning("bench %s: the robot is left %s", self.config.name, self.held)
         finally:
             self._let_go()
 
@@ -128,6 +144,20 @@ class HeldRig(Blueprint):
         """Let an emulated world at the wire run, for whoever opens devices one by one. Idempotent."""
         while self._before_opening:
             self._before_opening.pop(0)()
+        if self._begun_ns is None:
+            self._begun_ns = self.clock.now_ns()
+
+    @property
+    def world_ns(self) -> int:
+        """How far the emulated world has come, by which faults begin; until the bench was closed."""
+        if self._begun_ns is None:
+            return 0
+        ended_ns = self.clock.now_ns() if self._closed_ns is None else self._closed_ns
+        return ended_ns - self._begun_ns
+
+    def faults_not_begun(self) -> tuple[str, ...]:
+        """Specs of the planned faults that the world has not come to."""
+        return not_begun(self.faults, self.world_ns)
 
     def on_close(self, callback: Callable[[], object]) -> None:
         """Have something else ended together with the bench, after the devices."""

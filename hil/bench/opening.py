@@ -72,9 +72,10 @@ def open_bench(
         planned_faults(checked, faults)
         clock = MonotonicClock()
         return Bench(checked, clock, make_rig(checked, clock, {}), **common)
+    common["faults"] = plan = planned_faults(checked, faults)
     if realtime or len(emulated) < len(checked.devices()):
-        return _at_the_wire(checked, planned_faults(checked, faults), seed, common)
-    world = build_world(checked, seed=seed, faults=planned_faults(checked, faults))
+        return _at_the_wire(checked, plan, seed, common)
+    world = build_world(checked, seed=seed, faults=plan)
     connected = connect_in_process(checked, world)
     virtual = VirtualClock(world)
     rig = make_rig(checked, virtual, connected.connections, world.failures)

@@ -127,6 +127,7 @@ def command(
     with stop.noted():
         with nullcontext() if lines is None else closing(lines):
             opened = open_bench(config, seed=seed, realtime=True, faults=faults, calibration=calibration)
+            opened.tells_held = False
             with closing(opened):
                 recorder = None if unrecorded else _recorder(opened, record or _dated(), on_failure)
                 session = _session(opened, plan, recorder, _monitor(opened, view), stop)
@@ -267,5 +268,7 @@ def _text(summary: dict[str, Any]) -> str:
     for name in ("recording", "monitor", "commands"):
         if name in summary:
             lines.append(f"{name:10} " + ", ".join(f"{k} {v}" for k, v in summary[name].items() if v != ""))
+    if "note" in summary:
+        lines.append(summary["note"])
     lines.append(held_in_words(summary["held"]))
     return "\n".join(lines)

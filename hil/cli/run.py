@@ -197,8 +197,10 @@ def text_of(result: Result) -> str:
         lines.append(f"{row['outcome']:13}{row['name']:44}{value:>12} {row['unit']:8}{' and '.join(limits)}")
     if missing := len(result.measurements) - len(measured):
         lines.append(f"{'NOT MEASURED':13}{missing} of {len(result.measurements)}: the run ended before them")
-    if result.verdict is not Verdict.PASS:
-        lines += [f"note: {note}" for note in result.facts["notes"]]
+    notes = result.facts["notes"]
+    if result.verdict is Verdict.PASS:  # then the last one counts, where faults were asked for in vain
+        notes = notes[-1:] if result.facts["faults_not_begun"] else []
+    lines += [f"note: {note}" for note in notes]
     lines.append(held_in_words(result.facts["held"]))
     said = f"It ended early, {result.error.place}." if result.error else result.to_json()["said"]
     lines.append(f"{result.verdict.value}: {result.procedure}. {said}".strip())

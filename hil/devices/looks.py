@@ -14,6 +14,13 @@ from hil.vocabulary.kinds import DeviceKind
 from hil.vocabulary.signals import Status, worst
 
 LOSS_WARNING, LOSS_FAILURE = 0.02, 0.2
+MORE_WARNING, MORE_FAILURE = 0.05, 0.2
+"""Share of samples beyond those that are due: data sheets let the rate of MEMS sensors be off by up to 3 %;
+clocks and their adjustment are off by less than 0.1 %."""
+_AT_THE_ENDS = 2
+"""Samples that a short watch may have beyond that, one at each end."""
+_NO_MORE = f"at most {MORE_WARNING:.0%} more than the rate allows"
+_WHY_MORE = "set the device to the rate of the bench file, or mend a driver that delivers samples twice"
 
 
 @dataclass(frozen=True)
@@ -45,8 +52,18 @@ class Watched:
         return len(self.samples) if math.isnan(rate_hz) else max(1, round(self.watch_s * rate_hz))
 
 
+def surplus(count: int, due: float) -> float:
+    """Share by which samples are more than a rate allows; 0 or less where they are not.
+
+    Args:
+        count: of all samples, good or bad.
+        due: how many a healthy device delivers.
+    """
+    return (count - _AT_THE_ENDS) / due - 1.0 if due else 0.0
+
+
 def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Finding:
-    """How many of the samples that were due are good, and what the others lack.
+    """How many of the samples that were due are good, what the others lack, and whether too many came.
 
     Args:
         name: of the device.
@@ -55,10 +72,14 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
         remedy: what to do when many are missing.
     """
     seen = Counter(statuses)
-    good = seen.pop(Status.OK, 0)
+    count, good = sum(seen.values()), seen.pop(Status.OK, 0)
     seen.pop(Status.STARTING, None)
+    more = surplus(count, due)
+    if more > MORE_WARNING:
+        level: Level = "failure" if more > MORE_FAILURE else "warning"
+        return Finding(name, "samples", level, f"{count} samples where {due} are due", _NO_MORE, _WHY_MORE)
     loss = 1.0 - good / due if due else 1.0
-    level: Level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
+    level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
     told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"
     return Finding(name, "samples", level, f"{good} of {due} good ({told})", "nearly all good", remedy)
 

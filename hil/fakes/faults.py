@@ -111,6 +111,22 @@ class Fault:
         return nanoseconds(self.option("delay_s", default_s))
 
 
+def check_kind(what: str, kind: str) -> None:
+    """Refuse a word that is no kind of fault on any device.
+
+    Args:
+        what: is said with it, for the message.
+        kind: the word.
+
+    Raises:
+        UsageError: naming the nearest kind.
+    """
+    if kind not in MEANINGS:
+        raise UsageError(
+            what, expected="one of " + ", ".join(VOCABULARY), remedy=did_you_mean(kind, VOCABULARY)
+        )
+
+
 def make_fault(
     device: str, kind: str, /, *, at: float = 0.0, duration: float | None = None, **options: float
 ) -> Fault:
@@ -158,10 +174,12 @@ class FaultPlan:
 
     Attributes:
         empty: there is nothing to ask for.
+        touched: there is something to ask for, or has been.
     """
 
     def __init__(self, faults: Iterable[Fault] = ()) -> None:
         self._faults: list[Fault] = []
+        self.touched = False
         self._views: list[FaultsOf] = []
         self._keep(list(faults))
         self._supported: dict[str, Supported] = {}
@@ -174,7 +192,20 @@ class FaultPlan:
         return view
 
     def declare(self, device: str, supported: Supported) -> None:
-        """A device announces a name and what it can do; checks the faults known so far at `check`."""
+        """A device announces a name and what it can do; checks the faults known so far at `check`.
+
+        Raises:
+            UsageError: a kind that is not in `VOCABULARY`, or options that are no names.
+        """
+        for kind, options in supported.items():
+            check_kind(f"device {device} declares the fault {kind!r}", kind)
+            if isinstance(options, str) or not all(
+                isinstance(key, str) and key.isidentifier() for key in options
+            ):
+                raise UsageError(
+                    f"device {device} declares the fault {kind!r} with the options {options!r}",
+                    expected="a tuple of names, such as () or ('probability',)",
+                )
         self._supported[device] = dict(supported)
 
     def add(self, fault: Fault) -> None:
@@ -193,6 +224,7 @@ class FaultPlan:
             self._newest_first.setdefault((fault.device, fault.kind), []).append(fault)
         self._kinds = frozenset(fault.kind for fault in faults)
         self.empty = not faults
+        self.touched |= not self.empty
         for view in self._views:
             view.follow(fault.device for fault in faults)
 

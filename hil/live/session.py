@@ -13,6 +13,7 @@ import numpy as np
 
 from hil.bench import Bench
 from hil.bench.held import untouched
+from hil.bench.not_begun import not_begun_in_words
 from hil.bench.settings import motion_limits
 from hil.live.commands import CommandLines
 from hil.live.lateness import LateWarning, advice
@@ -127,6 +128,9 @@ class LiveSession:
                 bench.held or untouched("no device was opened: the robot is as it was before")
             ).to_json(),
         }
+        if missed := bench.faults_not_begun():
+            found["faults_not_begun"] = list(missed)
+            found["note"] = not_begun_in_words(missed, bench.world_ns)
         if said := advice(bench.statistics.summary(), bench.config.loop.rate_hz):
             found["advice"] = said
         if bench.real_time is not None:

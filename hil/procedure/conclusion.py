@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.bench.held import untouched
+from hil.bench.not_begun import not_begun, not_begun_in_words
 from hil.procedure.context import Context
 from hil.procedure.declaration import Procedure
 from hil.procedure.journal import PastRun
@@ -94,9 +95,14 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         past: the interrupted run that this one goes on with.
         wall_s: how long the body and the teardown took, in s.
     """
+    from hil.bench import planned_faults
     from hil.vocabulary.versions import versions
 
     findings, source = context.findings, context.source
+    missed: tuple[str, ...] = ()
+    if past is None:  # of a run that was cut off nobody has kept how far its world had come
+        missed = not_begun(planned_faults(source.config, source.faults), context.world_ns)
+    told = [not_begun_in_words(missed, context.world_ns)] if missed else []
     return {
         "summary": proc.summary,
         "headline": proc.said(findings.values),
@@ -117,7 +123,8 @@ def facts_of(proc: Procedure, context: Context, past: PastRun | None, wall_s: fl
         "attachments": findings.attachments,
         "recordings": (past.recordings if past else []) + findings.recordings,
         "data": findings.data,
-        "notes": findings.notes,
+        "faults_not_begun": list(missed),
+        "notes": findings.notes + told,
         "held": _held(context),
     }
 

@@ -54,6 +54,7 @@ class Context(Notebook):
         clock: for how long computing takes; the bench has its own.
         started: date and time at which the run began, ISO 8601.
         left: how the benches that were closed left the robot.
+        world_ns: how far the emulated world has come; of several, the one that has come farthest.
     """
 
     def __init__(
@@ -94,6 +95,7 @@ class Context(Notebook):
         self._bench_name = ""
         self._left_behind = False
         self.left = LeftBenches(journal, self.guard, past_held, self._past)
+        self.world_ns = 0
         self._teardown: list[tuple[str, Callable[[], None]]] = []
 
     @property
@@ -148,6 +150,7 @@ class Context(Notebook):
             self.prompt(prompt or "put the robot back to its start pose, then press Enter")
         bench = source.open()
         self._bench_name = self.left.begin(label)
+        bench.tells_held = False
         try:
             self._recordings.record(bench, label, lossless=source.virtual)
             bench.add_sink(self.guard)
@@ -179,6 +182,7 @@ class Context(Notebook):
                     self._note_lost(warning)
 
     def _leave(self, bench: Bench) -> None:
+        self.world_ns = max(self.world_ns, bench.world_ns)
         if bench.held is not None:
             self.left.add(self._bench_name, bench.held, tethered=bench.config.safety.tethered)
 
@@ -223,6 +227,7 @@ class Context(Notebook):
 
     def _take_over(self, found: Driven, name: str) -> None:
         self.guard.driven_ns += nanoseconds(found.driven_s)
+        self.world_ns = max(self.world_ns, found.world_ns)
         self._hold_history.follow(found.hold)
         self._path_history.follow(found.path)
         if found.pressed and self.left.held is None:

@@ -62,6 +62,7 @@ class Driven:
         pressed: as of the bench.
         held: how the bench left the robot; None where no device was opened.
         tethered: the robot was on a tether.
+        world_ns: how far the bench's emulated world has come.
         hold, path: what the figures of every report are drawn from.
         lost: why there is no recording, or only a part of it; empty if it is whole or none was wanted.
         objection: what the run has to end with for it.
@@ -73,6 +74,7 @@ class Driven:
     pressed: str
     held: Held | None
     tethered: bool
+    world_ns: int
     hold: HoldHistory
     path: PathHistory
     lost: str
@@ -89,6 +91,7 @@ def driven(sent: Sent[Any]) -> Driven:
         Exception: whatever is no error of the bench, a mistake in `drive` for one.
     """
     bench = sent.errand.source.open()
+    bench.tells_held = False
     hold, path = HoldHistory(), PathHistory()
     tethered = bench.config.safety.tethered
     result, error, driven_s = None, None, 0.0
@@ -96,7 +99,7 @@ def driven(sent: Sent[Any]) -> Driven:
         recorder, lost = _recorder(sent, bench)
     except DataError as refused:
         bench.close()
-        return Driven(None, refused, 0.0, "", bench.held, tethered, hold, path, "", None)
+        return Driven(None, refused, 0.0, "", bench.held, tethered, 0, hold, path, "", None)
     for sink in (hold, path) if recorder is None else (recorder, hold, path):
         bench.add_sink(sink)
     try:
@@ -113,7 +116,10 @@ def driven(sent: Sent[Any]) -> Driven:
         objection = recorder.objection()
         if recorder.shortfall:
             lost = f"{recorder.path.name} is not complete: {recorder.shortfall}"
-    return Driven(result, error, driven_s, bench.pressed, bench.held, tethered, hold, path, lost, objection)
+    return Driven(
+        result, error, driven_s, bench.pressed, bench.held, tethered, bench.world_ns, hold, path, lost,
+        objection,
+    )  # fmt: skip
 
 
 def _recorder(sent: Sent[Any], bench: Bench) -> tuple[McapRecorder | None, str]:

@@ -29,11 +29,6 @@ class LeftBench:
     held: Held
     tethered: bool
 
-    @property
-    def lost(self) -> bool:
-        """Whether it should have held the robot and did not."""
-        return self.held.wanted and self.held.state == "NOT HELD"
-
 
 class LeftBenches:
     """Takes the last word of each bench, and keeps it in the journal.
@@ -66,14 +61,14 @@ class LeftBenches:
 
         held = Held(entry["state"], entry["moved_m"], entry["why"], entry["wanted"])
         bench = LeftBench(f"{entry['bench']}, before this run was resumed", held, entry["tethered"])
-        if bench.lost and not bench.tethered:
+        if bench.held.lost and not bench.tethered:
             self._lost.append(bench)
 
     @property
     def not_held(self) -> list[LeftBench]:
         """Those that should have held the robot and did not; on a tether only the one closed last."""
-        last = [] if self._last is None or not (self._last.lost and self._last.tethered) else [self._last]
-        return self._lost + last
+        last = self._last
+        return self._lost + ([last] if last is not None and last.held.lost and last.tethered else [])
 
     @property
     def held(self) -> Held | None:
@@ -99,7 +94,7 @@ class LeftBenches:
     def add(self, name: str, held: Held, *, tethered: bool) -> None:
         """Take a bench's last word; a journal that does not take it must not cost the result it is in."""
         self._last = bench = LeftBench(name, held, tethered)
-        if bench.lost and not tethered:
+        if bench.held.lost and not tethered:
             self._lost.append(bench)
         where = {"bench": name, "checkpoint": self._checkpoint(), "tethered": tethered}
         with suppress(HilError):

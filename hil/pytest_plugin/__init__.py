@@ -24,9 +24,16 @@ MARKERS = (
     'fault("imu", "stuck", at=2.0); seconds of bench time. Skipped where the device is real',
     "real_only: skip where a device is emulated",
 )
+NOT_HELD = "not_held"
+"""Property of a test case whose robot should be held and is not: how far it went, and why."""
 _OPENED = pytest.StashKey["Bench"]()
+_PASSED = pytest.StashKey[bool]()
 
 pytest.register_assert_rewrite("hil.pytest_plugin.selfcheck", "hil.pytest_plugin.contract")
+
+
+class NotHeldWarning(pytest.PytestWarning):
+    """A test without faults has left an emulated robot on its wall, and it is not held."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -39,7 +46,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "--emulate", metavar="NAMES", nargs="?", const="all", type=_devices,
         help="devices of --bench to emulate, separated by commas; all of them without NAMES",
     )  # fmt: skip
-    group.addoption("--hil-seed", metavar="N", type=int, default=0, help="seed of every emulated world")
+    group.addoption("--hil-seed", metavar="N", type=_seed, default=0, help="seed of every emulated world")
     group.addoption("--hil-realtime", action="store_true", help="emulated devices at the wire, in real time")
     group.addoption(
         "--hil-blind-spots", metavar="PATTERN", nargs="?", const="*", dest="hil_blind_spots",
@@ -47,6 +54,14 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         "report what no test notices",
     )  # fmt: skip
     parser.addini("hil_bench", "bench file or profile that is emulated when --bench is not given", default="")
+
+
+def _seed(text: str) -> int:
+    from argparse import ArgumentTypeError
+
+    if not text.strip().isdecimal():
+        raise ArgumentTypeError(f"{text!r} is no seed; expected a whole number that is not negative")
+    return int(text)
 
 
 def _devices(text: str) -> str:
@@ -99,7 +114,8 @@ def pytest_runtestloop(session: pytest.Session) -> bool | None:
 
 
 def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> None:
-    """The table of blind spots."""
+    """The robots that are not held, and the table of blind spots."""
+    _tell_lost(terminalreporter)
     session = terminalreporter._session
     if config.getoption("hil_blind_spots") and session is not None:
         from hil.pytest_plugin import blind_spots
@@ -107,6 +123,17 @@ def pytest_terminal_summary(terminalreporter: Any, config: pytest.Config) -> Non
         found = session.stash.get(blind_spots.FOUND, None)
         if found:
             blind_spots.summary(terminalreporter, found)
+
+
+def _tell_lost(reporter: Any) -> None:
+    """The tests that have left a robot that should be held and is not."""
+    reports = [one for some in reporter.stats.values() for one in some]
+    ended = [report for report in reports if getattr(report, "when", "") == "teardown"]
+    lost = [(r.nodeid, value) for r in ended for name, value in r.user_properties if name == NOT_HELD]
+    if lost:
+        reporter.section("robots left NOT HELD")
+    for nodeid, held in lost:
+        reporter.write_line(f"{nodeid}: {held}")
 
 
 def _named(config: pytest.Config) -> bool:
@@ -137,21 +164,33 @@ def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
     outcome = yield
     report = outcome.get_result()
     opened = item.stash.get(_OPENED, None)
-    if report.failed and opened is not None:
+    if opened is None:
+        return
+    if report.failed:
         from hil.pytest_plugin.selection import how_to_repeat
 
         report.sections.append(("bench", how_to_repeat(item, opened)))
+    if report.when == "call":
+        item.stash[_PASSED] = report.passed
+    elif report.when == "teardown":
+        del item.stash[_OPENED]
 
 
 @pytest.fixture
 def bench(request: pytest.FixtureRequest) -> Generator[Bench, None, None]:
-    """An opened bench of its own for every test: fresh world, devices open, held and closed at the end."""
+    """An opened bench of its own for every test: fresh world, devices open, held and closed at the end.
+
+    Then it is told how the robot was left.
+    """
+    from hil.pytest_plugin.ending import end
     from hil.pytest_plugin.selection import opened
 
-    with opened(request.node) as found:
-        request.node.stash[_OPENED] = found
+    item = request.node
+    item.stash[_PASSED] = False
+    with opened(item) as found:
+        item.stash[_OPENED] = found
         yield found
-        del request.node.stash[_OPENED]
+    end(item, found, passed=item.stash[_PASSED])
 
 
 @pytest.fixture

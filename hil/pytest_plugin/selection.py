@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Generator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import pytest
 
@@ -78,13 +79,30 @@ def properties(source: BenchSource) -> list[tuple[str, object]]:
 
 
 def skip_where_impossible(item: pytest.Item) -> None:
-    """Mark a test as skipped, with the reason, where the bench of the session cannot run it."""
+    """Mark a test as skipped, with the reason, where the bench of the session cannot run it.
+
+    Raises:
+        pytest.fail.Exception: a marker is wrong.
+    """
     with plainly():
+        _must_have_bench(item)
         source = source_of(item.config)
         reason = _impossible(item, source)
         if reason:
             item.user_properties.extend(properties(source))
             item.add_marker(pytest.mark.skip(reason=reason), append=False)
+
+
+def _must_have_bench(item: pytest.Item) -> None:
+    """Refuse faults of a test that has no fixture `bench`: nothing would apply them."""
+    faults = faults_of(item)
+    if faults and "bench" not in getattr(item, "fixturenames", ()):
+        raise UsageError(
+            f"marker fault for {', '.join(faults)}: the test does not use the fixture `bench`, and the "
+            "marker acts through it only",
+            expected="`bench` (or `world`, `clock`, `loop`) among the test's arguments",
+            remedy="a bench of hil.open_bench takes faults=[...]",
+        )
 
 
 def _impossible(item: pytest.Item, source: BenchSource) -> str:
@@ -113,24 +131,31 @@ def opened(item: pytest.Item) -> Generator[Bench, None, None]:
     """The bench for one test, with the faults of its markers; its name goes into the test's report."""
     with ExitStack() as stack:
         with plainly():
-            faults = tuple(_specs(item))
+            faults = tuple(faults_of(item))
             source = source_of(item.config)
             source = replace(source, faults=(*source.faults, *faults))
             item.user_properties.extend(properties(source))
-            bench = stack.enter_context(source.open())
+            bench = source.open()
+            bench.tells_held = False
+            stack.enter_context(bench)
         yield bench
 
 
 def how_to_repeat(item: pytest.Item, bench: Bench) -> str:
     """What a reader of a failure needs to have it again."""
-    options = [f"--hil-seed={bench.seed}"]
+    config, options = item.config, [f"--hil-seed={bench.seed}"]
     for option, name in (("--bench", "bench"), ("--emulate", "emulate")):
-        if given := item.config.getoption(name):
+        if given := config.getoption(name):
             options.append(f"{option}={given}")
-    faults = "".join(f", fault {spec}" for spec in _specs(item))
+    if config.getoption("hil_realtime"):
+        options.append("--hil-realtime")
+    for given in config.getoption("override_ini") or ():
+        if given.partition("=")[0].strip() == "hil_bench":
+            options += ["-o", given]
+    faults = "".join(f", fault {spec}" for spec in faults_of(item))
     return (
         f"bench {bench.config.name}{faults}, at {bench.clock.now_ns() * 1e-9:.3f} s of its clock\n"
-        f"repeat with {' '.join(options)}"
+        f"repeat with {shlex.join(options)}"
     )
 
 
@@ -156,7 +181,7 @@ def _faults(item: pytest.Item) -> tuple[Fault, ...]:
     return tuple(_fault(mark) for mark in reversed(list(item.iter_markers("fault"))))
 
 
-def _specs(item: pytest.Item) -> list[str]:
+def faults_of(item: pytest.Item) -> list[str]:
     """The faults of a test as the command line writes them."""
     from hil.bench import describe_fault
 
@@ -164,19 +189,30 @@ def _specs(item: pytest.Item) -> list[str]:
 
 
 def _fault(mark: pytest.Mark) -> Fault:
-    from hil.bench import make_fault
+    from hil.bench import check_fault_kind, make_fault
 
     texts = [a for a in mark.args if isinstance(a, str)]
-    numbers: dict[str, Any] = {
-        k: v for k, v in mark.kwargs.items() if isinstance(v, (int, float)) or v is None
-    }
-    if len(texts) != 2 or len(mark.args) != 2 or len(numbers) != len(mark.kwargs):
+    wrong = [
+        f"{k}={v!r}" for k, v in mark.kwargs.items() if not _is_number(v) and (k, v) != ("duration", None)
+    ]
+    if len(texts) != 2 or len(mark.args) != 2 or wrong:
+        told = f"{', '.join(wrong)} of the marker {_written(mark)}" if wrong else f"marker {_written(mark)}"
         raise UsageError(
-            f"marker fault{mark.args} {numbers}",
-            expected="fault(device, kind, at=seconds, duration=seconds, option=number)",
+            told, expected='fault("device", "kind", at=seconds, duration=seconds, option=number)'
         )
     device, kind = texts
-    return make_fault(_device(device), kind, **numbers)
+    check_fault_kind(f"marker {_written(mark)}: {kind!r} is no kind of fault", kind)
+    return make_fault(_device(device), kind, **mark.kwargs)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _written(mark: pytest.Mark) -> str:
+    """A marker as its author wrote it."""
+    given = [*map(repr, mark.args), *(f"{key}={value!r}" for key, value in mark.kwargs.items())]
+    return f"{mark.name}({', '.join(given)})"
 
 
 @contextmanager

@@ -85,6 +85,7 @@ def watched(request: pytest.FixtureRequest) -> Watch:
     with plainly():
         idle = idle_for(source, watch_s * IDLE_SHARE)
         with source.open() as bench:
+            bench.tells_held = False
             if bench.rig.servos is not None:
                 bench.rig.servos.enable()
             identity = {d.name: dict(d.identity()) for d in bench.rig.devices()}
@@ -238,6 +239,12 @@ def too_late(statistics: LoopStatistics, idle: tuple[LoopStatistics, ...]) -> st
         f"{summary.get('read_p99_ms', 0.0):.1f} ms. Look at USB latency, baud rates and prefetch; "
         "when another program began meanwhile, repeat"
     )
+
+
+def test_the_robot_is_left_held(watched: Watch) -> None:
+    """Closed, the bench says HELD, or that the robot need not be."""
+    held = watched.bench.held
+    assert held is None or not held.lost, str(held)
 
 
 def test_the_supervisor_has_nothing_to_say(watched: Watch) -> None:

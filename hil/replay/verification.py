@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-from hil.bench.blueprint import Blueprint
+from hil.bench.blueprint import FEEDBACK, LAWS, Blueprint
 from hil.controller.joint_script import SCRIPT, JointScript
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import DECIDED
@@ -156,8 +156,9 @@ class RunCheck:
             "cycles": 0, "verified": [], "references": "none", "difference": None
         }  # fmt: skip
         self._latest: int | None = None
-        if start is None:
-            self.told["difference"] = "the recording does not say how this run began"
+        problem = "the recording does not say how this run began" if start is None else _foreign(start)
+        if start is None or problem:
+            self.told["difference"] = problem
             return
         self._brain = rebuild(bench, start)
         self._given = self._brain.reference_at if _are_recorded(self._brain) else None
@@ -180,6 +181,16 @@ class RunCheck:
         found = verify_cycle(record, self._brain)
         if found is not None:
             self.told["difference"] = f"cycle {found.cycle}: {found.field}"
+
+
+def _foreign(start: RunStart) -> str:
+    """Which parts of a run cannot be made again, because they are not of this package; empty for none."""
+    laws = (start.controller,) if start.controller not in (None, SCRIPT, *LAWS) else ()
+    filters = [name for name in (start.feedback, *start.observers) if name not in FEEDBACK]
+    told = [*(f"controller {name}" for name in laws), *(f"estimator {name}" for name in filters)]
+    if not told:
+        return ""
+    return f"{' and '.join(told)}: not part of this package, so that replay cannot make it again"
 
 
 def _are_recorded(brain: Brain) -> bool:

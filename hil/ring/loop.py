@@ -17,6 +17,7 @@ import numpy as np
 from hil.ring.adhesion import LETTING_GO
 from hil.ring.alignment import Alignment
 from hil.ring.loop_timing import Laps, LoopStatistics
+from hil.ring.own_parts import check_setpoint, check_state
 from hil.ring.rig import Rig
 from hil.ring.supervisor import Supervisor
 from hil.vocabulary.clock import NS_PER_S, Clock
@@ -69,11 +70,14 @@ def _untimed(section: str) -> None:
 class Brain:
     """Supervisor, alignment, estimator and controller in their fixed order.
 
+    Estimator, controller and observers may be of one's own; what each returns first is checked.
+
     Args:
         reference_at: reference by seconds since the first cycle; None observes without moving.
         observers: further estimators that run on the same measurements; their states are recorded.
 
     Attributes:
+        estimator, controller, observers: may be exchanged before a run.
         reference: of the latest cycle, also when that ended in a `SafetyStop`.
     """
 
@@ -94,10 +98,12 @@ class Brain:
         self._t0_ns: int | None = None
         self._steering = np.zeros(4)
         self._states: dict[str, RobotState] = {}
+        self._estimated = self._controlled = False
 
     def reset(self, state: RobotState) -> None:
         """Start a run from a known state; the reference's time starts with the next cycle."""
         self._t0_ns = None
+        self._estimated = self._controlled = False
         self._steering = np.zeros(4)
         self._states = dict.fromkeys((_OWN, *self.observers), state)
         self.supervisor.reset()
@@ -109,11 +115,15 @@ class Brain:
             self.controller.reset()
 
     def decide(self, inputs: Inputs, lap: Lap = _untimed) -> Decision:
-        """Steps 2 to 7; raises `SafetyStop` when the robot must be held.
+        """Steps 2 to 7.
 
         Args:
             inputs: what the devices delivered.
             lap: told when `estimate` (2 to 4) and `control` (5 to 7) are done; decides nothing.
+
+        Raises:
+            SafetyStop: the robot must be held.
+            UsageError: an estimator or a controller has returned something else than a state or setpoints.
         """
         self.reference = None
         if self._t0_ns is None:
@@ -125,6 +135,8 @@ class Brain:
             self._doubt(*left_out.shaken)
         believed = left_out.believed(measurements)
         state = self._states[_OWN] = self.estimator.update(believed)  # 4
+        if not self._estimated or state.__class__ is not RobotState:
+            check_state(self.estimator, state)
         if figures := self.supervisor.figures():
             state = RobotState(
                 state.t_ns, state.pose_body_in_wall, state.twist_body, state.covariance,
@@ -132,6 +144,10 @@ class Brain:
             )  # fmt: skip
         others = {name: observer.update(believed) for name, observer in self.observers.items()}
         self._states.update(others)
+        if not self._estimated:
+            for name, other in others.items():
+                check_state(self.observers[name], other)
+            self._estimated = True
         lap("estimate")
         if self.reference_at is not None:
             self.reference = self.reference_at((inputs.t_ns - self._t0_ns) / NS_PER_S)  # 5
@@ -161,7 +177,11 @@ class Brain:
         wheels = self._complete(measurements.wheels[-1]) if measurements.wheels else None
         if self.controller is None or reference is None or wheels is None:
             return WheelSetpoint(np.zeros(4), self._steering.copy())
-        return self.controller.update(state, reference, wheels)
+        setpoint = self.controller.update(state, reference, wheels)
+        if not self._controlled or setpoint.__class__ is not WheelSetpoint:
+            check_setpoint(self.controller, setpoint)
+            self._controlled = True
+        return setpoint
 
     def _complete(self, wheels: WheelMeasurement) -> WheelMeasurement:
         """Newest wheels; where a steering angle was not read, with the last one that was."""

@@ -162,6 +162,32 @@ def test_a_robot_that_came_off_is_not_held_though_every_servo_has_torque():
     assert bench.held.moved_m > 0.1
 
 
+def left_without_servos(**how):
+    with hil.open_bench(
+        "emulated", seed=1, faults=["servos:off@1"], overrides={"exit.look_after_s": 1.0}
+    ) as bench:
+        for name, value in how.items():
+            setattr(bench, name, value)
+        wait(bench, 1.0)
+    bench.close()
+    return bench
+
+
+def test_a_script_that_leaves_the_robot_falling_is_warned_once(caplog):
+    bench = left_without_servos()
+    told = [r.getMessage() for r in caplog.records if r.name == "hil.bench.held_rig"]
+    assert told == [f"bench emulated: the robot is left {bench.held}"]
+    assert bench.held.lost
+
+
+def test_whoever_says_it_otherwise_is_not_warned(caplog):
+    assert left_without_servos(tells_held=False).held.lost
+    with hil.open_bench("emulated_floor", seed=1, faults=["servos:off@1"]) as bench:
+        wait(bench, 1.0)
+    assert not bench.held.lost
+    assert "is left" not in caplog.text
+
+
 def test_a_robot_that_came_off_while_its_servos_are_away_is_said_to_have_lost_both():
     faults = ["servos:off@2.5", "plant:adhesion_loss@3"]
     with hil.open_bench("emulated", seed=1, faults=faults, overrides={"exit.look_after_s": 1.0}) as bench:

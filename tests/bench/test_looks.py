@@ -10,9 +10,9 @@ from hil.bench.drivers import model_of
 from hil.bench.promises import broken_promises
 from hil.config.load_cells import LineCellsConfig
 from hil.config.loading import load_bench
-from hil.devices.looks import Watched
+from hil.devices.looks import Watched, losses
 from hil.vocabulary.kinds import kinds
-from hil.vocabulary.signals import AdhesionSample
+from hil.vocabulary.signals import AdhesionSample, Status
 from tests.recording.mcap_cases import driving_record
 
 INPUTS = driving_record(0).inputs
@@ -97,3 +97,19 @@ def test_a_package_that_breaks_its_promises_is_told_each_with_what_to_do():
     assert {name: bool(f.remedy) for name, f in found.items()} == dict.fromkeys(
         ("numbers", "stamps", "reads"), True
     )
+
+
+@pytest.mark.parametrize(
+    ("count", "level"),
+    [(100, "ok"), (102, "ok"), (106, "ok"), (108, "warning"), (123, "failure"), (200, "failure")],
+)
+def test_more_samples_than_the_rate_allows_are_not_ok(count, level):
+    found = losses("imu", [Status.OK] * count, 100, "check wiring")
+    assert found.level == level
+    if level != "ok":
+        assert found.found == f"{count} samples where 100 are due"
+        assert "delivers samples twice" in found.remedy
+
+
+def test_bad_samples_count_among_those_that_are_too_many():
+    assert losses("imu", [Status.OK] * 100 + [Status.CRC] * 100, 100, "check wiring").level == "failure"

@@ -11,7 +11,7 @@ def lines_of(tmp_path, values, error):
     declared = [Measurement(f"m{k}", "m", high=1.0) for k in range(33)]
     rows = judge(declared, values, {}, error is None)
     verdict = Verdict.PASS if error is None else Verdict.ERROR
-    facts = {"held": HELD, "notes": ["This computer was late itself."]}
+    facts = {"held": HELD, "notes": ["This computer was late itself."], "faults_not_begun": []}
     told = text_of(Result("bring_up", verdict, tmp_path, rows, facts, error)).splitlines()
     notes = [line for line in told if line.startswith("note: ")]
     assert notes == ["note: This computer was late itself."] * (error is not None)
@@ -43,3 +43,10 @@ def test_a_run_that_ended_well_tells_every_value_and_nothing_of_the_rest(tmp_pat
     assert verdict.startswith(
         "PASS: bring_up. All 33 limits held; nearest to their limits: m0 0.5 m, at most 1 m; m1"
     )
+
+
+def test_a_fault_that_never_acted_is_told_also_where_all_is_well(tmp_path):
+    notes = ["This computer was late itself.", "fault imu:off@1000 never acted: ..."]
+    facts = {"held": HELD, "notes": notes, "faults_not_begun": ["imu:off@1000"]}
+    told = text_of(Result("bring_up", Verdict.PASS, tmp_path, [], facts, None)).splitlines()
+    assert [line for line in told if line.startswith("note: ")] == [f"note: {notes[1]}"]

@@ -132,6 +132,26 @@ def test_unsupported_faults_and_unknown_devices_are_refused():
         plan.add(parse_fault("tracker:jump"))
 
 
+@pytest.mark.parametrize(
+    ("supported", "told"),
+    [
+        ({"offf": ()}, r"device gap declares the fault 'offf'; expected one of off, .*did you mean off\?"),
+        ({"off": (), "stuk": ("at",)}, r"device gap declares the fault 'stuk'; .*did you mean stuck\?"),
+        (
+            {"drop": "probability"},
+            r"the fault 'drop' with the options 'probability'; expected a tuple of names",
+        ),
+        ({"drop": ("a b",)}, r"the fault 'drop' with the options \('a b',\); expected a tuple of names"),
+    ],
+)
+def test_a_device_declares_only_faults_that_there_are(supported, told):
+    plan = FaultPlan()
+    with pytest.raises(UsageError, match=told):
+        plan.declare("gap", supported)
+    assert not plan.supported
+    plan.declare("gap", {"drop": ("probability", "an_option_of_its_own")})
+
+
 def test_parts_act_in_time_order_and_ties_by_registration():
     log = []
     world = World(StillPlant())

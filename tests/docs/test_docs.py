@@ -85,6 +85,19 @@ def test_the_test_runs_as_printed(tmp_path):
     assert "1 passed" in run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
 
 
+@pytest.mark.parametrize("name", ["test_my_controller", "test_my_estimator"])
+def test_a_controller_and_an_estimator_of_ones_own_run_as_printed(name, tmp_path):
+    (block,) = [
+        b
+        for b in blocks((ROOT / "docs" / "pytest.md").read_text(encoding="utf-8"), "python")
+        if f"def {name}(" in b
+    ]
+    (tmp_path / "test_mine.py").write_text(block)
+    told = run("-m", "pytest", "-q", "test_mine.py", cwd=tmp_path)
+    assert "1 passed" in told
+    assert "NOT HELD" not in told
+
+
 COPIED = (ROOT / "docs" / "ci-template", ROOT / "examples" / "rangefinder")
 """Folders to start from; what a page says of their files is relative to them."""
 

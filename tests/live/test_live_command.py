@@ -221,6 +221,15 @@ def test_every_session_is_recorded_under_its_date_unless_told_otherwise(tmp_path
     assert "recording" not in json.loads(out)
 
 
+def test_a_fault_that_the_session_ended_before_is_named(tmp_path):
+    process = live(tmp_path, "--duration", "0.5", "--no-record", "--fault", "imu:off@1000")
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    told = json.loads(out)
+    assert told["faults_not_begun"] == ["imu:off@1000"]
+    assert told["note"].startswith("fault imu:off@1000 never acted: the bench was closed at ")
+
+
 def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").write_text("a file")

@@ -54,6 +54,20 @@ def test_a_result_says_whether_the_robot_is_held(tmp_path, faults, state, verdic
     assert note.data == tree["held"]
 
 
+@pytest.mark.parametrize(("options", "missed"), [((), []), (("--fault", "imu:off@1000"), ["imu:off@1000"])])
+def test_a_fault_that_the_run_ended_before_is_named(tmp_path, capsys, caplog, options, missed):
+    options = [*options, "--fault", "tracker:stuck@0.6+0.1", "--quick", "--set", "watch_s=2", "--json"]
+    assert main(["run", "bring_up", "--out", str(tmp_path / "run"), *options]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["faults_not_begun"] == missed
+    notes = [note for note in told["notes"] if "never acted" in note]
+    assert len(notes) == len(missed)
+    assert "is left" not in caplog.text
+    if missed:
+        assert "fault imu:off@1000 never acted: the bench was closed at " in notes[0]
+        assert "imu:off@1000 never acted" in write_run_page(tmp_path / "run").read_text()
+
+
 def test_a_robot_on_the_floor_needs_nobody(tmp_path):
     source = BenchSource("emulated_floor", seed=1, faults=("servos:off@7",))
     result = run_procedure(climb, source, RunOptions(tmp_path / "run", MonotonicClock(), "now", {}))

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hil.bench.contract.subject import SHORT_S, WATCH_S, Broken, Subject, due, read_for
+from hil.devices.looks import MORE_FAILURE, surplus
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import CycleEncoder
 from hil.recording.cycle_decoder import CycleDecoder
@@ -82,13 +83,15 @@ def closed_is_a_named_error(subject: Subject) -> str:
 
 def samples_in_time(subject: Subject) -> str:
     """Nearly all samples that are due come, are good, in order, and say when they were measured."""
-    watched, wanted = (
-        subject.watched,
-        SHARE * due(subject.bench, subject.kind, subject.watched.samples, WATCH_S),
-    )
+    watched = subject.watched
+    expected = due(subject.bench, subject.kind, watched.samples, WATCH_S)
+    wanted = SHARE * expected
     good = [s for s in watched.samples if worst(s) is Status.OK]
     if len(good) < max(2.0, wanted):
         raise Broken(f"{len(good)} good samples in {WATCH_S:g} s", f"{max(2.0, wanted):.0f} or more", _LINK)
+    if surplus(len(watched.samples), expected) > MORE_FAILURE:
+        found = f"{len(watched.samples)} samples in {WATCH_S:g} s"
+        raise Broken(found, f"about {expected:.0f}: no more than its rate allows", _DRIVER)
     if np.any(np.diff([s.stamp.t_ns for s in good]) <= 0):
         raise Broken("times of measurement go back", "each later than the one before", _DRIVER)
     if np.any(np.diff([s.stamp.seq for s in watched.samples]) < 0):
@@ -96,8 +99,8 @@ def samples_in_time(subject: Subject) -> str:
     for stamp in (s.stamp for s in good):
         if not watched.began_ns - OLDEST_NS <= stamp.t_ns <= stamp.host_ns + EARLY_NS:
             age_s = (stamp.host_ns - stamp.t_ns) / NS_PER_S
-            expected = f"0 to {OLDEST_NS / NS_PER_S:g} s before it arrived"
-            raise Broken(f"a sample measured {age_s:.3g} s before it arrived", expected, _LINK)
+            allowed = f"0 to {OLDEST_NS / NS_PER_S:g} s before it arrived"
+            raise Broken(f"a sample measured {age_s:.3g} s before it arrived", allowed, _LINK)
         if not watched.began_ns - EARLY_NS <= stamp.host_ns <= watched.ended_ns:
             raise Broken(
                 "a sample arrived before or after it was read", "arrival by the bench clock", _DRIVER

@@ -109,7 +109,8 @@ def due(bench: Bench, kind: str, samples: list[Any], duration_s: float) -> float
     """Samples that a healthy device delivers; by the period that they came with where its owner chose it."""
     rate_hz = kinds()[kind].rate_hz(bench.config.devices()[kind], bench.config.loop.rate_hz)
     if np.isnan(rate_hz):
-        period_ns = np.median(np.diff([s.stamp.t_ns for s in samples])) if len(samples) > 2 else np.inf
+        times_ns = np.unique([s.stamp.t_ns for s in samples])
+        period_ns = np.median(np.diff(times_ns)) if len(times_ns) > 2 else np.inf
         return duration_s / (1e-9 * float(period_ns))
     return duration_s * rate_hz
 

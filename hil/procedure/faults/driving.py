@@ -39,6 +39,7 @@ def run_cell(cell: Cell, bench: str = "emulated") -> Verdict:
 def _drive(cell: Cell, name: str, path: Path) -> Seen:
     seen = Seen()
     bench = open_bench(name, seed=cell.seed, faults=cell.specs, overrides={"emulation.plant": cell.plant})
+    bench.tells_held = False
     try:
         with bench:
             bench.on_close(_follow_forces(bench, seen))

@@ -1,0 +1,220 @@
+"""What the plugin says of a test that leaves its robot falling, or in which a fault had no part."""
+
+from types import SimpleNamespace
+from xml.etree import ElementTree
+
+import pytest
+
+from hil.bench.held import Held
+from hil.fakes.faults import FaultPlan, parse_fault
+from hil.pytest_plugin import ending
+from hil.pytest_plugin.selection import how_to_repeat
+
+pytest_plugins = ["pytester"]
+pytestmark = pytest.mark.usefixtures("started_commands")
+
+LOST = """
+import pytest
+
+def wait(bench, duration_s):
+    bench.clock.sleep_until_ns(bench.clock.now_ns() + int(duration_s * 1e9))
+
+@pytest.mark.fault("plant", "adhesion_loss", at=1.0)
+def test_lost_on_purpose(bench):
+    wait(bench, 2.0)
+
+def test_lost(bench):
+    bench.rig.get("adhesion").set_duty(0.05)
+    wait(bench, 3.0)
+
+def test_kept(bench):
+    pass
+"""
+
+
+def run(pytester, text, *options):
+    """Outcome, and the properties of every test from its JUnit XML."""
+    pytester.makepyfile(test_mine=text)
+    result = pytester.runpytest_subprocess("--junitxml=junit.xml", "-p", "no:cacheprovider", *options)
+    cases = ElementTree.parse(pytester.path / "junit.xml").iter("testcase")
+    return result, {
+        case.get("name"): {p.get("name"): p.get("value") for p in case.iter("property")} for case in cases
+    }
+
+
+def test_a_robot_that_is_lost_is_named_and_is_a_warning_where_no_fault_did_it(pytester):
+    result, found = run(pytester, LOST)
+    result.assert_outcomes(passed=3, warnings=1)
+    result.stdout.fnmatch_lines(
+        [
+            "*NotHeldWarning: bench emulated: the test has left the robot NOT HELD: *",
+            "*= robots left NOT HELD =*",
+            "test_mine.py::test_lost_on_purpose: NOT HELD: *adhesion is lost*",
+            "test_mine.py::test_lost: NOT HELD: *adhesion is lost*",
+        ],
+        consecutive=False,
+    )
+    assert {name: seen["held"] for name, seen in found.items()} == {
+        "test_lost_on_purpose": "NOT HELD", "test_lost": "NOT HELD", "test_kept": "HELD"
+    }  # fmt: skip
+    assert "adhesion is lost" in found["test_lost"]["not_held"]
+    assert "not_held" not in found["test_kept"]
+
+
+def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
+    result, found = run(pytester, LOST, "--hil-realtime", "-k", "test_lost", "--deselect",
+                        "test_mine.py::test_lost_on_purpose", "-o", "addopts=")  # fmt: skip
+    result.assert_outcomes(passed=1, errors=1, deselected=2)
+    result.stdout.fnmatch_lines(["*bench emulated: the test has left the robot NOT HELD: *",
+                                 "repeat with --hil-seed=0 --hil-realtime"])  # fmt: skip
+    assert found["test_lost"]["held"] == "NOT HELD"
+    assert "site-packages" not in result.stdout.str()
+
+
+def item(warned, *, real=(), fails=False):
+    """A test as `end` needs it."""
+
+    def warn(warning):
+        warned.append(warning)
+        if fails:
+            raise warning
+
+    return SimpleNamespace(
+        user_properties=[], add_report_section=lambda *told: None, warn=warn, iter_markers=lambda name: (),
+        source=SimpleNamespace(real=real), config=None,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("real", "wire", "faults", "fails", "raised", "warns"),
+    [
+        (("servos",), True, (), False, True, 0),
+        (("servos",), True, ("imu:off",), False, True, 0),
+        ((), True, (), False, True, 0),
+        ((), True, ("imu:off",), False, False, 0),
+        ((), False, (), False, False, 1),
+        ((), False, (), True, True, 1),
+        ((), False, ("imu:off",), False, False, 0),
+    ],
+)
+def test_a_lost_robot_is_an_error_where_it_matters(
+    monkeypatch, real, wire, faults, fails, raised, warns
+):  # fmt: skip
+    warned = []
+    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
+    tested = item(warned, real=real, fails=fails)
+    bench = SimpleNamespace(
+        config=SimpleNamespace(name="lab"), held=Held("NOT HELD", None, "it fell"), faults=faults,
+        faults_not_begun=tuple,
+        world=None if wire else SimpleNamespace(faults=SimpleNamespace(touched=bool(faults))),
+    )  # fmt: skip
+    if raised:
+        with pytest.raises(pytest.fail.Exception, match="bench lab: the test has left the robot NOT HELD"):
+            ending.end(tested, bench, passed=True)
+    else:
+        ending.end(tested, bench, passed=True)
+    assert len(warned) == warns
+    assert ("held", "NOT HELD") in tested.user_properties
+
+
+def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
+    tested = item([], real=("servos",))
+    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
+    held = Held("NOT HELD", None, "torque was released, as exit.policy asks", wanted=False)
+    ending.end(tested, SimpleNamespace(held=held, faults_not_begun=tuple), passed=True)
+    assert tested.user_properties == [("held", "NOT HELD")]
+
+
+FAULTS = """
+import pytest
+
+import hil
+
+@pytest.mark.fault("imu", "off", at=1000)
+@pytest.mark.fault("imu", "stuck", at=0.1)
+def test_too_short(bench):
+    bench.observe(0.1)
+
+@pytest.mark.fault("imu", "off", at=1000)
+def test_that_fails(bench):
+    assert False
+
+@pytest.mark.fault("imu", "off", at=1000)
+def test_that_skips(bench):
+    pytest.skip("not today")
+
+@pytest.mark.fault("imu", "off")
+def test_without_bench():
+    pass
+
+@pytest.mark.fault("imu", "off")
+def test_with_a_bench_of_its_own():
+    hil.open_bench("emulated")
+
+@pytest.mark.fault("imu", "offf")
+def test_wrong_kind():
+    pass
+
+@pytest.mark.fault("imu", "off", at=0.1)
+def test_with_the_world(world):
+    world.sync_plant()
+
+@pytest.mark.fault("imu", "off", at="2")
+def test_time_in_words(bench):
+    pass
+
+@pytest.mark.fault("imu", "off", at=True)
+def test_time_that_is_a_switch(bench):
+    pass
+
+@pytest.mark.fault("imu", "off", at=None, duration=None)
+def test_no_time(bench):
+    pass
+"""
+
+
+def test_a_fault_that_has_no_part_in_its_test_is_an_error(pytester):
+    result, _ = run(pytester, FAULTS, "-rA")
+    said = result.stdout.str()
+    for line in (
+        "ERROR at teardown of test_too_short",
+        "*fault imu:off@1000 never acted: the bench was closed at 0.5* s of world time*",
+        "*marker fault for imu:off@0: the test does not use the fixture `bench`*hil.open_bench takes faults*",
+        "*marker fault('imu', 'offf'): 'offf' is no kind of fault; *did you mean off?",
+        "at='2' of the marker fault('imu', 'off', at='2'); expected fault(\"device\"*",
+        "at=True of the marker fault('imu', 'off', at=True); expected *",
+        "at=None of the marker fault('imu', 'off', at=None, duration=None); expected *",
+    ):
+        result.stdout.fnmatch_lines(f"*{line}*")
+    assert "at teardown of test_that" not in said
+    assert said.count("does not use the fixture") == 2
+    result.assert_outcomes(passed=2, failed=1, skipped=1, errors=7)
+
+
+@pytest.mark.parametrize("given", ["-1", "1.5", "seven", ""])
+def test_a_seed_that_is_none_ends_the_run_before_the_first_test(pytester, given):
+    pytester.makepyfile(test_mine="def test_never(bench):\n    raise AssertionError\n")
+    result = pytester.runpytest(f"--hil-seed={given}")
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines(f"*argument --hil-seed: '{given}' is no seed; expected a whole number*")
+
+
+def test_repeating_a_test_takes_all_options_that_chose_its_bench():
+    given = {"bench": "my bench.toml", "emulate": "imu", "hil_realtime": True,
+             "override_ini": ["hil_bench=lab.toml", "addopts="]}  # fmt: skip
+    tested = SimpleNamespace(config=SimpleNamespace(getoption=given.get), iter_markers=lambda name: ())
+    bench = SimpleNamespace(
+        seed=7, config=SimpleNamespace(name="lab"), clock=SimpleNamespace(now_ns=lambda: 10**9)
+    )
+    assert how_to_repeat(tested, bench).endswith(
+        "repeat with --hil-seed=7 '--bench=my bench.toml' --emulate=imu --hil-realtime -o hil_bench=lab.toml"
+    )
+
+
+def test_a_plan_remembers_that_it_had_faults():
+    plan = FaultPlan()
+    assert not plan.touched
+    plan.declare("imu", {"off": ()})
+    plan.add(parse_fault("imu:off"))
+    plan.clear()
+    assert (plan.empty, plan.touched) == (True, True)
