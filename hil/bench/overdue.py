@@ -4,11 +4,15 @@ A driver that waits for ever would stop the loop without a word. A thread looks 
 what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
 Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
 their driver looks after them when nobody else does.
+
+Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
+need not wait for them (`leave`).
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
@@ -16,18 +20,54 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
+from typing import NoReturn
 
 from hil.vocabulary.blame import PackageError
+from hil.vocabulary.errors import HilError
 
 LOG = logging.getLogger(__name__)
 
-_LOOK_S = 0.5
-_TOLD, _ENDED = 4, 10
-"""Looks at one call after which it is told of, and ended; while the process is stopped nobody looks."""
+_LOOKS_PER_S = 2
+_LOOK_S = 1.0 / _LOOKS_PER_S
 _COMPILER = "numba."
 _SIGNAL = signal.SIGUSR2
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a call may take, in looks at it; while the process is stopped nobody looks.
+
+    Attributes:
+        told: after which it is told of.
+        ended: after which it is ended.
+        expected: of a call that is not ended.
+        may_be_left: whether `leave` ends it at once.
+    """
+
+    told: int
+    ended: int
+    expected: str
+    may_be_left: bool = False
+
+
+IN_A_CYCLE = Patience(
+    2 * _LOOKS_PER_S, 5 * _LOOKS_PER_S, "a call that comes back without waiting for anything"
+)
+BESIDE_CYCLES = Patience(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
+AT_THE_END = replace(BESIDE_CYCLES, may_be_left=True)
+_OPENING_S = 30.0
+_BEYOND_TIMEOUTS_S = 5.0
+
+
+def opening(timeouts_s: float = 0.0) -> Patience:
+    """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
+    ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
+    return Patience(
+        5 * _LOOKS_PER_S, math.ceil(ended_s * _LOOKS_PER_S),
+        f"a call that gives up after less than {ended_s:g} s and raises DeviceError", True,
+    )  # fmt: skip
 
 
 class OverdueError(PackageError):
@@ -35,7 +75,15 @@ class OverdueError(PackageError):
 
 
 class _Overdue(BaseException):
-    """Ends a call; no `except Exception` of a package keeps it."""
+    """Ends a call; no `except Exception` of a package keeps it.
+
+    Args:
+        asked: what the call is left with, where somebody has asked for its end.
+    """
+
+    def __init__(self, asked: HilError | None = None) -> None:
+        super().__init__()
+        self.asked = asked
 
 
 @dataclass(eq=False)
@@ -45,6 +93,7 @@ class _Call:
     kind: str
     package: str
     what: str
+    patience: Patience
     began_s: float
     looks: int = 0
 
@@ -58,34 +107,50 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def not_for_ever(kind: str, package: str, what: str) -> Iterator[None]:
+def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
         kind: of the device.
         package: name and version.
         what: is run, for example `read()`.
+        patience: how long it may take.
 
     Raises:
         OverdueError: it has been ended.
+        HilError: it has been left, with this (`leave`).
     """
     _watch()
     ident = threading.get_ident()
     outer = _RUNNING.get(ident)
-    call = _RUNNING[ident] = _Call(kind, package, what, time.monotonic())
+    call = _Call(kind, package, what, patience, time.monotonic())
     try:
+        _RUNNING[ident] = call
         yield
-    except _Overdue:
+    except _Overdue as end:
+        if end.asked is not None:
+            raise end.asked from None
         ran_s = time.monotonic() - call.began_s
         raise OverdueError(
             kind, package, f"{what} had not come back after {ran_s:.1f} s and was ended",
-            expected="a call that comes back without waiting for anything",
+            expected=patience.expected,
         ) from None  # fmt: skip
     finally:
         if outer is None:
-            del _RUNNING[ident]
+            _RUNNING.pop(ident, None)
         else:
             _RUNNING[ident] = outer
+
+
+def to_be_left() -> str:
+    """The call in which the thread that asks is, in words, where `leave` would end it; empty elsewhere."""
+    call = _RUNNING.get(threading.get_ident())
+    return str(call) if call is not None and call.patience.may_be_left else ""
+
+
+def leave(asked: HilError) -> NoReturn:
+    """From a signal handler: end the call that is `to_be_left`, with this error."""
+    raise _Overdue(asked)
 
 
 def _watch() -> None:
@@ -100,7 +165,7 @@ def _watch() -> None:
 def _end(_number: int, _frame: FrameType | None) -> None:
     """In the main thread: leave the call that is overdue, if it still runs."""
     call = _RUNNING.get(threading.get_ident())
-    if call is not None and call.looks >= _ENDED:
+    if call is not None and call.looks >= call.patience.ended:
         raise _Overdue
 
 
@@ -125,12 +190,13 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    if call.looks == _TOLD:
+    told, ended = call.patience.told, call.patience.ended
+    if call.looks == told:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
-    if call.looks == 0 or call.looks % _ENDED:
+    if call.looks == 0 or call.looks % ended:
         return
     heard = ident == threading.main_thread().ident and signal.getsignal(_SIGNAL) is _end
-    if not heard or call.looks > _ENDED:
+    if not heard or call.looks > ended:
         LOG.error(
             "%s has been running for %.1f s and cannot be ended from here: end process %d (kill -9); servos "
             "with torque go on holding the robot", call, ran_s, os.getpid(),
