@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 from hil.bench.pressing import MEASURES, measured_n
@@ -33,11 +32,10 @@ class Hanging:
         config: of the bench.
         rig: its devices, open.
         clock: the bench clock.
-        heed: called at every look; what it raises ends the waiting.
     """
 
-    def __init__(self, config: BenchConfig, rig: Rig, clock: Clock, heed: Callable[[], None]) -> None:
-        self._config, self._rig, self._clock, self._heed = config, rig, clock, heed
+    def __init__(self, config: BenchConfig, rig: Rig, clock: Clock) -> None:
+        self._config, self._rig, self._clock = config, rig, clock
         self._limits = adhesion_limits(config)
         self._seen_n: dict[str, float] = {}
         propellers = config.of(ThrustConfig)
@@ -130,7 +128,6 @@ class Hanging:
 
     def _look(self) -> float:
         """Newest force, the smaller of what is measured; NaN before everybody was heard."""
-        self._heed()
         limits = self._limits
         if limits is None:
             return math.nan

@@ -31,10 +31,6 @@ from hil.vocabulary.interfaces import Sink
 Opened = TypeVar("Opened", bound="HeldRig")
 
 
-def _nothing() -> None:
-    """Nobody asks for the end of the opening."""
-
-
 class HeldRig(Blueprint):
     """A blueprint with its clock, devices and sinks; use it as a context manager.
 
@@ -44,8 +40,6 @@ class HeldRig(Blueprint):
         pressed: the force with which a robot was pressed on its wall before its servos got torque, in words;
             empty where nobody measures it.
         held: how the robot was left; known from `close` on, None where no device was opened.
-        heed: called while the bench opens, between two devices and while the robot is pressed on its wall;
-            what it raises ends that, and what is open is let go of.
     """
 
     def __init__(
@@ -66,7 +60,6 @@ class HeldRig(Blueprint):
         self.clock, self.rig = clock, rig
         self.held: Held | None = None
         self.pressed = ""
-        self.heed: Callable[[], None] = _nothing
         self._hold = HoldWatch(
             rig,
             clock,
@@ -84,14 +77,14 @@ class HeldRig(Blueprint):
         try:
             self.begin()
             self.rig.sensors = replugged(self.rig.sensors, self.clock)
-            self.rig.open(self.heed)
+            self.rig.open()
         except BaseException as error:
             self.held = self._hold.unseen(f"the bench did not open ({type(error).__name__})")
             self._let_go()
             raise
         self._stack.callback(self.rig.close)
         try:
-            self.pressed = Hanging(self.config, self.rig, self.clock, self.heed).hold()
+            self.pressed = Hanging(self.config, self.rig, self.clock).hold()
             self._sinks += [*by_need(self.config, self.rig), *wheel_feed(self, self.rig)]
             if self.on_wall and self.rig.servos is not None:
                 self.rig.servos.enable()

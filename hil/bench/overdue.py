@@ -6,7 +6,7 @@ Foreign code that heeds neither cannot be ended from here: that is said, too. Se
 their driver looks after them when nobody else does.
 
 Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
-need not wait for them (`leave`).
+need not wait for all of them (`leave`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,10 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from types import FrameType
-from typing import NoReturn
 
 from hil.vocabulary.blame import PackageError
 from hil.vocabulary.errors import HilError
@@ -43,7 +42,7 @@ class Patience:
         told: after which it is told of.
         ended: after which it is ended.
         expected: of a call that is not ended.
-        may_be_left: whether `leave` ends it at once.
+        may_be_left: whether `leave` ends it once it is told of.
     """
 
     told: int
@@ -75,15 +74,7 @@ class OverdueError(PackageError):
 
 
 class _Overdue(BaseException):
-    """Ends a call; no `except Exception` of a package keeps it.
-
-    Args:
-        asked: what the call is left with, where somebody has asked for its end.
-    """
-
-    def __init__(self, asked: HilError | None = None) -> None:
-        super().__init__()
-        self.asked = asked
+    """Ends a call; no `except Exception` of a package keeps it."""
 
 
 @dataclass(eq=False)
@@ -96,6 +87,12 @@ class _Call:
     patience: Patience
     began_s: float
     looks: int = 0
+    asked: Callable[[str], HilError] | None = None
+
+    @property
+    def most(self) -> int:
+        """Looks after which it is ended."""
+        return self.patience.ended if self.asked is None else self.patience.told
 
     def __str__(self) -> str:
         return f"{self.kind} ({self.package}): {self.what}"
@@ -127,9 +124,9 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
     try:
         _RUNNING[ident] = call
         yield
-    except _Overdue as end:
-        if end.asked is not None:
-            raise end.asked from None
+    except _Overdue:
+        if call.asked is not None:
+            raise call.asked(str(call)) from None
         ran_s = time.monotonic() - call.began_s
         raise OverdueError(
             kind, package, f"{what} had not come back after {ran_s:.1f} s and was ended",
@@ -142,15 +139,18 @@ def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_C
             _RUNNING[ident] = outer
 
 
-def to_be_left() -> str:
-    """The call in which the thread that asks is, in words, where `leave` would end it; empty elsewhere."""
+def leave(error: Callable[[str], HilError]) -> None:
+    """From a signal handler: have the call that runs, if it may be left, end as soon as it is told of.
+
+    Until then it may come back by itself, so that a healthy device is open before it is let go of.
+
+    Args:
+        error: makes what the call is left with; given the call in words.
+    """
     call = _RUNNING.get(threading.get_ident())
-    return str(call) if call is not None and call.patience.may_be_left else ""
-
-
-def leave(asked: HilError) -> NoReturn:
-    """From a signal handler: end the call that is `to_be_left`, with this error."""
-    raise _Overdue(asked)
+    if call is not None and call.patience.may_be_left:
+        call.asked = error
+        _end()
 
 
 def _watch() -> None:
@@ -162,10 +162,10 @@ def _watch() -> None:
         signal.signal(_SIGNAL, _end)
 
 
-def _end(_number: int, _frame: FrameType | None) -> None:
+def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
     """In the main thread: leave the call that is overdue, if it still runs."""
     call = _RUNNING.get(threading.get_ident())
-    if call is not None and call.looks >= call.patience.ended:
+    if call is not None and call.looks >= call.most:
         raise _Overdue
 
 
@@ -190,13 +190,12 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    told, ended = call.patience.told, call.patience.ended
-    if call.looks == told:
+    if call.looks == call.patience.told:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
-    if call.looks == 0 or call.looks % ended:
+    if call.looks == 0 or call.looks % call.most:
         return
     heard = ident == threading.main_thread().ident and signal.getsignal(_SIGNAL) is _end
-    if not heard or call.looks > ended:
+    if not heard or call.looks > call.most:
         LOG.error(
             "%s has been running for %.1f s and cannot be ended from here: end process %d (kill -9); servos "
             "with torque go on holding the robot", call, ran_s, os.getpid(),

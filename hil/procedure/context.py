@@ -150,7 +150,6 @@ class Context(Notebook):
             bench.add_sink(self.guard)
             for history in (self._hold_history, self._path_history) if self.keep == "all" else ():
                 bench.add_sink(history)
-            bench.heed = self._interrupts.stop_here
             with self._interrupts.deferred():
                 bench.__enter__()
                 self._bench = bench

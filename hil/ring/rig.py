@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, cast
 
@@ -36,16 +36,11 @@ class Rig:
         """Present devices: what holds the robot first, servos last: nothing moves before sensors answer."""
         return (*self.sensors.values(), *(() if self.servos is None else (self.servos,)))
 
-    def open(self, heed: Callable[[], None] = lambda: None) -> None:
-        """Open every device; on failure close those already open and raise the first error.
-
-        Args:
-            heed: called before each; what it raises ends the opening.
-        """
+    def open(self) -> None:
+        """Open every device; on failure close those already open and raise the first error."""
         opened: list[Device] = []
         try:
             for device in self.devices():
-                heed()
                 device.open()
                 opened.append(device)
         except BaseException:

@@ -177,7 +177,7 @@ class RecordingError(Aborted):
 
 
 class DefectError(HilError):
-    """An exception that nobody foresaw; its traceback is printed before it is told."""
+    """An exception that nobody foresaw; its traceback is printed before its message."""
 
     exit_code = EXIT_ABORTED
 

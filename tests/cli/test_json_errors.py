@@ -1,6 +1,7 @@
 """`--json` gives one object on stdout however a command ends: its result, or the error."""
 
 import json
+from contextlib import nullcontext
 
 import click
 import pytest
@@ -77,7 +78,7 @@ def test_an_emulator_that_fails_later_adds_no_second_object(monkeypatch, capsys)
 
     monkeypatch.setattr(benches, "open_emulation", fails_later)
     monkeypatch.setattr("signal.signal", lambda *args: None)
-    monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda priority: None)
+    monkeypatch.setattr("hil.cli.emulate._as_prompt_as_hardware", lambda priority: nullcontext())
     assert main(["emulate", "--bench", "emulated_floor", "--only", "imu", "--json"]) == 3
     assert list(one_object(capsys)) == ["imu"]
 

@@ -64,7 +64,7 @@ def test_a_run_ends_while_a_driver_does_not_open(name, tmp_path, package):
     told = json.loads(out)
     assert told["verdict"] == "ABORTED"
     assert "while this was running: thing (hil-evil 6.6): open()" in told["error"]["message"]
-    assert took_s < 10.0
+    assert took_s < 20.0
 
 
 @pytest.mark.usefixtures("bench")
@@ -75,20 +75,18 @@ def test_a_run_ends_while_its_script_declares_for_ever(name, tmp_path, package):
     code, out, said, took_s = ended(tmp_path, [folder], "in declared", SIGNALS[name])
     assert code == 4, said
     assert json.loads(out)["error"]["exit_code"] == 4
-    assert took_s < 10.0
+    assert took_s < 20.0
 
 
-def test_no_further_device_is_opened_once_a_stop_was_asked_for(monkeypatch):
-    from hil.bench import open_bench
-    from hil.procedure.interrupts import Interrupts
-    from hil.vocabulary.errors import Aborted
-
-    interrupts, opened = Interrupts(), []
-    bench = open_bench("emulated")
-    bench.heed = interrupts.stop_here
-    for device in bench.rig.devices():
-        monkeypatch.setattr(device, "open", lambda: opened.append(interrupts.handle(signal.SIGTERM)))
-        monkeypatch.setattr(device, "close", lambda: None)
-    with interrupts.deferred(), pytest.raises(Aborted, match="stopped at once by STOP"):
-        bench.__enter__()
-    assert len(opened) == 1
+def test_a_driver_that_opens_slowly_is_open_before_a_run_is_ended(tmp_path, package, bench):
+    """So that a robot on a wall is held, and a healthy device is let go of as it should be."""
+    body = STUCK.format(method="open").partition("while")[0] + "for _ in range(10): time.sleep(0.1)\n"
+    body += """
+    def close(self):
+        print("closed", file=sys.stderr, flush=True)
+"""
+    folder = package("hil-slow", PACKAGE + driver(body), "ITEM")
+    code, out, said, _ = ended(tmp_path, [folder], "in open", SIGNALS["term"])
+    assert code == 4, said
+    assert json.loads(out)["error"]["message"].startswith("stopped at once by STOP")
+    assert "closed" in said
