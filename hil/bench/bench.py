@@ -26,7 +26,7 @@ from hil.robot.kinematics import WheelGeometry
 from hil.robot.trajectories import Trajectory
 from hil.vocabulary.clock import Clock, nanoseconds
 from hil.vocabulary.collector import without_collector
-from hil.vocabulary.errors import ConfigError
+from hil.vocabulary.errors import ConfigError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord, RobotState
@@ -137,7 +137,12 @@ class Bench(HeldRig):
         start_pose: ArrayLike | None = None,
         on_cycle: OnCycle | None = None,
     ) -> Motion:
-        """Run the loop without commanding anything; `start_pose` (3,) as in `drive`."""
+        """Run the loop without commanding anything; `start_pose` (3,) as in `drive`.
+
+        Raises:
+            UsageError: a duration that is below 0 or no number.
+        """
+        check_number(duration_s, "duration_s", "s")
         start = RunStart(self.start_state(start_pose), feedback)
         return self._run(self.make_brain(None, feedback=feedback), start, duration_s, on_cycle)
 
@@ -168,7 +173,9 @@ class Bench(HeldRig):
             TrajectoryError: the limits cannot follow it, or it begins elsewhere than the robot stands.
             SafetyStop, DeviceError: the robot is stopped.
             ConfigError: the start pose is unknown.
+            UsageError: `hold_s` is below 0 or no number, or an unknown estimator or law.
         """
+        check_number(hold_s, "hold_s", "s")
         self.check(trajectory)
         stands = None if start_pose is None else self.start_state(start_pose)
         if stands is None:

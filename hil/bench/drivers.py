@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from types import MappingProxyType
 from typing import Any, cast
 
@@ -41,7 +42,8 @@ def make_rig(
         found = connections.get(name, Connection())
         at = table.model_copy(update=dict(found.values))
         model = model_of(config, name)
-        return guarded(kinds()[name], model, lambda: model.driver(at, clock, **found.parts), failures)
+        make = partial(model.driver, at, clock, **found.parts)
+        return guarded(kinds()[name], model, make, failures, at.timeouts_s())
 
     made = {name: driver(name, table) for name, table in config.devices().items()}
     known = {name: kinds()[name] for name in made}

@@ -11,12 +11,21 @@ import functools
 import itertools
 import logging
 import typing
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NoReturn
 
 import numpy as np
 
-from hil.bench.overdue import OverdueError, not_for_ever
+from hil.bench.overdue import (
+    AT_THE_END,
+    BESIDE_CYCLES,
+    IN_A_CYCLE,
+    OverdueError,
+    Patience,
+    not_for_ever,
+    opening,
+)
 from hil.recording.cycle_layout import DTYPES, MAX_DIMENSIONS, SHAPES
 from hil.vocabulary.blame import OURS, PackageError, blamed, told
 from hil.vocabulary.errors import HilError
@@ -42,9 +51,11 @@ Wrong = Callable[[Any], str]
 Failures = Mapping[str, HilError]
 
 
-def guarded(kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures) -> Device:
+def guarded(
+    kind: DeviceKind, model: DeviceModel, make: Callable[[], Device], failures: Failures, timeouts_s: float
+) -> Device:  # fmt: skip
     """The driver that `make` makes; behind a `Guarded` where another package brings it."""
-    return make() if model.package == OURS else Guarded(kind, model, make, failures)
+    return make() if model.package == OURS else Guarded(kind, model, make, failures, timeouts_s)
 
 
 class Guarded:
@@ -55,6 +66,7 @@ class Guarded:
         model: what brings the driver.
         make: makes it; where that fails, `open` says so, and other devices can still be examined.
         failures: by kind, what its emulated device has raised meanwhile (`hil.bench.guarded_parts`).
+        timeouts_s: what the time-outs of its table in the bench file come to; opening it may take as long.
 
     Attributes:
         name: the driver's own, or the kind's where it has none.
@@ -66,13 +78,15 @@ class Guarded:
         model: DeviceModel,
         make: Callable[[], Device],
         failures: Failures,
+        timeouts_s: float = 0.0,
     ) -> None:
         self._kind, self._package, self._failures = kind, model.package, failures
+        self._opening = opening(timeouts_s)
         self._driver: Any = None
         self._failure: HilError | None = None
         self._ended: OverdueError | None = None
         try:
-            with self._blamed("its constructor"):
+            with self._watched("its constructor", self._opening):
                 self._driver = make()
         except HilError as error:
             self._failure = error
@@ -83,6 +97,12 @@ class Guarded:
     def _blamed(self, what: str) -> Any:
         return blamed(self._kind.name, self._package, what)
 
+    @contextmanager
+    def _watched(self, what: str, patience: Patience) -> Iterator[None]:
+        """Run code of the package that is to come back, and whose exceptions are its own."""
+        with self._blamed(what), not_for_ever(self._kind.name, self._package, what, patience):
+            yield
+
     def _blame(self, message: str, expected: str) -> NoReturn:
         raise PackageError(self._kind.name, self._package, message, expected=expected)
 
@@ -92,7 +112,7 @@ class Guarded:
             raise self._failure
         self._check_emulated()
         self._ended = None
-        with self._blamed("open()"):
+        with self._watched("open()", self._opening):
             self._driver.open()
 
     def _check_emulated(self) -> None:
@@ -105,15 +125,18 @@ class Guarded:
         if self._driver is None:
             return
         try:
-            self._driver.close()
-        except (Exception, SystemExit) as error:
+            with not_for_ever(self._kind.name, self._package, "close()", AT_THE_END):
+                self._driver.close()
+        except OverdueError as error:
+            LOG.warning("%s", error)
+        except (Exception, SystemExit, GeneratorExit) as error:
             LOG.warning("%s (%s): close() raised %s", self._kind.name, self._package, told(error))
 
     def identity(self) -> Mapping[str, str]:
         """What the driver says it found."""
         if self._driver is None:
             return {}
-        with self._blamed("identity()"):
+        with self._watched("identity()", AT_THE_END):
             found: Any = self._driver.identity()
         if not isinstance(found, Mapping):
             self._blame(f"identity() gave {_short(found)}", "texts by name, for example {'model': 'X1'}")
@@ -131,7 +154,7 @@ class Guarded:
             raise self._ended
         wanted = f"a tuple of {self._kind.sample.__name__}, oldest first"
         try:
-            with self._blamed("read()"), not_for_ever(self._kind.name, self._package, "read()"):
+            with self._watched("read()", IN_A_CYCLE):
                 samples = self._drained(wanted)
         except OverdueError as error:
             self._ended = error
@@ -165,9 +188,11 @@ class Guarded:
         if not callable(found):
             return found
 
+        patience = self._opening if name == "reopen" else BESIDE_CYCLES
+
         @functools.wraps(found)
         def call(*given: Any, **named: Any) -> Any:
-            with self._blamed(f"{name}()"):
+            with self._watched(f"{name}()", patience):
                 return found(*given, **named)
 
         return call

@@ -7,6 +7,7 @@ emulated devices at the wire in real time in a process of their own, and any mix
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from hil.config.loading import load_bench
 from hil.fakes.faults import Fault, describe
 from hil.fakes.world import VirtualClock
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.errors import DeviceError, UsageError
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.kinds import Connection, kinds
 
@@ -60,7 +61,10 @@ def open_bench(
         ConfigError: the configuration or the calibration is wrong.
         FaultNotSupportedError: a fault that no emulated device of the bench can produce.
         DeviceError: the emulated devices cannot be served.
+        UsageError: a seed that is no whole number from 0 on.
     """
+    if isinstance(seed, bool) or not isinstance(seed, Integral) or seed < 0:
+        raise UsageError(f"seed is {seed!r}", expected="a whole number, 0 or more")
     if start_pose is not None:
         overrides = {**(overrides or {}), "environment.start_pose": [float(v) for v in start_pose]}
     checked = load_bench(config, emulate=emulate, overrides=overrides, seed=seed).settled(realtime=realtime)

@@ -4,30 +4,69 @@ A driver that waits for ever would stop the loop without a word. A thread looks 
 what takes too long, and then interrupts the main thread by a signal, which reaches Python and system calls.
 Foreign code that heeds neither cannot be ended from here: that is said, too. Servos hold a robot meanwhile:
 their driver looks after them when nobody else does.
+
+Opening a device may take seconds, so it has limits of its own; and whoever has asked for the end of a run
+need not wait for all of them (`leave`).
 """
 
 from __future__ import annotations
 
 import logging
+import math
 import os
 import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import FrameType
 
 from hil.vocabulary.blame import PackageError
+from hil.vocabulary.errors import HilError
 
 LOG = logging.getLogger(__name__)
 
-_LOOK_S = 0.5
-_TOLD, _ENDED = 4, 10
-"""Looks at one call after which it is told of, and ended; while the process is stopped nobody looks."""
+_LOOKS_PER_S = 2
+_LOOK_S = 1.0 / _LOOKS_PER_S
 _COMPILER = "numba."
 _SIGNAL = signal.SIGUSR2
+
+
+@dataclass(frozen=True)
+class Patience:
+    """How long a call may take, in looks at it; while the process is stopped nobody looks.
+
+    Attributes:
+        told: after which it is told of.
+        ended: after which it is ended.
+        expected: of a call that is not ended.
+        may_be_left: whether `leave` ends it once it is told of.
+    """
+
+    told: int
+    ended: int
+    expected: str
+    may_be_left: bool = False
+
+
+IN_A_CYCLE = Patience(
+    2 * _LOOKS_PER_S, 5 * _LOOKS_PER_S, "a call that comes back without waiting for anything"
+)
+BESIDE_CYCLES = Patience(2 * _LOOKS_PER_S, 10 * _LOOKS_PER_S, "a call that comes back soon")
+AT_THE_END = replace(BESIDE_CYCLES, may_be_left=True)
+_OPENING_S = 30.0
+_BEYOND_TIMEOUTS_S = 5.0
+
+
+def opening(timeouts_s: float = 0.0) -> Patience:
+    """For opening a device: 30 s, or 5 s more than the time-outs of its table in the bench file."""
+    ended_s = max(_OPENING_S, timeouts_s + _BEYOND_TIMEOUTS_S)
+    return Patience(
+        5 * _LOOKS_PER_S, math.ceil(ended_s * _LOOKS_PER_S),
+        f"a call that gives up after less than {ended_s:g} s and raises DeviceError", True,
+    )  # fmt: skip
 
 
 class OverdueError(PackageError):
@@ -45,8 +84,15 @@ class _Call:
     kind: str
     package: str
     what: str
+    patience: Patience
     began_s: float
     looks: int = 0
+    asked: Callable[[str], HilError] | None = None
+
+    @property
+    def most(self) -> int:
+        """Looks after which it is ended."""
+        return self.patience.ended if self.asked is None else self.patience.told
 
     def __str__(self) -> str:
         return f"{self.kind} ({self.package}): {self.what}"
@@ -58,34 +104,53 @@ _WATCHMEN: list[threading.Thread] = []
 
 
 @contextmanager
-def not_for_ever(kind: str, package: str, what: str) -> Iterator[None]:
+def not_for_ever(kind: str, package: str, what: str, patience: Patience = IN_A_CYCLE) -> Iterator[None]:
     """Run code of a package that is to come back soon.
 
     Args:
         kind: of the device.
         package: name and version.
         what: is run, for example `read()`.
+        patience: how long it may take.
 
     Raises:
         OverdueError: it has been ended.
+        HilError: it has been left, with this (`leave`).
     """
     _watch()
     ident = threading.get_ident()
     outer = _RUNNING.get(ident)
-    call = _RUNNING[ident] = _Call(kind, package, what, time.monotonic())
+    call = _Call(kind, package, what, patience, time.monotonic())
     try:
+        _RUNNING[ident] = call
         yield
     except _Overdue:
+        if call.asked is not None:
+            raise call.asked(str(call)) from None
         ran_s = time.monotonic() - call.began_s
         raise OverdueError(
             kind, package, f"{what} had not come back after {ran_s:.1f} s and was ended",
-            expected="a call that comes back without waiting for anything",
+            expected=patience.expected,
         ) from None  # fmt: skip
     finally:
         if outer is None:
-            del _RUNNING[ident]
+            _RUNNING.pop(ident, None)
         else:
             _RUNNING[ident] = outer
+
+
+def leave(error: Callable[[str], HilError]) -> None:
+    """From a signal handler: have the call that runs, if it may be left, end as soon as it is told of.
+
+    Until then it may come back by itself, so that a healthy device is open before it is let go of.
+
+    Args:
+        error: makes what the call is left with; given the call in words.
+    """
+    call = _RUNNING.get(threading.get_ident())
+    if call is not None and call.patience.may_be_left:
+        call.asked = error
+        _end()
 
 
 def _watch() -> None:
@@ -97,10 +162,10 @@ def _watch() -> None:
         signal.signal(_SIGNAL, _end)
 
 
-def _end(_number: int, _frame: FrameType | None) -> None:
+def _end(_number: int = _SIGNAL, _frame: FrameType | None = None) -> None:
     """In the main thread: leave the call that is overdue, if it still runs."""
     call = _RUNNING.get(threading.get_ident())
-    if call is not None and call.looks >= _ENDED:
+    if call is not None and call.looks >= call.most:
         raise _Overdue
 
 
@@ -125,12 +190,12 @@ def _compiles(frame: FrameType | None) -> bool:
 
 def _judge(ident: int, call: _Call) -> None:
     ran_s = time.monotonic() - call.began_s
-    if call.looks == _TOLD:
+    if call.looks == call.patience.told:
         LOG.warning("%s has been running for %.1f s", call, ran_s)
-    if call.looks == 0 or call.looks % _ENDED:
+    if call.looks == 0 or call.looks % call.most:
         return
     heard = ident == threading.main_thread().ident and signal.getsignal(_SIGNAL) is _end
-    if not heard or call.looks > _ENDED:
+    if not heard or call.looks > call.most:
         LOG.error(
             "%s has been running for %.1f s and cannot be ended from here: end process %d (kill -9); servos "
             "with torque go on holding the robot", call, ran_s, os.getpid(),

@@ -11,6 +11,7 @@ import json
 import logging
 import os
 import sys
+import traceback
 from collections.abc import Sequence
 
 import click
@@ -18,8 +19,9 @@ import click
 from hil import __version__
 from hil.cli.options import PROGRESS, SuggestingGroup
 from hil.cli.output import Answered, Output, error_as_json
+from hil.vocabulary.blame import told as in_a_line
 from hil.vocabulary.collector import seldom
-from hil.vocabulary.errors import EXIT_ABORTED, Aborted, HilError, UsageError
+from hil.vocabulary.errors import EXIT_ABORTED, Aborted, DefectError, HilError, UsageError
 from hil.vocabulary.reading import printable
 from hil.vocabulary.stop_signals import deaf_from_now_on
 
@@ -98,10 +100,11 @@ def cli(verbose: int, progress: str) -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line.
 
-    With `--json` an error is told on stdout too, as the one object that is promised there.
+    With `--json` an error is told on stdout too, as the one object that is promised there. An exception that
+    nobody foresaw is told with its traceback.
 
     Returns:
-        The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted.
+        The exit code: 0 pass, 1 a limit failed, 2 usage or configuration, 3 device, 4 aborted, or a defect.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     answered = Answered()
@@ -122,6 +125,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         word = "interrupted" if isinstance(error, KeyboardInterrupt) else "aborted"
         click.echo(f"hil: {word}", err=True)
         told = error_as_json(Aborted(word))
+    except (Exception, SystemExit, GeneratorExit) as error:
+        traceback.print_exc()
+        defect = DefectError(in_a_line(error))
+        click.echo(printable(f"hil: {defect}"), err=True)
+        told = error_as_json(defect)
     else:
         return result if isinstance(result, int) else 0
     if "--json" in words and not answered.already:

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import click
 
 from hil.cli import progress
+from hil.cli.options import FileName
 
 if TYPE_CHECKING:
     from hil.procedure.operator import Operator
     from hil.vocabulary.interfaces import Sink
 
 answers_option = click.option(
-    "--answers", type=click.Path(path_type=Path, allow_dash=True),
+    "--answers", type=FileName(path_type=Path, allow_dash=True),
     help="File that answers the operator's prompts; - for lines of stdin, as they are asked for.",
 )  # fmt: skip
 

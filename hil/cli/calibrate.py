@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import OUT, SEED, FiniteRange
+from hil.cli.options import FILE, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -41,8 +41,8 @@ _METHODS = ("lm", "interior-point", "ga", "pso")
 @click.option("--no-validation", is_flag=True, help="Skip the cross-validations.")
 @BENCH
 @click.option("--out", type=OUT, help="Write calibration.toml here.")
-@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
-@click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
+@click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+@click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], method: str, setting: str, model: str | None, signal: str | None,

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import SuggestingGroup
+from hil.cli.options import FILE, SuggestingGroup
 
 if TYPE_CHECKING:
     from hil.calibration.versions import KeptVersion
     from hil.config.bench import BenchConfig
 
-_FILE = click.argument("file", type=click.Path(path_type=Path))
+_FILE = click.argument("file", type=FILE)
 _BENCH = click.option("--bench", help="Bench file or profile that uses it: another robot's is refused.")
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
@@ -57,7 +57,7 @@ def list_versions(file: Path, as_json: bool) -> int:
 @command.command("apply")
 @_FILE
 @click.option("--version", type=int, help="Version kept beside FILE.")
-@click.option("--from", "source", type=click.Path(path_type=Path), help="A calibration from elsewhere.")
+@click.option("--from", "source", type=FILE, help="A calibration from elsewhere.")
 @_BENCH
 @_JSON
 def apply_version(

@@ -26,11 +26,11 @@ from hil.cli.campaign_runs import (
     run_case,
     run_case_elsewhere,
 )
-from hil.cli.options import OUT
+from hil.cli.options import FILE, OUT
 from hil.cli.output import kept_for_json
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, Aborted, DataError, UsageError
-from hil.vocabulary.files import write_text
+from hil.vocabulary.files import check_name, write_text
 
 if TYPE_CHECKING:
     from hil.procedure.campaign import Case, Row
@@ -53,8 +53,8 @@ _LONGEST = 400
 @click.option("--emulate", help="Devices to emulate: `all`, or names separated by commas.")
 @click.option("--set", "settings", multiple=True, metavar="KEY=VALUE", help="As in hil run, for all cases.")
 @click.option("--fault", "faults", multiple=True, metavar="SPEC", help="As in hil run, for all cases.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
-@click.option("--answers", type=click.Path(path_type=Path), help="File that answers the operator's prompts.")
+@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
+@click.option("--answers", type=FILE, help="File that answers the operator's prompts.")
 @click.option("--workers", type=click.IntRange(0, 1000), default=os.cpu_count() or 1,
               help="Processes; 0 runs here, without Dask [default: one per core].")  # fmt: skip
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler to use instead.")
@@ -117,6 +117,7 @@ def _absolute(given: str | Path) -> str:
 
     file, name = file_and_name(str(given))
     path = Path(file)
+    check_name(path)
     return ":".join(filter(None, (str(path.absolute()), name))) if path.is_file() else str(given)
 
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import FILE
 from hil.vocabulary.errors import EXIT_DEVICE, EXIT_PASS, DataError, UsageError
 
 if TYPE_CHECKING:
@@ -22,7 +23,7 @@ _START_S, _POLL_S, _STOP_S = 10.0, 0.05, 60.0
 
 @click.command()
 @click.option("--bench", help="Bench file or profile that the page offers [default: each command's own].")
-@click.option("--in", "where", type=click.Path(path_type=Path), default=Path("out"), show_default=True,
+@click.option("--in", "where", type=FILE, default=Path("out"), show_default=True,
               help="Folder of results.")  # fmt: skip
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the page [default: a free one].")
 @click.option("--stop", "stopping", is_flag=True, help="Stop what the console of this folder runs.")

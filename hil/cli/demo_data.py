@@ -12,7 +12,7 @@ from typing import Any
 
 import click
 
-from hil.cli.options import SEED
+from hil.cli.options import FILE, SEED
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 
@@ -23,7 +23,7 @@ _RECORDINGS = (".csv", ".csv.gz", ".mcap", ".db3")
 
 
 @click.command()
-@click.argument("folder", type=click.Path(path_type=Path))
+@click.argument("folder", type=FILE)
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of robot and noise.")
 @click.option("--repetitions", default=4, show_default=True, type=click.IntRange(1, 20))
 @click.option(

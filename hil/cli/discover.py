@@ -43,14 +43,12 @@ def command(
     from hil.bench.discover import discover
     from hil.vocabulary.clock import MonotonicClock
     from hil.vocabulary.errors import UsageError
-    from hil.vocabulary.files import check_file, write_text
+    from hil.vocabulary.files import check_new_file, write_text
 
     if "" in ports:
         raise UsageError("--port ''", expected="a serial port or a pyserial URL")
     if out is not None:
-        if out.exists():
-            raise UsageError(f"{out} exists already", remedy="choose another name for --out")
-        check_file(out)
+        check_new_file(out, "--out")
     found = discover(
         MonotonicClock(),
         ports=ports if ports or places else None,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from hil.cli.options import OUT, SEED
+from hil.cli.options import FILE, OUT, SEED
 from hil.cli.output import Answered
 from hil.vocabulary.clock import sleep_punctually
 from hil.vocabulary.errors import EXIT_PASS, UsageError
@@ -47,7 +47,7 @@ _OF_A_TERMINAL = (signal.SIGINT, signal.SIGHUP)
     help="Write the line here as well, once everything answers; removed at the end.",
 )  # fmt: skip
 @click.option(
-    "--wait", "awaited", type=click.Path(path_type=Path), metavar="FILE",
+    "--wait", "awaited", type=FILE, metavar="FILE",
     help="Serve nothing: wait until another emulator has put FILE there by --out, print it, end.",
 )  # fmt: skip
 @click.option("--lifeline", is_flag=True, help="End as well when standard input is closed.")

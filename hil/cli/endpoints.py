@@ -23,12 +23,14 @@ class EndpointsFile:
     While its emulator lives it is locked (`flock`), so that one that was left behind can be told from it.
 
     Args:
-        path: where it shall appear; only an endpoints file, or an empty one, may be there already.
+        path: where it shall appear; only an endpoints file that was left behind, or an empty one, may be
+            there already.
 
     As a context manager it is removed at the end of the block.
 
     Raises:
-        UsageError: the path holds something else, or cannot be written.
+        UsageError: the path holds something else, or the endpoints of an emulator that runs, or cannot be
+            written.
     """
 
     def __init__(self, path: Path) -> None:
@@ -41,6 +43,7 @@ class EndpointsFile:
                     f"--out {path}: it exists and holds something else than endpoints",
                     remedy="choose another name",
                 )
+            self._refuse_a_living_one()
             path.unlink(missing_ok=True)
             self._partial().touch()
             self._partial().unlink()
@@ -50,6 +53,13 @@ class EndpointsFile:
                 expected="a file name in a folder that exists", remedy="choose another place",
             ) from None  # fmt: skip
 
+    def _refuse_a_living_one(self) -> None:
+        if _of_a_living_emulator(self._path) is not None:
+            raise UsageError(
+                f"--out {self._path}: an emulator that runs has its endpoints there",
+                remedy="choose another name, or end that emulator",
+            )
+
     def _partial(self) -> Path:
         return self._path.with_name(f".{self._path.name}.{os.getpid()}")
 
@@ -58,7 +68,9 @@ class EndpointsFile:
 
         Raises:
             DataError: it cannot be written.
+        UsageError: another emulator has put its own there meanwhile.
         """
+        self._refuse_a_living_one()
         partial = self._partial()
         try:
             self._held = partial.open("w", encoding="utf-8")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.options import FILE
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
@@ -25,7 +26,7 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 
 @click.command()
 @click.argument("data", nargs=-1, required=True)
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
+@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--model", type=click.Choice(MODELS), help="Forward model [default: exact, or the file's].")
 @click.option(
     "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: position]."
@@ -35,8 +36,8 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
     help="Apply the calibration as wheel parameters, or as a 3x3 correction of nominal odometry.",
 )  # fmt: skip
 @BENCH
-@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bags.")
-@click.option("--plots", type=click.Path(path_type=Path), help="Folder for figures and an HTML page.")
+@click.option("--topics", type=FILE, help="Topic mapping of another robot's bags.")
+@click.option("--plots", type=FILE, help="Folder for figures and an HTML page.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     data: tuple[str, ...], calibration: Path | None, model: str | None, signal: str | None,

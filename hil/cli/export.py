@@ -7,15 +7,15 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import FILE, OUT
 from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("recording", type=FILE)
 @click.option("--format", "kind", type=click.Choice(["csv", "parquet"]), help="Default: by --out, else csv.")
 @click.option("--out", type=OUT, help="File to write [default: beside RECORDING].")
-@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
+@click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
     recording: Path, kind: str | None, out: Path | None, topics: Path | None, as_json: bool
@@ -27,7 +27,7 @@ def command(
 
     Example: hil export recording.mcap --format csv
     """
-    from hil.recording.export import write_table
+    from hil.recording.export import check_target, write_table
     from hil.recording.mcap_reader import read_cycles
     from hil.vocabulary.files import check_ending
 
@@ -42,6 +42,7 @@ def command(
         from hil.recording.rosbag import read_bag, read_topic_map
 
         records = list(to_run(read_bag(recording, read_topic_map(topics))).records)
+    check_target(target, chosen)
     rows, columns = write_table(records, target, chosen)
     for problem in problems:
         click.echo(f"hil: {recording}: {problem}", err=True)

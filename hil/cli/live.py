@@ -12,10 +12,10 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import watching
-from hil.cli.options import SEED, FiniteRange, rerun_option, tell_view
+from hil.cli.options import FILE, SEED, FiniteRange, rerun_option, tell_view
 from hil.cli.output import Answered, unreadable
 from hil.vocabulary.errors import EXIT_PASS, Aborted, DataError, HilError, UsageError
-from hil.vocabulary.files import check_file
+from hil.vocabulary.files import check_new_file
 
 if TYPE_CHECKING:
     from hil.bench import Bench
@@ -34,7 +34,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 @click.option(
     "--trajectory",
     "source",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Waypoints (.csv: x,y,theta) or a script (.py) with trajectory(start_pose).",
 )
 @click.option(
@@ -70,9 +70,7 @@ _KINDS = ("odometry", "ekf", "ukf")
 )
 @click.option("--controller", type=click.Choice(["nonlinear", "optimal"]), help="Control law.")
 @rerun_option("spawn, connect, serve, a URL or a .rrd file; several with commas.")
-@click.option(
-    "--record", type=click.Path(path_type=Path), help="Recording to write [default: out/live/TIME.mcap]."
-)
+@click.option("--record", type=FILE, help="Recording to write, a new file [default: out/live/TIME.mcap].")
 @click.option("--no-record", "unrecorded", is_flag=True, help="Write no recording.")
 @click.option(
     "--on-recording-failure",
@@ -82,13 +80,13 @@ _KINDS = ("odometry", "ekf", "ukf")
     show_default=True,
     help="When the disk no longer takes the recording.",
 )
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
+@click.option("--calibration", type=FILE, help="calibration.toml to use.")
 @start.option
 @click.option("--seed", type=SEED, default=0, show_default=True, help="Seed of the emulated world.")
 @click.option(
     "--replay",
     "repeated",
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Recording whose motion the emulated robot repeats, at the wire.",
 )
 @click.option("--fault", "faults", multiple=True, help="Fault, for example imu:stuck@2+3 (repeatable).")
@@ -102,7 +100,7 @@ def command(
 ) -> int:  # fmt: skip
     """Run the control-estimate loop at its rate in real time.
 
-    Every session is recorded, in a new file unless --record names one; see --no-record.
+    Every session is recorded, in a new file: see --record and --no-record.
     Without --trajectory and --command it only watches: no wheel moves. On a wall torque is switched on, so
     that the robot is held; on the floor the servos are left as they are.
     SIGINT, SIGTERM and SIGHUP stop the robot, watch it until it is held, print the summary and end with
@@ -150,7 +148,7 @@ def _must_agree(
     if repeated is not None and (source is not None or commands != "none"):
         raise UsageError("--replay: a repeated recording takes no commands", remedy="only watch it")
     if record is not None:
-        check_file(record)
+        check_new_file(record, "--record")
 
 
 def _loaded(

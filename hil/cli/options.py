@@ -14,6 +14,7 @@ from typing import Any
 import click
 
 from hil.vocabulary.errors import UsageError
+from hil.vocabulary.files import check_name
 
 SEED = click.IntRange(min=0)
 PROGRESS = ("auto", "json")
@@ -53,7 +54,18 @@ class FiniteRange(click.FloatRange):
         return found
 
 
-class _Place(click.Path):
+class FileName(click.Path):
+    """A file or folder. A name that none can have is refused before anything looks for it."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """As click's; raises `UsageError` for such a name."""
+        found = super().convert(value, param, ctx)
+        if isinstance(found, Path) and not (ctx is not None and ctx.resilient_parsing):
+            check_name(found, param.opts[0] if isinstance(param, click.Option) else "")
+        return found
+
+
+class _Place(FileName):
     """A file or folder to write. An empty name, as of a shell variable that is not set, is no place."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
@@ -63,6 +75,8 @@ class _Place(click.Path):
         return super().convert(value, param, ctx)
 
 
+FILE = FileName(path_type=Path)
+"""Type of arguments and options that name a file or a folder."""
 OUT = _Place(path_type=Path)
 """Type of `--out`."""
 

@@ -109,7 +109,7 @@ def _end_command(why: str, *, reader_gone: bool) -> None:
 
 
 class Output:
-    """Both standard streams of this process, watched.
+    """Both standard streams of this process, watched. A closed standard input is read as an empty one.
 
     Raises:
         Aborted: one of them is closed from the beginning.
@@ -120,6 +120,8 @@ class Output:
         while (descriptor := os.open(os.devnull, os.O_RDWR)) <= 2:
             pass  # so that no file of ours takes the place of a standard stream
         os.close(descriptor)
+        if sys.stdin is None:
+            sys.stdin = open(0, encoding="utf-8", closefd=False)  # noqa: SIM115 - for as long as the process lasts
         if closed:
             raise Aborted(f"standard {' and '.join(closed)} closed: nothing was started")
         self._streams = [_watched(sys.stdout), _watched(sys.stderr)]

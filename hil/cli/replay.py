@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 import numpy as np
 
-from hil.cli.options import rerun_option, tell_view
+from hil.cli.options import FILE, rerun_option, tell_view
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, EXIT_USAGE, UsageError
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ _COLUMNS = (
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=Path))
+@click.argument("recording", type=FILE)
 @click.option(
     "--estimator",
     "estimators",
@@ -44,7 +44,9 @@ _COLUMNS = (
     help="Estimator to run on the recorded measurements (repeatable) [default: all four].",
 )
 @click.option(
-    "--verify", is_flag=True, help="Hold every recomputed bit against the recording; exit 1 if one differs."
+    "--verify",
+    is_flag=True,
+    help="Hold every recomputed bit against the recording; exit 1 if one differs, 2 if it is damaged.",
 )
 @click.option(
     "--run",
@@ -53,9 +55,9 @@ _COLUMNS = (
     help="Which run of the recording, from 0 [default: all to verify, the longest to compare].",
 )
 @click.option("--bench", help="Bench file or profile, for recordings that do not carry their own.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the estimators.")
-@click.option("--topics", type=click.Path(path_type=Path), help="Topic mapping of another robot's bag.")
-@click.option("--page", type=click.Path(path_type=Path), help="HTML page with figures.")
+@click.option("--calibration", type=FILE, help="calibration.toml for the estimators.")
+@click.option("--topics", type=FILE, help="Topic mapping of another robot's bag.")
+@click.option("--page", type=FILE, help="HTML page with figures.")
 @rerun_option("Show it: spawn, connect, serve, a URL or a .rrd file.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -106,9 +108,9 @@ def command(
     for problem in opened.problems:
         click.echo(f"hil: {recording}: {problem}", err=True)
     click.echo(json.dumps(result) if as_json else _text(result))
-    if verify and not result["identical"]:
-        return EXIT_LIMIT_FAILED
-    return EXIT_USAGE if opened.problems else EXIT_PASS
+    if opened.problems:
+        return EXIT_USAGE
+    return EXIT_PASS if result.get("identical", True) else EXIT_LIMIT_FAILED
 
 
 def _verified(opened: OpenedRecording, number: int | None) -> dict[str, Any]:

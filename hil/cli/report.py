@@ -7,11 +7,11 @@ from pathlib import Path
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import FILE, OUT
 
 
 @click.command()
-@click.argument("folders", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("folders", nargs=-1, required=True, type=FILE)
 @click.option("--out", type=OUT, help="Where to write the page [default: in the folder].")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(folders: tuple[Path, ...], out: Path | None, as_json: bool) -> int:

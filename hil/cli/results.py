@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import OUT, SuggestingGroup
+from hil.cli.options import FILE, OUT, SuggestingGroup
 from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ _COLOURS = {"PASS": "green", "MARGINAL": "yellow", "FAIL": "red", "ERROR": "red"
 _KEY_ROWS = 2
 
 _IN = click.option(
-    "--in", "where", type=click.Path(path_type=Path), default=Path("out"), show_default=True,
+    "--in", "where", type=FILE, default=Path("out"), show_default=True,
     help="Folder of results.",
 )  # fmt: skip
 _PROCEDURE = click.option("--procedure", default="", help="Only runs of this procedure.")

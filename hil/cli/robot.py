@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import OUT, SuggestingGroup
+from hil.cli.options import FILE, OUT, SuggestingGroup
 
 if TYPE_CHECKING:
     from hil.config.record import KeptVersion, RecordFile
 
-_RECORD = click.argument("record", type=click.Path(path_type=Path))
+_RECORD = click.argument("record", type=FILE)
 _JSON = click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 
 
@@ -26,7 +26,7 @@ def command() -> None:
 @command.command()
 @_RECORD
 @click.option("--version", type=int, help="Another version than the one in place.")
-@click.option("--page", type=click.Path(path_type=Path), help="Write an HTML page, too.")
+@click.option("--page", type=FILE, help="Write an HTML page, too.")
 @_JSON
 def show(record: Path, version: int | None, page: Path | None, as_json: bool) -> int:
     """What is known of the robot, how well, since when, and what is out of date.
@@ -114,7 +114,7 @@ def _two(record: Path, first: int | None, second: int | None) -> tuple[RecordFil
 @_RECORD
 @click.option("--version", type=int, help="Version of the record to put in place.")
 @click.option(
-    "--from", "source", type=click.Path(path_type=Path),
+    "--from", "source", type=FILE,
     help="Take parts from part_NAME.toml, calibration.toml, bench_fragment.toml or another record.",
 )  # fmt: skip
 @click.option("--bench", help="Bench file or profile of the robot; needed with --from.")
@@ -159,7 +159,7 @@ def rollback(record: Path, version: int | None, as_json: bool) -> int:
 
 @command.command()
 @click.option("--bench", default="emulated", show_default=True, help="Bench file or profile name.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to use.")
+@click.option("--calibration", type=FILE, help="calibration.toml to use.")
 @click.option("--out", type=OUT, help="File to write [default: standard output].")
 def urdf(bench: str, calibration: Path | None, out: Path | None) -> int:
     """The robot of a bench for ROS and Foxglove; its joints take the angles of /joint_states.

@@ -11,7 +11,7 @@ import click
 
 from hil.cli import start
 from hil.cli.attended import answers_option, operator, watching
-from hil.cli.options import OUT, SEED, results_folder
+from hil.cli.options import FILE, OUT, SEED, results_folder
 from hil.cli.output import kept_for_json, tell
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import HilError
@@ -68,7 +68,7 @@ class _WithParameters(click.Command):
 @click.option("--fault", "faults", multiple=True, metavar="SPEC",
               help="DEVICE:KIND[@START_S[+DURATION_S]][,OPTION=NUMBER...] in world time, e.g. imu:stuck@2+3; "
               "repeatable. docs/faults.md lists devices, kinds and options.")  # fmt: skip
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml to apply.")
+@click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--out", type=OUT, help="Results folder [default: out/NAME/TIME].")
 @click.option("--resume", is_flag=True, help="Continue an interrupted run (of --out, else the latest).")
 @click.option(

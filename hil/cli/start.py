@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from hil.config.bench import BenchConfig
 
 KEY = "environment.start_pose"
-_FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 90deg)"
+_FORM = "x,y,theta: m, m, rad in the wall frame (theta also as 5deg)"
 
 option = click.option(
     "--start", "start_pose", metavar="X,Y,THETA",
-    help="Where the robot stands if no motion capture sees it: m, m, rad (or 90deg) in the wall frame; "
+    help="Where the robot stands if no motion capture sees it: m, m, rad (or 5deg) in the wall frame; "
     "an emulated robot is put there [default: environment.start_pose].",
 )  # fmt: skip
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.options import OUT
+from hil.cli.options import FILE, OUT
 from hil.cli.progress import reporting
 from hil.vocabulary.errors import ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_ending, check_file, put_whole, refused
@@ -30,11 +31,11 @@ _DEFAULT = (
 
 
 @click.command()
-@click.argument("recordings", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.argument("recordings", nargs=-1, required=True, type=FILE)
 @click.option(
     "--check",
     multiple=True,
-    type=click.Path(path_type=Path),
+    type=FILE,
     help="Held-out recording: scored before and after, not fitted (repeatable).",
 )
 @click.option(
@@ -45,7 +46,7 @@ _DEFAULT = (
 )
 @click.option("--evaluations", default=40, show_default=True, type=click.IntRange(min=2))
 @click.option("--bench", help="Bench file to start from; --out then is a copy of it with the new figures.")
-@click.option("--calibration", type=click.Path(path_type=Path), help="calibration.toml for the wheels.")
+@click.option("--calibration", type=FILE, help="calibration.toml for the wheels.")
 @click.option("--out", type=OUT, help="Write the fitted [estimator] tables here.")
 @click.option("--json", "as_json", is_flag=True, help="One JSON object on stdout.")
 def command(
@@ -61,8 +62,7 @@ def command(
     from hil.estimator.tuning import score, tune
 
     if out is not None:
-        check_ending(out, ".toml")
-        check_file(out)
+        _check_out(out, bench)
     fitted, held_out = _found(recordings), _found(check)
     if twice := _files(fitted) & _files(held_out):
         raise UsageError(
@@ -89,6 +89,26 @@ def command(
         _write(out, bench, found)
     click.echo(json.dumps(result) if as_json else _text(found, pair))
     return 0
+
+
+def _check_out(out: Path, bench: str | None) -> None:
+    """Refuse what cannot be written, and what would be written over: only an earlier result may be."""
+    from hil.vocabulary.reading import read_toml
+
+    check_ending(out, ".toml")
+    check_file(out)
+    if not out.is_file():
+        return
+    if bench is not None and os.path.exists(bench) and out.samefile(bench):
+        raise UsageError(
+            f"--out {out}: is the bench file itself, whose comments would be lost",
+            expected="another name, for a copy of it", remedy="compare the copy with it, and take it over",
+        )  # fmt: skip
+    if out.stat().st_size and "estimator" not in read_toml(out):
+        raise UsageError(
+            f"--out {out}: exists already and holds no [estimator], and nothing else is written over",
+            remedy="choose another name, or remove it",
+        )
 
 
 def _found(paths: Sequence[Path]) -> list[list[Job]]:

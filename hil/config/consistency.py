@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -13,6 +14,7 @@ from hil.config.servo_models import DEFAULT_MODEL, servo_model
 from hil.config.servos import ServosConfig
 from hil.config.tracker import T265Config
 from hil.config.values import TOP_WHEEL_RATE_RAD_S
+from hil.vocabulary.geometry import wrap
 from hil.vocabulary.kinds import added
 
 if TYPE_CHECKING:
@@ -173,6 +175,14 @@ def _of_a_wall(config: BenchConfig) -> Iterator[Problem]:
             "safety.heading_limit_rad",
             f"{safety.heading_limit_rad:g} rad is beyond {limit_rad:.3g} rad, where the robot of [robot] "
             "slides down a melamine wall; safety.tethered = true for a robot on a tether",
+        )
+    heading_rad = config.environment.start_pose[2]
+    if abs(wrap(heading_rad)) > safety.heading_limit_rad:
+        yield (
+            "environment.start_pose",
+            f"a heading of {heading_rad:g} rad is beyond safety.heading_limit_rad = "
+            f"{safety.heading_limit_rad:g} rad ({math.degrees(safety.heading_limit_rad):.3g} deg), where a "
+            "robot on a wall loses its hold; angles are in radians (--start takes degrees as 5deg)",
         )
     if safety.adhesion_limit_m_s2 < _LEAST_ADHESION_M_S2:
         yield (

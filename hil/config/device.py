@@ -28,6 +28,11 @@ class DeviceConfig(Strict):
 
     backend: Literal["real", "emulated"] = "real"
 
+    def timeouts_s(self) -> float:
+        """What all its time-outs come to: so long its driver may take for a device that does not answer."""
+        given = (value for name, value in self if name.endswith("timeout_s"))
+        return sum(float(value) for value in given if isinstance(value, (int, float)))
+
 
 class MountedConfig(DeviceConfig):
     """Of a device whose place on the robot counts.

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import date
 from importlib import resources
-from itertools import takewhile
+from itertools import islice, takewhile
 from pathlib import Path
 from typing import Any, get_args
 
@@ -20,11 +20,14 @@ from hil.config.bench import BenchConfig, bench_model
 from hil.config.consistency import contradictions
 from hil.config.older import area_twice, lifted, told_where_now
 from hil.config.record.overlay import check_record, laid_over
-from hil.vocabulary.errors import ConfigError, did_you_mean
+from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
+from hil.vocabulary.files import check_name
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.reading import put_dotted, read_toml, toml_tables
 
 _PATHS = ("calibration", "emulation.mjcf", "emulation.replay", "monitor.mesh", "record.folder")
+_MOST_LOOKED_AT = 200
+"""Files of a folder in which a bench file is looked for."""
 _NOISE_OF = {"servos": ("process", "wheels", "wall"), "imu": ("gyro",), "tracker": ("tracker",)}
 """Tables of `estimator` that speak of a device."""
 
@@ -43,10 +46,19 @@ def profile_summary(name: str) -> str:
 
 
 def _bench_files(folder: Path) -> list[str]:
-    """TOML files of a folder: what may have been meant by a name that is none."""
+    """Bench files of a folder: what may have been meant by a name that is none."""
     with suppress(OSError):
-        return sorted(str(found) for found in folder.glob("*.toml"))
+        return sorted(
+            str(found) for found in islice(folder.glob("*.toml"), _MOST_LOOKED_AT) if _is_bench(found)
+        )
     return []
+
+
+def _is_bench(path: Path) -> bool:
+    """Whether a TOML file has what every bench file has."""
+    with suppress(HilError):
+        return {"schema", "name"} <= read_toml(path).keys()
+    return False
 
 
 def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
@@ -54,8 +66,10 @@ def find_bench(source: str | Path) -> tuple[dict[str, Any], str]:
 
     Raises:
         ConfigError: it is neither, or cannot be read.
+        UsageError: no file can have that name.
     """
     path = Path(source)
+    check_name(path, "bench")
     if path.suffix == ".toml" or path.exists():
         there = () if path.exists() else _bench_files(path.parent)
         near = did_you_mean(str(source), there)
@@ -171,6 +185,7 @@ def bench_files(tree: Mapping[str, Any], folder: Path) -> dict[str, Path]:
 def _anchor(tree: dict[str, Any], folder: Path) -> None:
     """Make relative paths absolute: those of a bench file start at its folder, others at the current one."""
     for dotted, path in bench_files(tree, folder).items():
+        check_name(path, dotted)
         put_dotted(tree, dotted, str(path), "path")
 
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from hil.robot.trajectories import Trajectory, through
 from hil.robot.waypoints import read_waypoints
+from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.errors import UsageError
 from hil.vocabulary.geometry import Array
 
@@ -64,14 +65,17 @@ def _script(path: Path) -> MakeTrajectory:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a script may raise anything, `sys.exit()` too
         raise UsageError(f"--trajectory {path}: the script fails ({error!r})") from error
     make: Any = getattr(module, "trajectory", None)
     if not callable(make):
         raise UsageError(f"--trajectory {path}", expected="a function trajectory(start_pose)")
 
     def checked(pose: Array) -> Trajectory:
-        made = make(pose)
+        with of_a_script(f"--trajectory {path}: trajectory()"):
+            made = make(pose)
         if not isinstance(made, Trajectory):
             raise UsageError(
                 f"--trajectory {path}: trajectory() returned {type(made).__name__}",

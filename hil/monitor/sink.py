@@ -22,7 +22,7 @@ from hil.monitor.scene import Scene
 from hil.vocabulary.clock import nanoseconds
 from hil.vocabulary.errors import UsageError, did_you_mean
 from hil.vocabulary.extras import how_to_install, is_installed
-from hil.vocabulary.files import check_file
+from hil.vocabulary.files import check_file, check_name
 from hil.vocabulary.geometry import Array
 from hil.vocabulary.interfaces import Sink
 from hil.vocabulary.signals import CycleRecord
@@ -59,6 +59,7 @@ def split_targets(target: str) -> tuple[str, ...]:
             raise UsageError(
                 f"the monitor cannot open {name!r}", expected=expected, remedy=did_you_mean(name, LIVE)
             )
+        check_name(Path(name), "--rerun")
         if not Path(name).resolve().parent.is_dir():
             raise UsageError(f"the monitor cannot open {name!r}: no such folder", expected=expected)
         check_file(Path(name))

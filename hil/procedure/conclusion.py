@@ -15,6 +15,7 @@ from hil.procedure.journal import PastRun
 from hil.procedure.measurements import Measurement, Verdict, worst
 from hil.procedure.parameters import as_dict
 from hil.procedure.results import Failure, Result, git_revision, judge
+from hil.vocabulary.blame import place_of
 from hil.vocabulary.errors import EXIT_ABORTED, EXIT_DEVICE, EXIT_USAGE, Aborted, HilError
 
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EIO)
@@ -28,7 +29,7 @@ def failure(problem: BaseException, context: Context, where: str = "") -> Failur
         return Failure(type(problem).__name__, str(problem), step, code, finished)
     no_room = isinstance(problem, OSError) and problem.errno in _NO_ROOM
     code = EXIT_ABORTED if no_room or isinstance(problem, KeyboardInterrupt) else EXIT_USAGE
-    return Failure(type(problem).__name__, f"{problem} ({_origin(problem)})", step, code, finished)
+    return Failure(type(problem).__name__, f"{problem} ({place_of(problem)})", step, code, finished)
 
 
 def _place(context: Context) -> tuple[str, bool]:
@@ -38,12 +39,6 @@ def _place(context: Context) -> tuple[str, bool]:
     if failed:
         return failed[-1], False
     return (steps[-1]["title"], True) if steps else (context.where, False)
-
-
-def _origin(problem: BaseException) -> str:
-    trace = problem.__traceback__
-    frames = inspect.getinnerframes(trace) if trace is not None else []
-    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
 
 
 def not_held(context: Context, known: Failure | None) -> list[Failure]:

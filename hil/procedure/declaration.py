@@ -21,6 +21,7 @@ from hil.config.bench import BenchConfig
 from hil.procedure.measurements import Measurement, check_unique
 from hil.procedure.parameters import check_model
 from hil.robot.trajectories import Trajectory
+from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
 from hil.vocabulary.kinds import kinds
 
@@ -90,12 +91,14 @@ class Procedure:
             return check_unique(self.measurements)
         declare: Callable[..., Iterable[Measurement]] = self.measurements
         given = (parameters, config)[: len(inspect.signature(declare).parameters)]
-        return check_unique(declare(*given))
+        with of_a_script(f"measurements of procedure {self.name}"):
+            return check_unique(declare(*given))
 
     def steps(self, parameters: Any, config: BenchConfig) -> tuple[PlannedStep, ...]:
         """The plan; without one, the titles written in the function's source."""
         if self.plan is not None:
-            return tuple(self.plan(parameters, config))
+            with of_a_script(f"plan of procedure {self.name}"):
+                return tuple(self.plan(parameters, config))
         try:
             source = inspect.getsource(self.body)
         except (OSError, TypeError):
@@ -112,7 +115,7 @@ class Procedure:
             return "" if self.headline is None else str(self.headline(known))
         except KeyError:
             return ""
-        except Exception as problem:
+        except (Exception, SystemExit, GeneratorExit) as problem:
             LOG.warning("the headline of %s failed (%s: %s)", self.name, type(problem).__name__, problem)
             return ""
 

@@ -3,7 +3,8 @@
 SIGINT once asks for an orderly end at the next step; SIGINT again, SIGTERM or SIGHUP ends the work at
 once: `Aborted` is raised in the main thread, on whose way out the robot is stopped. It is raised once: that
 way out is not cut short. Inside `deferred()` (writing a record, opening and closing a bench, tearing down,
-all that comes after the verdict) a signal waits for the end of the block.
+all that comes after the verdict) a signal waits for the end of the block, or for the code
+of a device package in it that has been running for too long: it may never come back.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from types import FrameType
 
+from hil.bench.overdue import leave
 from hil.vocabulary.errors import Aborted, StepTimeoutError
 from hil.vocabulary.stop_signals import handled_by
 
@@ -79,8 +81,17 @@ class Interrupts:
                 return
             name = _TWICE
         self._stop = self._stop or name
-        if not (self._deferred or self._raised):
+        if self._raised:
+            return
+        if not self._deferred:
             self.stop_here()
+        else:
+            leave(self._left)
+
+    def _left(self, running: str) -> Aborted:
+        """What a call is left with that had been running for too long when a stop was asked for."""
+        self._raised = True
+        return Aborted(f"stopped by {_BY[self._stop or _TWICE]} while this was running: {running}")
 
     @contextmanager
     def deferred(self) -> Iterator[None]:

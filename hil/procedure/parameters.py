@@ -11,6 +11,7 @@ from typing import Any, get_type_hints
 
 from pydantic import BaseModel, TypeAdapter, ValidationError
 
+from hil.vocabulary.blame import of_a_script
 from hil.vocabulary.errors import ConfigError, UsageError, did_you_mean
 from hil.vocabulary.reading import json_value
 
@@ -67,10 +68,11 @@ def make_parameters(model: type[Any], values: Mapping[str, Any], owner: str) -> 
         if not _finite(typed[key]):
             problems.append(f"{key}: must be a finite number (found {value!r})")
     if not problems:
-        try:
-            return _adapter(model).validate_python(typed)
-        except ValidationError as error:
-            problems = [f"{'.'.join(map(str, e['loc'])) or 'all'}: {e['msg']}" for e in error.errors()]
+        with of_a_script(f"parameters of procedure {owner}"):
+            try:
+                return _adapter(model).validate_python(typed)
+            except ValidationError as error:
+                problems = [f"{'.'.join(map(str, e['loc'])) or 'all'}: {e['msg']}" for e in error.errors()]
     raise ConfigError(f"procedure {owner}: {len(problems)} wrong parameter(s)", problems=tuple(problems))
 
 

@@ -77,11 +77,12 @@ def run_procedure(proc: Procedure, source: BenchSource, options: RunOptions) -> 
     Raises:
         HilError: something was wrong before anything could move (configuration, parameters, journal).
     """
-    parameters = make_parameters(proc.parameters, options.parameters, proc.name)
-    proc.check_needs(source.config)
-    source.check_faults()
-    declared = proc.declared(parameters, source.config)
-    header = _header(proc, parameters, source)
+    with options.interrupts.heeded():  # nothing is open, and what a script declares may take for ever
+        parameters = make_parameters(proc.parameters, options.parameters, proc.name)
+        proc.check_needs(source.config)
+        source.check_faults()
+        declared = proc.declared(parameters, source.config)
+        header = _header(proc, parameters, source)
     past = _past(options, header, source.config)
     unhindered = without_collector() if source.virtual else nullcontext()
     with options.interrupts.installed(), options.interrupts.deferred(), unhindered:
@@ -189,7 +190,7 @@ def _execute(
         with interrupts.heeded():
             proc.body(context)
             context.show_histories()
-    except (Exception, KeyboardInterrupt, SystemExit) as problem:
+    except BaseException as problem:  # whatever a script raises, the robot is held and the results are kept
         error = failure(problem, context)
     late: list[Failure] = []
     statistics = None
@@ -211,7 +212,7 @@ def _attempt(
     try:
         with time_limit(limit_s, title):
             action()
-    except Exception as problem:
+    except BaseException as problem:  # the bench has yet to be closed
         late.append(failure(problem, context, title))
     finally:
         context.guard.pop_limit()

@@ -15,6 +15,7 @@ from types import ModuleType
 import hil
 from hil.procedure.declaration import Procedure
 from hil.vocabulary.errors import ConfigError, HilError, did_you_mean
+from hil.vocabulary.files import check_name
 from hil.vocabulary.kinds import kinds
 from hil.vocabulary.mistaken import is_tests, meant
 
@@ -44,9 +45,11 @@ def load_procedure(script: str) -> Procedure:
 
     Raises:
         ConfigError: no such file or name, a script that fails, or not exactly one procedure in it.
+        UsageError: no file can have that name.
     """
     target, wanted = file_and_name(script)
     path = Path(target)
+    check_name(path)
     if path.suffix == ".py":
         if not path.is_file():
             raise ConfigError(f"script {path}: no such file", expected=_known(), remedy=_near(str(path)))
@@ -85,7 +88,9 @@ def _from_file(path: Path) -> ModuleType:
         raise ConfigError(f"{path}: {error}") from None
     except SyntaxError as error:
         raise ConfigError(f"{path}: line {error.lineno}: {error.msg}") from None
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # a script may raise anything, `sys.exit()` too
         raise ConfigError(f"{path}: cannot be loaded ({type(error).__name__}: {error})") from error
 
 
@@ -119,8 +124,14 @@ def modules_beside(script: Path) -> tuple[Path, ...]:
 
 def _choose(module: ModuleType, wanted: str, script: str) -> Procedure:
     found = {p.name: p for p in vars(module).values() if isinstance(p, Procedure)}
+    if wanted and wanted not in found:
+        raise ConfigError(
+            f"{script}: declares no procedure {wanted!r}",
+            expected=f"one of {', '.join(found)}" if found else "a function decorated with @procedure",
+            remedy=did_you_mean(wanted, found),
+        )
     if wanted:
-        found = {n: p for n, p in found.items() if n == wanted}
+        found = {wanted: found[wanted]}
     if not found and not wanted and is_tests(path := Path(script)):
         raise ConfigError(f"{script}: holds no procedure", remedy=meant(path))
     if len(found) != 1:

@@ -12,6 +12,7 @@ import hashlib
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -121,9 +122,48 @@ def write_table(records: Sequence[CycleRecord], path: Path, kind: str) -> tuple[
     return len(table), columns
 
 
-def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
+def check_target(path: Path, kind: str) -> None:
+    """Make sure that a table is written over nothing but an earlier export.
+
+    Args:
+        path: file to write.
+        kind: `csv` or `parquet`.
+
+    Raises:
+        UsageError: there is a file that is none.
+    """
+    if path.is_file() and path.stat().st_size and not _is_export(path, kind):
+        raise UsageError(
+            f"{path}: exists already and is no export of a recording, and nothing else is written over",
+            remedy="choose another --out, or remove it",
+        )
+
+
+def _is_export(path: Path, kind: str) -> bool:
+    """Whether a file has the columns of an export."""
+    if kind == "csv":
+        first = ",".join(COLUMNS).encode()
+        with path.open("rb") as file:
+            return file.read(len(first)) == first
+    parquet = _parquet()
     try:
-        import pyarrow
+        names = parquet.read_schema(str(path)).names
+    except (OSError, ValueError):
+        return False
+    return tuple(names[: len(COLUMNS)]) == COLUMNS
+
+
+def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
+    parquet = _parquet()
+    import pyarrow
+
+    columns = {name: table[:, i] for i, name in enumerate(names)}
+    parquet.write_table(pyarrow.table(columns), str(path))
+
+
+def _parquet() -> Any:
+    """The module that reads and writes Parquet; raises `UsageError` where it is not usable."""
+    try:
         import pyarrow.parquet
     except ModuleNotFoundError:
         raise UsageError(
@@ -134,8 +174,7 @@ def _write_parquet(names: tuple[str, ...], table: Array, path: Path) -> None:
             f"Parquet needs pyarrow, which is installed but broken ({error})",
             remedy="install it again, or use --format csv",
         ) from None
-    columns = {name: table[:, i] for i, name in enumerate(names)}
-    pyarrow.parquet.write_table(pyarrow.table(columns), str(path))
+    return pyarrow.parquet
 
 
 def _wheel_log(samples: Iterable[WheelMeasurement], origin_ns: int) -> Log:

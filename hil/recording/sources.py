@@ -14,6 +14,7 @@ from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
 from hil.vocabulary.errors import DataError
+from hil.vocabulary.files import check_name
 from hil.vocabulary.mistaken import meant
 
 _READERS = 2
@@ -55,11 +56,13 @@ def find_recordings(
     Raises:
         DataError: a path that does not exist or holds no recording.
         ConfigError: the topic mapping is wrong.
+        UsageError: no file can have such a name.
     """
     mapping = None if topics is None else rosbag.read_topic_map(topics)
     jobs: list[Job] = []
     for given in paths:
         path = Path(given)
+        check_name(path)
         found = _folder(path, mapping, nominal) if path.is_dir() else [_file(path, mapping, nominal)]
         if not found:
             raise DataError(

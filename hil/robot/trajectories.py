@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from hil.robot.paths import Arc, Chain, Ints, Pose, Segment, Straight, TimeLaw
-from hil.vocabulary.errors import UsageError
+from hil.vocabulary.errors import UsageError, check_number
 from hil.vocabulary.geometry import Array, ArrayLike, rotation2
 from hil.vocabulary.signals import Reference
 
@@ -139,6 +139,8 @@ def _reference(t_s: float, pose: Pose, velocity: Pose, acceleration: Pose, done:
 
 def _duration(length: float, turn_rad: float, speed: float, acceleration: float, law: TimeLaw) -> float:
     """Time for a stretch within peak wheel speed and acceleration; a turn counts by its wheel path."""
+    check_number(speed, "speed_m_s", "m/s", above_zero=True)
+    check_number(acceleration, "acceleration_m_s2", "m/s^2", above_zero=True)
     path = length + abs(turn_rad) * math.hypot(0.1125, 0.1125)
     if path <= 0:
         raise UsageError("a segment of no length", expected="a start and an end that differ")
@@ -161,11 +163,17 @@ def line(
         duration_s: overrides what the limits would need (and is checked later).
         law: `quintic` or `constant`.
         name: shown in results.
+
+    Raises:
+        UsageError: poses that do not differ, or a duration, speed or acceleration that is not above 0.
     """
+    if duration_s is not None:
+        check_number(duration_s, "duration_s", "s", above_zero=True)
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.hypot(*(b - a)[:2]))
     needed = _duration(length, float(b[2] - a[2]), speed_m_s, acceleration_m_s2, law)
-    return Trajectory(name, (Segment(Straight(_pose(a), _pose(b)), duration_s or needed, law),))
+    time_s = needed if duration_s is None else duration_s
+    return Trajectory(name, (Segment(Straight(_pose(a), _pose(b)), time_s, law),))
 
 
 def rotation(

@@ -6,11 +6,13 @@ is wanted.
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar
 
-from hil.vocabulary.errors import DeviceError, HilError
+from hil.vocabulary.errors import ConfigError, DeviceError, HilError
 
 OURS = "hil"
 _LONGEST = 300
@@ -34,6 +36,29 @@ def told(error: BaseException) -> str:
     return f"{type(error).__name__}: {text[:_LONGEST]}" if text else type(error).__name__
 
 
+def place_of(error: BaseException) -> str:
+    """File and line from which an exception comes."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}" if frames else "unknown place"
+
+
+@contextmanager
+def of_a_script(what: str) -> Iterator[None]:
+    """Run a user's function; what it raises beside our own errors becomes a `ConfigError`.
+
+    Args:
+        what: is run, for example `measurements of procedure square`.
+    """
+    try:
+        yield
+    except (HilError, KeyboardInterrupt):
+        raise
+    except BaseException as error:
+        raise ConfigError(
+            f"{what}: {told(error)} ({place_of(error)})", remedy="mend the script there"
+        ) from error
+
+
 @contextmanager
 def blamed(kind: str, package: str, what: str) -> Iterator[None]:
     """Run code of a package; what it raises beside our own errors becomes a `PackageError`.
@@ -50,7 +75,7 @@ def blamed(kind: str, package: str, what: str) -> Iterator[None]:
         yield
     except HilError:
         raise
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit, GeneratorExit) as error:
         if package == OURS:
             raise
         raise PackageError(kind, package, f"{what} raised {told(error)}") from error

@@ -9,7 +9,9 @@ stderr and `exit_code`; it never shows a traceback for one of these.
 from __future__ import annotations
 
 import difflib
+import math
 from collections.abc import Iterable
+from numbers import Real
 
 EXIT_PASS = 0
 EXIT_LIMIT_FAILED = 1
@@ -80,6 +82,24 @@ class ConfigError(HilError, ValueError):
 
 class UsageError(HilError, ValueError):
     """A command or a call cannot mean anything sensible (bad argument, bad combination)."""
+
+
+def check_number(value: float, name: str, unit: str, *, above_zero: bool = False) -> None:
+    """Refuse an argument that is not finite, or below zero.
+
+    Args:
+        value: of the argument.
+        name: of the argument.
+        unit: of its value, for the error.
+        above_zero: zero is refused, too.
+
+    Raises:
+        UsageError: naming argument, value and what was expected.
+    """
+    if isinstance(value, Real) and math.isfinite(value) and (value > 0 if above_zero else value >= 0):
+        return
+    least = "more than 0" if above_zero else "0 or more"
+    raise UsageError(f"{name} is {value!r}", expected=f"a finite number of {unit}, {least}")
 
 
 class DataError(HilError, ValueError):
@@ -154,6 +174,18 @@ class RecordingError(Aborted):
     def __init__(self, path: str, message: str, *, remedy: str = "") -> None:
         self.path = path
         super().__init__(f"{path}: {message}", remedy=remedy)
+
+
+class DefectError(HilError):
+    """An exception that nobody foresaw; its traceback is printed before its message."""
+
+    exit_code = EXIT_ABORTED
+
+    def __init__(self, what: str) -> None:
+        super().__init__(
+            f"{what}: a defect of this program",
+            remedy="report it with the traceback on standard error and what hil info prints",
+        )
 
 
 class StepTimeoutError(HilError, TimeoutError):

@@ -15,6 +15,29 @@ _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
 
 
+def check_name(path: Path, whose: str = "") -> None:
+    """Make sure that a file or folder can have this name, whether it is there or not.
+
+    Args:
+        path: of the file or folder.
+        whose: what names it, for the error: an option, or the key of a bench file.
+
+    Raises:
+        UsageError: it is longer than file systems take, or lies where one may not even look.
+    """
+    try:
+        path.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return
+    except (OSError, ValueError) as error:  # ValueError: a NUL character
+        too_long = getattr(error, "errno", None) == errno.ENAMETOOLONG
+        raise UsageError(
+            f"{whose + ': ' if whose else ''}{path}: no file can be there ({reason(error)})",
+            expected="names of at most 255 bytes, 4095 with all folders" if too_long else "",
+            remedy="choose a shorter name" if too_long else "choose another place",
+        ) from None  # fmt: skip
+
+
 def write_text(path: Path, text: str) -> Path:
     """Write a text as UTF-8, over what was there, in a folder that need not exist; returns the path.
 
@@ -85,6 +108,26 @@ def check_file(path: Path) -> None:
     _probe(path, path.parent)
     if path.exists() and not os.access(path, os.W_OK):
         raise DataError(str(path), "cannot be written (Permission denied)", remedy=_NOT_YOURS)
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """Make sure that a file can be written that is not there yet; a device, as /dev/null, may be.
+
+    Args:
+        path: of the file.
+        option: that names it.
+
+    Raises:
+        UsageError: there is a file of that name.
+        DataError: it cannot be written.
+    """
+    if path.is_file():
+        raise UsageError(
+            f"{option} {path}: exists already, and nothing is written over",
+            expected="the name of a new file",
+            remedy="choose another name, or remove it",
+        )
+    check_file(path)
 
 
 def check_ending(path: Path, *endings: str) -> None:

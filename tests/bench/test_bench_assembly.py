@@ -1,6 +1,7 @@
 """`open_bench`: the same devices and loop in virtual time, at the wire and mixed; a seed decides all."""
 
 import hashlib
+import math
 import pickle
 
 import numpy as np
@@ -183,3 +184,18 @@ command_port = {emulator["mocap"]["command_port"]}
         assert inputs.servos
         assert any(r.inputs.imu for r in motion.records[-20:])
         assert any(r.inputs.tracker for r in motion.records[-20:])
+
+
+@pytest.mark.parametrize("wrong", [-5, math.nan, math.inf, "1"])
+def test_times_that_are_none_are_refused_before_anything_moves(wrong):
+    bench = hil.open_bench("emulated")
+    with pytest.raises(UsageError, match=r"^hold_s is .*; expected a finite number of s, 0 or more$"):
+        bench.drive(line((0, 0, 0), (0.05, 0, 0)), hold_s=wrong)
+    with pytest.raises(UsageError, match=r"^duration_s is .*; expected a finite number of s, 0 or more$"):
+        bench.observe(wrong)
+
+
+@pytest.mark.parametrize("wrong", [-1, 1.5, True, "1", None])
+def test_a_seed_that_is_none_is_refused(wrong):
+    with pytest.raises(UsageError, match=r"^seed is .*; expected a whole number, 0 or more$"):
+        hil.open_bench(seed=wrong)

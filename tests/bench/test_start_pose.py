@@ -14,6 +14,14 @@ from hil.robot.trajectories import line
 from hil.vocabulary.errors import ConfigError, UsageError
 
 REAL = 'schema = 1\nname = "blind"\n[servos]\nport = "/dev/no-such-port"\n[imu]\nbackend = "emulated"\n'
+WALL = """
+schema = 1
+name = "wall"
+[environment]
+start_pose = [0.0, 0.0, 90.0]
+[servos]
+backend = "emulated"
+"""
 STRAIGHT = line((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), duration_s=2.0)
 
 
@@ -106,3 +114,30 @@ def test_at_a_terminal_it_is_asked_until_it_is_answered(blind, monkeypatch):
         asked = err.getvalue().decode()
     assert asked.count("blind: where does the robot stand? (x,y,theta: m, m, rad") == 2
     assert start.asked_start(load_bench("emulated")) == {}
+
+
+@pytest.mark.parametrize(
+    "words", [["run", "bring_up"], ["live"], ["doctor"], ["run", "bring_up", "--dry-run"]]
+)
+def test_degrees_in_place_of_radians_are_refused_before_anything_opens(words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    given = ["--start", "0,0,90"]
+    if words == ["doctor"]:
+        (tmp_path / "bench.toml").write_text(WALL)
+        given = ["--bench", "bench.toml"]
+    assert main([*words, *given]) == 2
+    said = capsys.readouterr().err
+    assert (
+        "environment.start_pose: a heading of 90 rad is beyond safety.heading_limit_rad = 0.2618 rad" in said
+    )
+    assert "angles are in radians" in said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("heading_rad", [0.26, -0.26, 2 * math.pi])
+def test_a_heading_within_the_limit_is_taken_also_by_a_whole_turn(heading_rad):
+    assert load_bench("emulated", overrides={"environment.start_pose": (0.0, 0.0, heading_rad)})
+
+
+def test_on_the_floor_a_robot_may_head_anywhere():
+    assert load_bench("emulated_floor", overrides={"environment.start_pose": (0.0, 0.0, 1.57)})

@@ -101,3 +101,16 @@ def test_a_profile_speaks_of_the_noise_of_what_it_emulates_only():
     assert load_bench("emulated", overrides=given).estimator.tracker.position_m == 2e-3
     paper = load_bench("emulated", overrides={"estimator.preset": "paper"})
     assert paper.estimator == EstimatorConfig(preset="paper")
+
+
+def test_only_bench_files_are_suggested_for_one_that_is_missing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "pyproject.toml").write_text("[project]\nname = 'mine'\n")
+    (tmp_path / "bench1.toml").write_text("broken [")
+    with pytest.raises(ConfigError) as missing:
+        load_bench("bench.toml")
+    assert missing.value.remedy == "give a bench.toml or a profile name"
+    (tmp_path / "bench_2.toml").write_text('schema = 1\nname = "lab"\n')
+    with pytest.raises(ConfigError) as missing:
+        load_bench("bench.toml")
+    assert missing.value.remedy == "did you mean bench_2.toml?"

@@ -100,3 +100,56 @@ def test_many_short_reads_are_not_one_long_one(package, hil, caplog):
     folder = package("hil-good", hanging("time.sleep(0.05); return (self.sample(),)"), "ITEM")
     assert hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder]).code == 0
     assert "has been running" not in caplog.text
+
+
+OPENING = {**HANGING, "samples that never come": "self.never().__next__()"}
+
+
+def spoilt(method, body):
+    text = f"def {method}(self):\n        {body}\n{NEVER}"
+    return PACKAGE + "import os\nimport threading\n\n\n" + driver(text)
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize("case", OPENING)
+def test_an_open_that_never_returns_is_named_and_ended(case, package, hil, caplog):
+    folder = package("hil-evil", spoilt("open", OPENING[case]), "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 3, done.out + done.said
+    assert "thing (hil-evil 6.6): open() had not come back after" in done.out + done.said
+    assert "a call that gives up after less than 30 s and raises DeviceError" in done.out + done.said
+    assert caplog.text.count("thing (hil-evil 6.6): open() has been running for") == 1
+
+
+@pytest.mark.usefixtures("bench")
+@pytest.mark.parametrize(
+    ("method", "args"), [("__init__", "self, config, clock"), ("identity", "self"), ("open", "self")]
+)
+def test_a_look_at_a_device_that_never_answers_is_ended(method, args, package, hil):
+    body = f"def {method}({args}):\n        while True: pass\n"
+    folder = package("hil-evil", PACKAGE + driver(body), "ITEM", version="6.6")
+    done = hil("doctor", "--bench", "bench.toml", packages=[folder])
+    what = "its constructor" if method == "__init__" else f"{method}()"
+    assert f"thing (hil-evil 6.6): {what} had not come back after" in done.out + done.said
+    assert done.code != 0, done.out + done.said
+
+
+@pytest.mark.usefixtures("bench")
+def test_a_close_that_never_returns_is_named_and_the_others_are_closed(package, hil, caplog):
+    folder = package("hil-evil", spoilt("close", "while True: pass"), "ITEM", version="6.6")
+    done = hil("run", "look.py", "--bench", "bench.toml", "--out", "out", packages=[folder])
+    assert done.code == 0, done.out + done.said
+    assert "thing (hil-evil 6.6): close() had not come back after" in caplog.text
+
+
+def test_opening_may_take_what_the_time_outs_of_the_table_allow():
+    assert overdue.opening(3.0).ended == overdue.opening().ended == 60
+    assert overdue.opening(60.0).ended == 130
+
+
+def test_the_time_outs_of_a_table_are_added_up():
+    from hil.config.mocap import MocapConfig
+    from hil.config.tracker import T265Config
+
+    assert MocapConfig(open_timeout_s=7.0).timeouts_s() == 7.0
+    assert T265Config(connect_timeout_s=20.0, open_timeout_s=6.0).timeouts_s() == 26.0

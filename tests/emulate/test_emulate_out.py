@@ -132,14 +132,28 @@ def test_an_emulator_takes_only_its_own_file_away(tmp_path):
     file = tmp_path / "endpoints.json"
     first = EndpointsFile(file)
     first.write('{"imu": {"port": "/dev/pts/1"}}')
+    file.unlink()
     second = EndpointsFile(file)
-    assert not file.exists()
     second.write('{"imu": {"port": "/dev/pts/2"}}')
     first.remove()
     assert "/dev/pts/2" in file.read_text()
     second.remove()
     second.remove()
     assert not file.exists()
+
+
+def test_the_endpoints_of_an_emulator_that_runs_are_not_taken_over(tmp_path, capsys):
+    file = tmp_path / "endpoints.json"
+    late, first = EndpointsFile(file), EndpointsFile(file)
+    first.write('{"imu": {"port": "/dev/pts/1"}}')
+    assert main(["emulate", "--only", "imu", "--out", str(file)]) == 2
+    assert f"--out {file}: an emulator that runs has its endpoints there" in capsys.readouterr().err
+    with pytest.raises(UsageError, match="an emulator that runs"):
+        late.write('{"imu": {"port": "/dev/pts/2"}}')
+    late.remove()
+    assert "/dev/pts/1" in file.read_text()
+    first.remove()
+    assert EndpointsFile(file)
 
 
 def test_a_pipe_is_not_waited_for(tmp_path):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from estimator_drives import drive
 
 from hil.cli.tune import command
@@ -186,3 +187,18 @@ def test_what_is_given_twice_is_fitted_once_and_never_held_out_too(tmp_path, cap
     assert twice.err.count("given more than once, taken once") == 1
     with pytest.raises(UsageError, match="fitted and held out at once"):
         command.main([str(folder), "--check", str(csv_with_truth), *words], standalone_mode=False)
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [('schema = 1\nname = "lab"\n', "holds no"), ('schema = 1\nname = "lab"\n[estimator]\n', "is the bench")],
+)
+def test_fitted_figures_are_not_written_over_what_is_none(tmp_path, text, why):
+    out = tmp_path / "bench.toml"
+    out.write_text(text)
+    bench = ("--bench", str(out)) if "is the" in why else ()
+    refused = CliRunner().invoke(command, [str(tmp_path), "--out", str(out), *bench], standalone_mode=False)
+    assert isinstance(refused.exception, UsageError)
+    assert f"--out {out}: " in str(refused.exception)
+    assert why in str(refused.exception)
+    assert out.read_text() == text

@@ -297,3 +297,15 @@ def test_what_contradicts_itself_is_refused():
         ["--record", "a.mcap", "--no-record"],
     ):
         assert main(["live", *options]) == 2
+
+
+@pytest.mark.parametrize("name", ["run.mcap", "mine.py"])
+def test_a_file_that_is_there_is_not_recorded_over(tmp_path, capsys, name):
+    kept = tmp_path / name
+    kept.write_text("precious")
+    assert main(["live", "--duration", "0.1", "--record", str(kept)]) == 2
+    said = capsys.readouterr().err
+    assert f"--record {kept}: exists already, and nothing is written over" in said
+    assert "choose another name, or remove it" in said
+    assert "recording to" not in said
+    assert kept.read_text() == "precious"

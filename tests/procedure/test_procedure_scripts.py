@@ -3,8 +3,11 @@
 import subprocess
 import sys
 
+import pytest
+
 from hil.procedure import Procedure
 from hil.procedure.scripts import load_procedure, shipped_names
+from hil.vocabulary.errors import ConfigError
 
 FIND = """
 from hil.procedure.scripts import load_procedure, shipped_names
@@ -34,3 +37,16 @@ def test_a_users_folder_of_the_same_name_hides_nothing(tmp_path):
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     assert done.stderr == ""
     assert done.stdout.split() == ["wall_tracking", "mine"]
+
+
+def test_a_procedure_that_a_script_does_not_declare_is_told_with_those_that_it_does(tmp_path):
+    text = "from hil.procedure import procedure\n"
+    for name in ("short_line", "long_line"):
+        text += f"@procedure(name={name!r})\ndef {name}(ctx):\n    pass\n"
+    (tmp_path / "mine.py").write_text(text)
+    with pytest.raises(ConfigError) as refused:
+        load_procedure(f"{tmp_path}/mine.py:short_lin")
+    assert refused.value.message == f"{tmp_path}/mine.py:short_lin: declares no procedure 'short_lin'"
+    assert refused.value.expected == "one of short_line, long_line"
+    assert refused.value.remedy == "did you mean short_line?"
+    assert load_procedure(f"{tmp_path}/mine.py:long_line").name == "long_line"

@@ -1,10 +1,12 @@
 """A damaged recording is called damaged, with the byte; only another robot's needs a topic mapping."""
 
+import json
 import re
 
 import pytest
 from mcap_cases import driving_record
 
+from hil.bench import open_bench
 from hil.cli import main
 from hil.recording.mcap_reader import read_cycles
 from hil.recording.mcap_writer import McapRecorder
@@ -67,3 +69,31 @@ def test_the_command_says_so_and_ends_with_2(tmp_path, whole, capsys):
     path.write_bytes(whole[:100])
     assert main(["replay", str(path)]) == 2
     assert "run.mcap: ends early at byte" in capsys.readouterr().err
+
+
+@pytest.fixture(scope="module")
+def driven(tmp_path_factory):
+    """A recording of three runs that repeats bit for bit."""
+    path = tmp_path_factory.mktemp("driven") / "run.mcap"
+    bench = open_bench("emulated_floor")
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
+        for _ in range(3):
+            bench.observe(1.5)
+    return path.read_bytes()
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_a_flipped_byte_is_damage_to_who_verifies_too(tmp_path, driven, capsys, share):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(driven)
+    assert main(["replay", str(path), "--verify"]) == 0
+    at = int(share * len(driven))
+    path.write_bytes(driven[:at] + bytes([driven[at] ^ 0x10]) + driven[at + 1 :])
+    capsys.readouterr()
+    assert main(["replay", str(path), "--verify", "--json"]) == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert told["problems"]
+    assert f"hil: {path}: {told['problems'][0]}" in said.err
+    assert main(["replay", str(path), "--estimator", "odometry"]) == 2

@@ -175,3 +175,26 @@ def test_a_truncated_bag_is_a_data_error(recording, tmp_path):
 def test_wrong_mappings_list_their_problems(tmp_path, text, reason):
     with pytest.raises(ConfigError, match=reason):
         mapped(tmp_path, text)
+
+
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_nothing_but_an_earlier_export_is_written_over(recording, tmp_path, kind):
+    out = tmp_path / f"table.{kind}"
+    words = [str(recording), "--out", str(out)]
+    out.write_bytes(b"t,x,y,theta\n0,0,0,0\n")
+    before = out.read_bytes()
+    refused = CliRunner().invoke(command, words, standalone_mode=False)
+    assert isinstance(refused.exception, UsageError)
+    assert f"{out}: exists already and is no export of a recording" in str(refused.exception)
+    assert out.read_bytes() == before
+    out.unlink()
+    for _ in range(2):
+        assert CliRunner().invoke(command, words, standalone_mode=False).exception is None
+
+
+def test_another_table_of_parquet_is_not_written_over(recording, tmp_path):
+    out = tmp_path / "mine.parquet"
+    pyarrow.parquet.write_table(pyarrow.table({"t": [0.0]}), str(out))
+    refused = CliRunner().invoke(command, [str(recording), "--out", str(out)], standalone_mode=False)
+    assert isinstance(refused.exception, UsageError)
+    assert pyarrow.parquet.read_schema(str(out)).names == ["t"]

@@ -294,3 +294,17 @@ def test_only_the_segments_that_a_known_trajectory_ends_with_are_not_looked_at_a
             check(tr.Trajectory("new", parts), CAD, MotionLimits(), known=known)
     accepted = tr.Trajectory("accepted", (fast, end))
     check(tr.Trajectory("new", (slow, fast, end)), CAD, MotionLimits(), known=accepted)
+
+
+@pytest.mark.parametrize("wrong", [-6, 0, 0.0, math.nan, math.inf, "6"])
+@pytest.mark.parametrize("name", ["duration_s", "speed_m_s", "acceleration_m_s2"])
+def test_a_duration_or_speed_that_is_none_is_refused(name, wrong):
+    with pytest.raises(UsageError) as refused:
+        tr.line(ORIGIN, [1.0, 0, 0], **{name: wrong})
+    assert refused.value.message == f"{name} is {wrong!r}"
+    assert refused.value.expected.startswith("a finite number of ")
+
+
+def test_a_duration_is_what_it_says():
+    assert tr.line(ORIGIN, [1.0, 0, 0], duration_s=6).duration_s == 6
+    assert tr.line(ORIGIN, [1.0, 0, 0]).duration_s == tr.line(ORIGIN, [1.0, 0, 0], duration_s=None).duration_s

@@ -1,0 +1,140 @@
+"""What nobody foresaw: a traceback for the bug report, exit code 4, one JSON object; and two causes of it."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from hil import bench as benches
+from hil.cli import main
+
+SCRIPT = """
+from hil.procedure import Measurement, procedure
+
+@procedure(name="short", needs=("imu",), measurements=[Measurement("value", "m", high=1.0)])
+def run(ctx):
+    ctx.measure("value", 0.5)
+"""
+LONG = "n" * 300
+BENCH = f"{LONG}.toml"
+NAMED = {
+    "replay": ["replay", f"{LONG}.mcap"], "replay --page": ["replay", "x.mcap", "--page", f"{LONG}.html"],
+    "run": ["run", f"{LONG}.py"], "run a name": ["run", LONG], "run one of": ["run", f"{LONG}.py:short"],
+    "run --out": ["run", "short.py", "--out", LONG], "run --bench": ["run", "short.py", "--bench", BENCH],
+    "run --answers": ["run", "short.py", "--answers", LONG],
+    "report": ["report", LONG], "report --out": ["report", ".", "--out", f"{LONG}.html"],
+    "export": ["export", f"{LONG}.mcap"], "export --out": ["export", "x.mcap", "--out", f"{LONG}.csv"],
+    "tune": ["tune", f"{LONG}.mcap"], "tune --out": ["tune", "x.mcap", "--out", f"{LONG}.toml"],
+    "evaluate": ["evaluate", LONG], "calibrate": ["calibrate", LONG],
+    "calibrate --out": ["calibrate", "x", "--out", f"{LONG}.toml"],
+    "evaluate --plots": ["evaluate", "x", "--plots", LONG],
+    "results": ["results", "list", "--in", LONG], "live": ["live", "--record", f"{LONG}.mcap"],
+    "live --rerun": ["live", "--rerun", f"{LONG}.rrd"], "live --trajectory": ["live", "--trajectory", LONG],
+    "doctor": ["doctor", "--bench", BENCH], "emulate": ["emulate", "--bench", BENCH],
+    "campaign": ["campaign", f"{LONG}.py"], "campaign --out": ["campaign", "short.py", "--out", LONG],
+    "accept": ["accept", "--bench", BENCH], "commission": ["commission", "--bench", BENCH],
+    "demo-data": ["demo-data", LONG], "robot": ["robot", "show", LONG],
+    "calibration": ["calibration", "list", f"{LONG}.toml"],
+    "a key": ["run", "short.py", "--set", f"bench.calibration={LONG}"],
+}  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    (tmp_path / "short.py").write_text(SCRIPT)
+    (tmp_path / "x.mcap").write_bytes(b"")
+    (tmp_path / "x").mkdir()
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize("raised", [KeyError("lost"), SystemExit(0), GeneratorExit()], ids=repr)
+def test_an_exception_that_nobody_foresaw_is_a_defect(raised, monkeypatch, capsys):
+    def failing(*args, **kwargs):
+        raise raised
+
+    monkeypatch.setattr(benches, "open_emulation", failing)
+    assert main(["emulate", "--json"]) == 4
+    said = capsys.readouterr()
+    told = json.loads(said.out)["error"]
+    name = type(raised).__name__
+    assert told["message"].startswith(name)
+    assert told["message"].endswith("a defect of this program")
+    assert told["exit_code"] == 4
+    assert "Traceback" in said.err
+    *_, last = said.err.splitlines()
+    assert last.startswith(f"hil: {name}")
+    assert "report it with the traceback on standard error and what hil info prints" in last
+
+
+@pytest.mark.parametrize("case", NAMED)
+def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys):
+    before = sorted(p.name for p in folder.iterdir())
+    assert main([*NAMED[case], "--json"]) == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)["error"]
+    assert LONG in told["message"]
+    assert told["remedy"] == "choose a shorter name"
+    assert "Traceback" not in said.err
+    assert len(said.err.splitlines()) == 1
+    assert sorted(p.name for p in folder.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    "words", [["run", "short.py", "--json"], ["live", "--duration", "0.3", "--no-record", "--json"]]
+)
+@pytest.mark.usefixtures("warm_commands")
+def test_a_closed_standard_input_is_an_empty_one(words, folder):
+    """As a service or a container may have it."""
+    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", *words]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert not json.loads(done.stdout).get("error")
+    assert "Traceback" not in done.stderr
+
+
+def test_a_question_without_standard_input_ends_the_run(folder):
+    (folder / "ask.py").write_text(SCRIPT.replace('ctx.measure("value", 0.5)', 'ctx.prompt("ready?")'))
+    command = ["sh", "-c", 'exec "$@" <&-', "sh", sys.executable, "-m", "hil", "run", "ask.py", "--json"]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 4, done.stderr
+    assert "there is no operator to answer 'ready?'" in json.loads(done.stdout)["error"]["message"]
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "raised", ["GeneratorExit", "SystemExit(0)", "KeyError('x')", "type('E', (BaseException,), {})"]
+)
+@pytest.mark.parametrize("where", ["load", "measurements", "body", "teardown"])
+def test_a_script_may_raise_anything(raised, where, folder, capsys):
+    (folder / "bad.py").write_text(f"""
+from hil.procedure import Measurement, procedure
+
+def end():
+    raise {raised}
+
+def declared(parameters):
+    return end() if {where!r} == "measurements" else ()
+
+@procedure(name="short", needs=("imu",), measurements=declared)
+def run(ctx):
+    ctx.bench.observe(0.1)
+    ctx.on_teardown(end if {where!r} == "teardown" else print)
+    if {where!r} == "body":
+        end()
+
+if {where!r} == "load":
+    end()
+""")
+    assert main(["run", "bad.py", "--out", "out", "--json"]) == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert "Traceback" not in said.err
+    if where in ("load", "measurements"):
+        assert "bad.py" in told["error"]["message"]
+    else:
+        assert told["verdict"] == "ERROR"
+        found = told["error"] or told["teardown_errors"][0]
+        assert "(bad.py, line 5)" in found["message"]
+        assert told["held"]["state"] != "NOT HELD"
