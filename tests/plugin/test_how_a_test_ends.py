@@ -71,7 +71,7 @@ def test_at_the_wire_it_is_an_error_that_says_how_to_have_it_again(pytester):
     assert "site-packages" not in result.stdout.str()
 
 
-def item(warned, *, real=(), fails=False):
+def item(warned, *, real=(), fails=False, blind=None):
     """A test as `end` needs it."""
 
     def warn(warning):
@@ -81,7 +81,7 @@ def item(warned, *, real=(), fails=False):
 
     return SimpleNamespace(
         user_properties=[], add_report_section=lambda *told: None, warn=warn, iter_markers=lambda name: (),
-        source=SimpleNamespace(real=real), config=None,
+        source=SimpleNamespace(real=real), config=SimpleNamespace(getoption=lambda name: blind),
     )  # fmt: skip
 
 
@@ -115,6 +115,17 @@ def test_a_lost_robot_is_an_error_where_it_matters(
         ending.end(tested, bench, passed=True)
     assert len(warned) == warns
     assert ("held", "NOT HELD") in tested.user_properties
+
+
+def test_a_robot_that_is_broken_on_purpose_is_no_warning(monkeypatch):
+    warned = []
+    tested = item(warned, blind="*")
+    monkeypatch.setattr(ending, "source_of", lambda _: tested.source)
+    world = SimpleNamespace(faults=SimpleNamespace(touched=False))
+    bench = SimpleNamespace(config=SimpleNamespace(name="lab"), held=Held("NOT HELD", None, "it fell"),
+                            faults=(), faults_not_begun=tuple, world=world)  # fmt: skip
+    ending.end(tested, bench, passed=True)
+    assert warned == []
 
 
 def test_a_robot_that_was_let_go_of_is_no_error(monkeypatch):
