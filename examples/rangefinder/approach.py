@@ -23,7 +23,7 @@ def run(ctx: Context) -> None:
     """Drive 5 cm up and measure by how much the plate has come nearer."""
     start = stand(ctx.bench)
     with ctx.step("drive"):
-        motion = ctx.bench.drive(line(start, start + _UP, duration_s=2.0), hold_s=0.5)
+        motion = ctx.bench.drive(line(start, start + _UP, duration_s=2.0), start_pose=start, hold_s=0.5)
     samples = [s for record in motion.records for s in record.inputs.of("rangefinder")]
     good = [s.distance_m for s in samples if s.status is Status.OK]
     ctx.measure("seen", 1e3 * (sum(good[:_MEAN_OF]) - sum(good[-_MEAN_OF:])) / _MEAN_OF)
