@@ -80,4 +80,7 @@ def test_a_bench_that_cannot_be_read_is_not_suggested_for_itself(tmp_path, monke
         assert "did you mean" not in told
         assert "give a bench.toml or a profile name" in told
     assert main(["run", "bring_up", "--dry-run", "--bench", "hugo.toml"]) == 2
-    assert "did you mean huge.toml?" in capsys.readouterr().err
+    assert "did you mean" not in capsys.readouterr().err, "of neither is known that it is a bench file"
+    (tmp_path / "huge_2.toml").write_text('schema = 1\nname = "lab"\n')
+    assert main(["run", "bring_up", "--dry-run", "--bench", "hugo.toml"]) == 2
+    assert "did you mean huge_2.toml?" in capsys.readouterr().err

@@ -63,7 +63,8 @@ def creep_by_law(truth, stiffness, peak_m_s):
 def slides(seed, heading_deg):
     """The plant alone, wheels locked after a tenth of a second: whether it moves 2 mm in 1.5 s."""
     pose = [0.0, 0.0, math.radians(heading_deg)]
-    bench = open_bench("emulated", seed=seed, overrides={"environment.start_pose": pose})
+    tethered = {"safety.tethered": True, "safety.heading_limit_rad": math.pi / 2}
+    bench = open_bench("emulated", seed=seed, overrides={"environment.start_pose": pose, **tethered})
     plant = bench.world.plant
     plant.advance(nanoseconds(0.1))
     for joint in range(8):
