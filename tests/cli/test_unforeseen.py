@@ -69,7 +69,8 @@ def test_an_exception_that_nobody_foresaw_is_a_defect(raised, monkeypatch, capsy
 
 
 @pytest.mark.parametrize("case", NAMED)
-def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys):
+def test_a_name_that_no_file_can_have_is_refused_in_a_line(case, folder, capsys, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)  # of the script beside
     before = sorted(p.name for p in folder.iterdir())
     assert main([*NAMED[case], "--json"]) == 2
     said = capsys.readouterr()
