@@ -22,7 +22,8 @@ def run(ctx: Context) -> None:
     "Drives, measures, reports."
     for k in range(5):
         with ctx.step(f"drive {k}"):
-            ctx.bench.drive(line((0, 0, 0), (0.02, 0, 0), duration_s=1.0), feedback="odometry")
+            way = line((0.02 * k, 0, 0), (0.02 * k + 0.02, 0, 0), duration_s=1.0)
+            ctx.bench.drive(way, feedback="odometry")
         print(f"drove {k}", file=sys.stderr, flush=True)
     ctx.measure("value", 0.5)
     ctx.note("after the drive")
