@@ -47,11 +47,11 @@ def not_held(context: Context, known: Failure | None) -> list[Failure]:
     Where another error counts, and the run had several benches, notes say of which the robot was not held.
     """
     lost = [(bench.name, bench.held.why) for bench in context.left.not_held]
-    if known is not None and context.left.opened > 1:
+    if known is None:
+        return [Failure("NotHeld", f"{name}: {why}", "closing the bench", EXIT_DEVICE) for name, why in lost]
+    if context.left.opened > 1:
         context.findings.notes += [f"NOT HELD: {name}: {why}" for name, why in lost]
-    if known is not None:
-        return []
-    return [Failure("NotHeld", f"{name}: {why}", "closing the bench", EXIT_DEVICE) for name, why in lost]
+    return []
 
 
 def conclude(

@@ -20,11 +20,9 @@ _STATE = {"pose_body_in_wall": (3,), "twist_body": (3,), "covariance": (6, 6)}
 def own_name(part: object | None) -> str:
     """Module and class of a part that is not of this package; empty for ours, and for none."""
     kind = type(part)
-    return (
-        ""
-        if part is None or kind.__module__.partition(".")[0] == "hil"
-        else f"{kind.__module__}.{kind.__qualname__}"
-    )
+    if part is None or kind.__module__.partition(".")[0] == "hil":
+        return ""
+    return f"{kind.__module__}.{kind.__qualname__}"
 
 
 def check_setpoint(controller: object, found: object) -> None:

@@ -61,12 +61,7 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     """
     wheels, truth = motion.wheels, motion.mocap
     known = np.all(np.isfinite(wheels), axis=1) & np.all(np.isfinite(truth), axis=1)
-    if not _seen_to_its_end(known):
-        raise DataError(
-            "surface_identification",
-            f"has wheels and motion capture together for {100.0 * np.mean(known):.0f} % of a motion",
-            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
-        )  # fmt: skip
+    _must_be_seen_to_its_end(known, "wheels and motion capture together", "a motion")
     rolled, truth = rolled[known], truth[known]
     heading, believed = np.unwrap(truth[:, 2]), np.unwrap(rolled[:, 2])
     off = heading - believed
@@ -83,10 +78,20 @@ def slip_of(motion: Motion, rolled: Array) -> Slip:
     return Slip(float(-lost[0]), float(lost[1]), float(turned), way_m)
 
 
-def _seen_to_its_end(known: NDArray[np.bool_]) -> bool:
-    """Whether most cycles (n,) are known, and some of the last tenth: else the end is anyone's guess."""
+def _must_be_seen_to_its_end(known: NDArray[np.bool_], has: str, of: str) -> None:
+    """Raise `DataError` unless most cycles (n,) are known, and some of the last tenth: no guess at the end.
+
+    Args:
+        known: cycles.
+        has: what was there in them.
+        of: what they are of.
+    """
     tenth = max(len(known) // 10, 1)
-    return len(known) >= _FEWEST_CYCLES and bool(np.mean(known) >= _LEAST_SEEN and np.any(known[-tenth:]))
+    if len(known) < _FEWEST_CYCLES or np.mean(known) < _LEAST_SEEN or not np.any(known[-tenth:]):
+        raise DataError(
+            "surface_identification", f"has {has} for {100.0 * np.mean(known):.0f} % of {of}",
+            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -149,12 +154,7 @@ def moved_at_rest(motion: Motion) -> float:
     """How far the robot moved while it should have stood, m."""
     truth = motion.mocap
     known = np.all(np.isfinite(truth), axis=1)
-    if not _seen_to_its_end(known):
-        raise DataError(
-            "surface_identification",
-            f"has motion capture for {100.0 * np.mean(known):.0f} % of the time that the robot stands",
-            expected=f"at least {100.0 * _LEAST_SEEN:.0f} %, and its end", remedy="hil run bring_up",
-        )  # fmt: skip
+    _must_be_seen_to_its_end(known, "motion capture", "the time that the robot stands")
     truth = truth[known]
     return float(np.hypot(*(truth[-1, :2] - truth[0, :2])))
 
