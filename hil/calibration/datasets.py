@@ -54,6 +54,7 @@ class Recording:
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: what was repaired, by name and count.
         derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
+        problems: what of its file could not be read.
     """
 
     name: str
@@ -70,6 +71,7 @@ class Recording:
     sha256: tuple[str, ...] = ()
     repairs: Mapping[str, int] = field(default_factory=dict)
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
+    problems: tuple[str, ...] = ()
 
     @property
     def has_rates(self) -> bool:
@@ -77,8 +79,12 @@ class Recording:
         return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
 
     def warnings(self) -> tuple[str, ...]:
-        """The repairs in words, one line each."""
-        return tuple(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items()))
+        """What was lost and what was repaired in words, one line each."""
+        of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
+        return (
+            *(f"{self.name}: {what}; {of}" for what in self.problems),
+            *(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items())),
+        )
 
 
 def build_recording(

@@ -159,6 +159,21 @@ def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -
     return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
 
 
+def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
+    """One of our recordings as far as it can be read."""
+    problems: list[str] = []
+    try:
+        return replace(export.to_recording(path, problems, nominal), problems=tuple(problems))
+    except DataError as error:
+        if not problems:
+            raise
+        why = error.message.removeprefix(f"{path}: ")
+        raise DataError(
+            str(path), f"{'; '.join(problems)}; what could be read does not do: {why}",
+            expected=error.expected, remedy="copy it again from where it was recorded",
+        ) from None  # fmt: skip
+
+
 def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path, ...]) -> Job:
     return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
 
@@ -171,7 +186,7 @@ def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) 
     if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return _of(path, lambda: export.to_recording(path, nominal=nominal))
+        return _of(path, lambda: _whole_or_not(path, nominal))
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():
