@@ -8,6 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
 from hil.calibration.signs import check_signs
@@ -95,7 +96,9 @@ def read_recordings(
     for job in found:
         jobs.setdefault(job.identity, job)
     out = []
-    for number, (job, recording) in enumerate(_at_once(jobs.values()), start=1):
+    robot = nominal if nominal is not None else Nominal()
+    for number, (job, read) in enumerate(_at_once(jobs.values()), start=1):
+        recording = covered(read, robot)
         times = max(given[file] for file in job.identity)
         if times > 1:
             more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
@@ -103,7 +106,7 @@ def read_recordings(
         out.append(recording)
         if progress is not None:
             progress(number, len(jobs))
-    check_signs(out, nominal if nominal is not None else Nominal())
+    check_signs(out, robot)
     return out
 
 
