@@ -8,12 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hil.calibration.copies import without_copies
 from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
 from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.recording.names import named_apart
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import check_name
 from hil.vocabulary.mistaken import meant
@@ -87,25 +89,38 @@ def read_recordings(
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each.
 
-    A file that is named more than once, by itself or by its folder, is read once; a repair says so. It would
-    count twice, and a copy of it would stay among the others when it is left out.
+    What is there more than once counts once, and a repair says so: a file that is named by itself and by its
+    folder, and a copy at another place, whatever its line ends or compression. It would count twice, and its
+    twin would stay among the others when it is left out. What was read of a damaged recording counts; its
+    `problems` name the damage.
+
+    Args:
+        paths: files and folders.
+        progress: called after each.
+        topics: see `find_recordings`.
+        nominal: robot that they are read for, see `build_recording`.
+
+    Returns:
+        The recordings, in a fixed order, with names that differ.
+
+    Raises:
+        DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
     """
-    found = find_recordings(paths, topics, nominal)
-    given = _times_given(found)
-    jobs = dict[tuple[Path, ...], Job]()
-    for job in found:
-        jobs.setdefault(job.identity, job)
-    out = []
     robot = nominal if nominal is not None else Nominal()
-    for number, (job, read) in enumerate(_at_once(jobs.values()), start=1):
-        recording = covered(read, robot)
-        times = max(given[file] for file in job.identity)
+    found = find_recordings(paths, topics, nominal)
+    jobs = dict[tuple[Path, ...], list[Job]]()
+    for job in found:
+        jobs.setdefault(job.identity, []).append(job)
+    out = []
+    for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()]), start=1):
+        recording, times = covered(read, robot), _times_given(jobs[job.identity])
         if times > 1:
             more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
             recording = replace(recording, repairs={**recording.repairs, **more})
         out.append(recording)
         if progress is not None:
             progress(number, len(jobs))
+    out = named_apart(without_copies(out))
     check_signs(out, robot)
     return out
 
@@ -121,8 +136,9 @@ def _at_once(jobs: Iterable[Job]) -> Iterator[tuple[Job, Recording]]:
         readers.shutdown(cancel_futures=True)
 
 
-def _times_given(jobs: Sequence[Job]) -> Counter[Path]:
-    return Counter(file.resolve() for job in jobs for file in job.given)
+def _times_given(same: Sequence[Job]) -> int:
+    """How often one run was named: both halves of a pair, each by itself, name it once."""
+    return max(Counter(file.resolve() for job in same for file in job.given).values())
 
 
 def _of(path: Path, read: Callable[[], Recording]) -> Job:
