@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from hil.bench.settings import motion_limits
+from hil.calibration.coverage import covered
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.procedure.devices import leaving
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
@@ -171,7 +173,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
     """A driven motion as a calibration recording: wheels and ground truth on the bench clock.
 
     Raises:
-        DataError: no usable wheels or no ground truth.
+        DataError: no usable wheels, no ground truth, or none for a part of the drive.
     """
     origin_ns = motion.records[0].inputs.t_ns
     wheels = [w for r in motion.records for w in r.measurements.wheels if all(w.valid)]
@@ -179,7 +181,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
     if not truth or not wheels:
         missing = "ground truth from motion capture" if wheels else "complete servo readings"
         raise DataError(name, f"has no {missing}", remedy="hil run bring_up")
-    return build_recording(
+    whole = build_recording(
         name,
         Log(
             _stamps([w.stamp.t_ns for w in wheels], origin_ns),
@@ -188,6 +190,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
         Log(_stamps([m.stamp.t_ns for m in truth], origin_ns), np.array([m.pose for m in truth])),
         motion=group,
     )
+    return covered(whole, Nominal())
 
 
 def _stamps(t_ns: Sequence[int], origin_ns: int) -> Array:
