@@ -1,6 +1,7 @@
 """docs/two-worlds.md is made from the figures beside it, and from nothing else."""
 
 import importlib
+import json
 import sys
 from pathlib import Path
 
@@ -38,3 +39,29 @@ def test_figures_that_are_there_are_not_made_again(two_worlds, tmp_path, monkeyp
     assert results.fill("some", [{"seed": 1}], make) == [{"seed": 1, "value": 10}]
     assert [r["value"] for r in results.fill("some", [{"seed": 2}, {"seed": 1}], make)] == [20, 10]
     assert made == [1, 2]
+
+
+def rows_of(name):
+    """Figures beside the page."""
+    lines = (DOCS / "two_worlds" / "figures" / f"{name}.jsonl").read_text().splitlines()
+    return [json.loads(line) for line in lines]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("row", rows_of("procedures"), ids=lambda row: f"{row['procedure']}-{row['world']}")
+def test_a_verdict_of_the_page_is_that_of_today(two_worlds, row):
+    procedures = two_worlds("procedures")
+    found = procedures.run(row["procedure"], row["world"])
+    assert (found["verdict"], [told.split(" = ")[0] for told in found["failed"]]) == (
+        row["verdict"], [told.split(" = ")[0] for told in row["failed"]]
+    )  # fmt: skip
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("world", ["own", "creep", "holding"])
+def test_the_first_line_up_the_wall_is_that_of_today(two_worlds, world):
+    first = {"world": world, "case": "x_line", "feedback": "ekf", "seed": 0}
+    row = next(row for row in rows_of("wall") if first.items() <= row.items())
+    found = two_worlds("wall").drive(**first)
+    for key in ("rmse_x", "rmse_y", "end_x", "end_y"):
+        assert found[key] == pytest.approx(row[key], abs=0.25)
