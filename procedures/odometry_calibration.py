@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from hil.bench.settings import geometry_of
 from hil.calibration.artefact import calibration_file, save_calibration
 from hil.calibration.calibrate import Calibration
 from hil.calibration.evaluation import evaluate
@@ -27,7 +28,7 @@ from hil.config.bench import BenchConfig
 from hil.config.record import Figure
 from hil.procedure import Context, Measurement, PlannedStep, procedure
 from hil.procedure.learning import leave_part
-from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, reference
+from hil.procedure.odometry_motions import MOTIONS, MotionName, Repetition, Sizes, followed
 from hil.procedure.workers import Workers
 from hil.procedures.parts import headlines
 from hil.procedures.parts.odometry_collecting import Collected, collect, read_round
@@ -131,7 +132,8 @@ def measurements(p: Parameters) -> Iterable[Measurement]:
 
 def plan(p: Parameters, config: BenchConfig) -> Iterable[PlannedStep]:
     """Rounds as far as they are certain, and the references of one repetition."""
-    driven = tuple(reference(m, config.environment.start_pose, p.sizes) for m in p.motions)
+    start, geometry = config.environment.start_pose, geometry_of(config)
+    driven = tuple(followed(m, start, p.sizes, geometry, config) for m in p.motions)
     for number in range(1, p.min_rounds + 1):
         yield PlannedStep(f"round {number}", driven if number == 1 else ())
         if number < p.min_rounds:

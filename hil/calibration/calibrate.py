@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -177,10 +178,13 @@ def calibrate(
         report: progress callback (what, done, total).
 
     Raises:
-        DataError: nothing to fit, a signal that the recordings lack, or the geometry of another robot.
+        DataError: nothing to fit, recordings of one name, a signal that they lack, or the geometry of another
+            robot.
     """
     if not recordings:
         raise DataError("", "no recordings", expected="at least one")
+    if twice := [name for name, n in Counter(r.name for r in recordings).items() if n > 1]:
+        raise DataError("", f"several recordings are called {', '.join(twice)}", expected="names that differ")
     begin_ns = clock.now_ns()
     robot = nominal if nominal is not None else Nominal()
     if choice is None and validate and setting.choose_model and can_choose(recordings):

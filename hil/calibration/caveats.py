@@ -54,6 +54,11 @@ def caveats(
     out = told_by(recordings)
     if len(recordings) == 1:
         out.append("one recording only: no interval, no cross-validation; repeat the motion")
+    elif tables and "leave_one_repetition_out" not in tables:
+        out.append(
+            "no motion is repeated, so no repetition can be left out: how well the result predicts another "
+            "drive of these motions is not known; record each at least twice"
+        )
     out += [f"{name}: does not fit the others and was down-weighted" for name in found.rejected]
     out += unexplained(found)
     if spectrum.at_bound:
@@ -85,16 +90,8 @@ def caveats(
 
 
 def told_by(recordings: Sequence[Recording]) -> list[str]:
-    """What recordings say about themselves: their repairs, copies among them, and clocks that differ."""
-    alike: dict[tuple[str, ...], list[str]] = {}
-    for one in recordings:
-        alike.setdefault(one.sha256, []).append(one.sources[0] if one.sources else one.name)
-    copies = [" and ".join(places) for digest, places in alike.items() if digest and len(places) > 1]
-    return [
-        *(line for r in recordings for line in r.warnings()),
-        *(f"{places} hold the same bytes, and each counts; leave copies out" for places in copies),
-        *different_clocks(recordings),
-    ]
+    """What recordings say about themselves: damage, repairs, and clocks that differ."""
+    return [*(line for r in recordings for line in r.warnings()), *different_clocks(recordings)]
 
 
 def unexplained(found: Fit) -> list[str]:

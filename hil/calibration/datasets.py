@@ -22,6 +22,7 @@ from hil.vocabulary.geometry import Array
 _GAP_S = 0.1
 _MIN_STEP_S = 1e-6
 _MIN_ROWS = 20
+_MIN_SHARED = 2
 _CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
 _ROLLED_RAD = 0.5
@@ -55,6 +56,7 @@ class Recording:
         truth_pose: (m, 3) m, m, rad unwrapped.
         receive_s, truth_receive_s: receive stamps, kept for the paper's own preprocessing.
         repairs: what was repaired, by name and count.
+        problems: what of its file could not be read.
         derived: what was computed from the recording alone, by a name; copies with other rows begin anew.
     """
 
@@ -71,6 +73,7 @@ class Recording:
     sources: tuple[str, ...] = ()
     sha256: tuple[str, ...] = ()
     repairs: Mapping[str, int] = field(default_factory=dict)
+    problems: tuple[str, ...] = ()
     derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
@@ -79,8 +82,12 @@ class Recording:
         return bool(np.all(np.isfinite(self.wheel_rate_rad_s)))
 
     def warnings(self) -> tuple[str, ...]:
-        """The repairs in words, one line each."""
-        return tuple(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items()))
+        """What was lost and what was repaired in words, one line each."""
+        of = f"its figures are of {self.t_s[-1] - self.t_s[0]:.1f} s that were read"
+        return (
+            *(f"{self.name}: {what}; {of}" for what in self.problems),
+            *(f"{self.name}: {count} {what}" for what, count in sorted(self.repairs.items())),
+        )
 
 
 def build_recording(
@@ -121,9 +128,10 @@ def build_recording(
             expected="x, y and theta from motion capture",
             remedy="a run without ground truth can be replayed but not evaluated or calibrated",
         )
-    overlap_s = min(t_s[-1], truth_t_s[-1]) - max(t_s[0], truth_t_s[0])
-    if overlap_s < 1.0:
-        raise DataError(where, f"wheels and ground truth share {max(overlap_s, 0):.2f} s", expected=">= 1 s")
+    begin_s, end_s = max(t_s[0], truth_t_s[0]), min(t_s[-1], truth_t_s[-1])
+    if end_s - begin_s < 1.0:
+        shared_s = max(end_s - begin_s, 0.0)
+        raise DataError(where, f"wheels and ground truth share {shared_s:.2f} s", expected=">= 1 s")
     for stamps in (t_s, truth_t_s):
         check_leaps(where, stamps)
     angle = _unwrap_jumps(w[:, :4], repairs)
@@ -133,8 +141,16 @@ def build_recording(
         _count(repairs, f"{kind} gaps over {_GAP_S:g} s bridged", np.count_nonzero(np.diff(stamps) > _GAP_S))
     heading = pose[:, 2]
     pose = np.column_stack([pose[:, :2], np.unwrap(heading)])
+    by_wheels, by_truth = ((t >= begin_s) & (t <= end_s) for t in (t_s, truth_t_s))
+    if min(np.count_nonzero(by_wheels), np.count_nonzero(by_truth)) < _MIN_SHARED:
+        raise DataError(
+            where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
+        )
     check_ways(where, Drive(t_s, w[:, :4], truth_t_s, np.column_stack([pose[:, :2], heading])), robot)
-    check_units(where, angle, w[:, 4:8], truth_t_s, pose, heading, robot)
+    check_units(
+        where, angle[by_wheels], w[by_wheels, 4:8], truth_t_s[by_truth], pose[by_truth], heading[by_truth],
+        robot,
+    )  # fmt: skip
     rate = _recorded_rates(w, angle, repairs)
     check_rates(where, t_s, angle, rate)
     return Recording(

@@ -14,6 +14,7 @@ from hil.cli.options import FILE, OUT, SEED, FiniteRange
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 if TYPE_CHECKING:
     from hil.calibration.calibrate import Calibration
@@ -79,7 +80,7 @@ def command(
 
         click.echo(f"page: {write_calibration_page(plots, result)}", err=True)
     click.echo(json.dumps(result.to_json(), allow_nan=False) if as_json else _text(result))
-    return 0
+    return EXIT_USAGE if any(r.problems for r in recordings) else EXIT_PASS
 
 
 def _check_outputs(out: Path | None, plots: Path | None) -> None:

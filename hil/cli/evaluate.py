@@ -13,6 +13,7 @@ from hil.cli.options import FILE
 from hil.cli.progress import reporting
 from hil.cli.robots import BENCH, configured, on_paper
 from hil.robot.kinematics import MODELS
+from hil.vocabulary.errors import EXIT_PASS, EXIT_USAGE
 
 if TYPE_CHECKING:
     from hil.calibration.artefact import CalibrationFile
@@ -87,6 +88,7 @@ def command(
     warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
     table["warnings"] = warnings
+    table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems]
     for line in warnings:
         click.echo(f"warning: {line}", err=True)
     if plots is not None:
@@ -95,7 +97,7 @@ def command(
         nominal = _tracks(recordings, None, robot, used_model, used_signal, "parameters") if file else None
         click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table, told)}", err=True)
     click.echo(json.dumps(table) if as_json else _text(table, told))
-    return 0
+    return EXIT_USAGE if table["problems"] else EXIT_PASS
 
 
 def _robot(calibration: Path | None, bench: str | None) -> tuple[CalibrationFile | None, Nominal]:

@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from hil.bench.settings import motion_limits
+from hil.calibration.coverage import covered
 from hil.calibration.datasets import Log, Recording, build_recording
+from hil.calibration.nominal import Nominal
 from hil.procedure.devices import leaving
 from hil.procedure.scripted import Stretch, play
 from hil.procedure.tracking import stand
 from hil.recording.plain_csv import write_plain
 from hil.ring.motion import Motion
-from hil.robot.kinematics import inverse
+from hil.robot.kinematics import WheelGeometry, inverse
+from hil.robot.motion_limits import slowed
 from hil.robot.trajectories import Trajectory, circle, line
 from hil.vocabulary.clock import NS_PER_S
 from hil.vocabulary.errors import DataError
@@ -25,6 +29,7 @@ from hil.vocabulary.signals import KINDS
 
 if TYPE_CHECKING:
     from hil.bench import Bench
+    from hil.config.bench import BenchConfig
 
 MotionName = Literal["line_x", "line_y", "circle_ccw", "circle_cw", "rotation_ccw", "rotation_cw"]
 MOTIONS: tuple[MotionName, ...] = (
@@ -37,6 +42,8 @@ _SETTLE_S = 0.2
 _APPROACH_RAD = 0.1
 _FOLD_RAD = math.radians(5.0)
 _ACCELERATION_M_S2 = 0.19
+_SLOWED_AT_MOST = 1.1
+"""A robot whose wheels stand further out than on paper, or seem to, turns so many times as slowly at most."""
 
 
 def unused() -> dict[str, object]:
@@ -106,6 +113,21 @@ def reference(name: str, start: ArrayLike, sizes: Sizes, *, backwards: bool = Fa
     return line(pose, pose + turn, name=name, **limits)
 
 
+def followed(
+    name: str, start: ArrayLike, sizes: Sizes, geometry: WheelGeometry, config: BenchConfig, *,
+    backwards: bool = False,
+) -> Trajectory:  # fmt: skip
+    """`reference` as a robot of this geometry can drive it: a little slower where that is what it takes.
+
+    A fit may set the wheels further out than the drawing does, so that a turn wants more of them. A speed
+    that the configuration does not allow at all stays as it was asked for, and is refused.
+    """
+    path, limits = reference(name, start, sizes, backwards=backwards), motion_limits(config)
+    if sizes.speed_m_s > limits.wheel_speed_m_s:
+        return path
+    return slowed(path, geometry.projection(), limits, at_most=_SLOWED_AT_MOST)
+
+
 def drive_repetition(bench: Bench, repetition: Repetition) -> None:
     """Drive all motions of a repetition and write their recordings.
 
@@ -117,13 +139,15 @@ def drive_repetition(bench: Bench, repetition: Repetition) -> None:
     for name in repetition.motions:
         take_up_play(bench, reference(name, pose, repetition.sizes, backwards=backwards), pose)
         pose = stand(bench)
-        motion = bench.drive(
-            reference(name, pose, repetition.sizes, backwards=backwards), feedback=repetition.feedback,
-            hold_s=repetition.hold_s, start_pose=pose,
+        path = followed(
+            name, pose, repetition.sizes, bench.geometry, bench.config, backwards=backwards
         )  # fmt: skip
-        path = repetition.folder / repetition.file(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_plain(path, recording_of(motion, path.stem, name))
+        motion = bench.drive(
+            path, feedback=repetition.feedback, hold_s=repetition.hold_s, start_pose=pose
+        )  # fmt: skip
+        file = repetition.folder / repetition.file(name)
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write_plain(file, recording_of(motion, file.stem, name))
 
 
 def take_up_play(bench: Bench, trajectory: Trajectory, pose: Array) -> None:
@@ -149,7 +173,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
     """A driven motion as a calibration recording: wheels and ground truth on the bench clock.
 
     Raises:
-        DataError: no usable wheels or no ground truth.
+        DataError: no usable wheels, no ground truth, or none for a part of the drive.
     """
     origin_ns = motion.records[0].inputs.t_ns
     wheels = [w for r in motion.records for w in r.measurements.wheels if all(w.valid)]
@@ -157,7 +181,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
     if not truth or not wheels:
         missing = "ground truth from motion capture" if wheels else "complete servo readings"
         raise DataError(name, f"has no {missing}", remedy="hil run bring_up")
-    return build_recording(
+    whole = build_recording(
         name,
         Log(
             _stamps([w.stamp.t_ns for w in wheels], origin_ns),
@@ -166,6 +190,7 @@ def recording_of(motion: Motion, name: str, group: str) -> Recording:
         Log(_stamps([m.stamp.t_ns for m in truth], origin_ns), np.array([m.pose for m in truth])),
         motion=group,
     )
+    return covered(whole, Nominal())
 
 
 def _stamps(t_ns: Sequence[int], origin_ns: int) -> Array:

@@ -29,6 +29,7 @@ _RECORD, _CHANNEL_ID = struct.Struct("<BQ"), struct.Struct("<H")
 _MESSAGE_HEAD = 2 + 4 + 8 + 8
 _MAGIC_BYTES = 8
 _COPY = "copy it again from where it was recorded"
+GO_ON = "give a list as `problems` to go on with what could be read"
 
 Cycle = TypeVar("Cycle", CycleRecord, StoredCycle)
 
@@ -304,7 +305,7 @@ def read_cycles(path: str | Path, problems: list[str] | None = None) -> Iterator
     if problems is not None:
         problems += reader.problems
     elif reader.problems:
-        raise DataError(str(path), "; ".join(reader.problems), remedy="what was readable has been read")
+        raise DataError(str(path), "; ".join(reader.problems), remedy=GO_ON)
 
 
 def read_wall_offsets(path: str | Path) -> tuple[WallOffset, ...]:

@@ -56,22 +56,23 @@ def is_pair_file(path: Path) -> bool:
 
 
 def partner(odom: Path) -> Path:
-    """The `abs` file that belongs to an `odom` file.
+    """The `abs` file that belongs to an `odom` file: packed as that one is, where there are two.
 
     Raises:
         DataError: there is none.
     """
-    stem = odom.name.replace("odom_", "abs_", 1).removesuffix(".gz")
-    for candidate in (odom.with_name(stem + ".gz"), odom.with_name(stem)):
-        if candidate.exists():
+    alike = odom.name.replace("odom_", "abs_", 1)
+    stem = alike.removesuffix(".gz")
+    for name in (alike, stem + ".gz", stem):
+        if (candidate := odom.with_name(name)).exists():
             return candidate
     raise DataError(str(odom), "has no ground truth", expected=f"{stem}[.gz] beside it")
 
 
-def _run_key(path: Path) -> tuple[int, str]:
+def _run_key(path: Path) -> tuple[int, str, str]:
     match = _FILE.fullmatch(path.name)
     run = match["run"] if match else path.name
-    return (int(run) if run.isdigit() else 1 << 30, run)
+    return (int(run) if run.isdigit() else 1 << 30, run, path.name)
 
 
 def read_pair(odom: Path, absolute: Path, nominal: Nominal | None = None) -> Recording:

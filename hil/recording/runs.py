@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from hil.recording.cycle_decoder import StoredCycle
-from hil.recording.mcap_reader import Cycle, Note, RecordingReader
+from hil.recording.mcap_reader import GO_ON, Cycle, Note, RecordingReader
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.signals import CycleRecord, RobotState
 
@@ -144,6 +144,4 @@ def _of_runs(
     if problems is not None:
         problems += reader.problems
     elif reader.problems:
-        raise DataError(
-            str(reader.path), "; ".join(reader.problems), remedy="what was readable has been read"
-        )
+        raise DataError(str(reader.path), "; ".join(reader.problems), remedy=GO_ON)

@@ -8,11 +8,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hil.calibration.copies import without_copies
+from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.nominal import Nominal
 from hil.calibration.signs import check_signs
 from hil.recording import export, plain_csv, public_csv, rosbag
 from hil.recording.mcap_reader import NEEDS_TOPICS
+from hil.recording.names import named_apart
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.files import check_name
 from hil.vocabulary.mistaken import meant
@@ -86,24 +89,39 @@ def read_recordings(
 ) -> list[Recording]:
     """Read every run under the given files and folders; `progress(done, total)` after each.
 
-    A file that is named more than once, by itself or by its folder, is read once; a repair says so. It would
-    count twice, and a copy of it would stay among the others when it is left out.
+    What is there more than once counts once, and a repair says so: a file that is named by itself and by its
+    folder, and a copy at another place, whatever its line ends or compression. It would count twice, and its
+    twin would stay among the others when it is left out. What was read of a damaged recording counts; its
+    `problems` name the damage.
+
+    Args:
+        paths: files and folders.
+        progress: called after each.
+        topics: see `find_recordings`.
+        nominal: robot that they are read for, see `build_recording`.
+
+    Returns:
+        The recordings, in a fixed order, with names that differ.
+
+    Raises:
+        DataError: see `find_recordings`, `build_recording`, `covered` and `check_signs`.
     """
+    robot = nominal if nominal is not None else Nominal()
     found = find_recordings(paths, topics, nominal)
-    given = _times_given(found)
-    jobs = dict[tuple[Path, ...], Job]()
+    jobs = dict[tuple[Path, ...], list[Job]]()
     for job in found:
-        jobs.setdefault(job.identity, job)
+        jobs.setdefault(job.identity, []).append(job)
     out = []
-    for number, (job, recording) in enumerate(_at_once(jobs.values()), start=1):
-        times = max(given[file] for file in job.identity)
+    for number, (job, read) in enumerate(_at_once([same[0] for same in jobs.values()]), start=1):
+        recording, times = covered(read, robot), _times_given(jobs[job.identity])
         if times > 1:
             more = {f"mentions of {job.files[0]} beyond the first left out": times - 1}
             recording = replace(recording, repairs={**recording.repairs, **more})
         out.append(recording)
         if progress is not None:
             progress(number, len(jobs))
-    check_signs(out, nominal if nominal is not None else Nominal())
+    out = named_apart(without_copies(out))
+    check_signs(out, robot)
     return out
 
 
@@ -118,8 +136,9 @@ def _at_once(jobs: Iterable[Job]) -> Iterator[tuple[Job, Recording]]:
         readers.shutdown(cancel_futures=True)
 
 
-def _times_given(jobs: Sequence[Job]) -> Counter[Path]:
-    return Counter(file.resolve() for job in jobs for file in job.given)
+def _times_given(same: Sequence[Job]) -> int:
+    """How often one run was named: both halves of a pair, each by itself, name it once."""
+    return max(Counter(file.resolve() for job in same for file in job.given).values())
 
 
 def _of(path: Path, read: Callable[[], Recording]) -> Job:
@@ -159,6 +178,21 @@ def _bag(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) -
     return _of(path, lambda: rosbag.read_bag(path, mapping, nominal))
 
 
+def _whole_or_not(path: Path, nominal: Nominal | None) -> Recording:
+    """One of our recordings as far as it can be read."""
+    problems: list[str] = []
+    try:
+        return replace(export.to_recording(path, problems, nominal), problems=tuple(problems))
+    except DataError as error:
+        if not problems:
+            raise
+        why = error.message.removeprefix(f"{path}: ")
+        raise DataError(
+            str(path), f"{'; '.join(problems)}; what could be read does not do: {why}",
+            expected=error.expected, remedy="copy it again from where it was recorded",
+        ) from None  # fmt: skip
+
+
 def _pair(odom: Path, absolute: Path, nominal: Nominal | None, given: tuple[Path, ...]) -> Job:
     return Job((odom, absolute), lambda: public_csv.read_pair(odom, absolute, nominal), given)
 
@@ -171,7 +205,7 @@ def _file(path: Path, mapping: rosbag.TopicMap | None, nominal: Nominal | None) 
     if path.suffix == ".db3" or (path.suffix == ".mcap" and mapping is not None):
         return _bag(path, mapping, nominal)
     if path.suffix == ".mcap":
-        return _of(path, lambda: export.to_recording(path, nominal=nominal))
+        return _of(path, lambda: _whole_or_not(path, nominal))
     if public_csv.is_pair_file(path):
         odom = path.with_name(path.name.replace("abs_", "odom_", 1))
         if not odom.exists():

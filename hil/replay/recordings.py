@@ -14,6 +14,7 @@ from hil.bench.blueprint import Blueprint
 from hil.bench.settings import geometry_of, nominal_of, with_wheel_model
 from hil.calibration.artefact import read_calibration
 from hil.calibration.blocks import reduce_recordings
+from hil.calibration.coverage import covered
 from hil.calibration.datasets import Recording
 from hil.calibration.driven import mismatch
 from hil.calibration.nominal import Nominal
@@ -161,7 +162,7 @@ def _geometry(header: Mapping[str, Any]) -> WheelGeometry | None:
 def _read_foreign(path: Path, topics: Path | None, robot: Nominal, tables: list[Recording]) -> Any:
     """Reads the runs of a bag, which is opened at once, or of a CSV file; `tables` receives what was read."""
     if topics is not None:
-        tables.append(read_bag(path, read_topic_map(topics), robot))
+        tables.append(covered(read_bag(path, read_topic_map(topics), robot), robot))
         return lambda: map(to_run, tables)
 
     def read() -> Iterator[RecordedRun]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import takewhile
 from typing import NamedTuple
 
@@ -17,6 +17,7 @@ _CHECK_STEP_S = 0.01
 _LONGEST_S = 7200.0
 _AT_ONCE = 20000
 _SLACK = 1.0 + 1e-6
+_MARGIN = 1e-3
 
 
 @dataclass(frozen=True)
@@ -59,6 +60,25 @@ def check(
     times_s = np.arange(0.0, until_s + _CHECK_STEP_S, _CHECK_STEP_S)
     for begin in range(0, len(times_s), _AT_ONCE):
         _check(trajectory, times_s[begin : begin + _AT_ONCE], projection, limits)
+
+
+def slowed(trajectory: Trajectory, projection: Array, limits: MotionLimits, *, at_most: float) -> Trajectory:
+    """The same way, driven as much slower as the wheels need to keep to their speed and acceleration.
+
+    Args:
+        trajectory: what is asked for.
+        projection: P (8, 3) of the wheels.
+        limits: of which those of the wheels count here.
+        at_most: how many times as long it may take; what needs longer stays as it is, for `check` to refuse.
+    """
+    pose, twist, pull = trajectory.sample_many(np.arange(0.0, trajectory.duration_s, _CHECK_STEP_S))
+    speed, acceleration = (q.values.max() / q.limit for q in _held(pose, twist, pull, projection, limits)[:2])
+    longer = max(speed, math.sqrt(acceleration))
+    if longer <= 1.0 or not longer <= at_most:
+        return trajectory
+    longer *= 1.0 + _MARGIN
+    slower = tuple(replace(part, duration_s=part.duration_s * longer) for part in trajectory.segments)
+    return replace(trajectory, segments=slower)
 
 
 def _new_s(trajectory: Trajectory, known: Trajectory) -> float:

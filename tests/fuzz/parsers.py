@@ -100,7 +100,7 @@ def _microstrain() -> list[Fed]:
 
 
 def _camera() -> list[Fed]:
-    common = dialect("fuzz")
+    common = dialect()
     speaker = common.MAVLink(None, srcSystem=1, srcComponent=197)
     message = common.MAVLink_odometry_message(
         1, 20, 12, 0.1, 0.2, 0.3, [1.0, 0, 0, 0], 0.1, 0, 0, 0, 0, 0.1, [0.1] * 21, [0.1] * 21, 0, 3, 100

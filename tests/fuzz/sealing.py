@@ -48,7 +48,7 @@ def mavlink(data: bytes) -> bytes:
 
 def _extra(message: int) -> int:
     if not _CRC_EXTRA:
-        known: dict[int, Any] = dialect("fuzz").mavlink_map
+        known: dict[int, Any] = dialect().mavlink_map
         _CRC_EXTRA.update({number: kind.crc_extra for number, kind in known.items()})
     return _CRC_EXTRA.get(message, 0)
 

@@ -98,7 +98,7 @@ def missing_t265(tmp_path):
 
 
 def missing_mavlink(tmp_path):
-    dialect("tracker")
+    dialect()
 
 
 @pytest.mark.parametrize(

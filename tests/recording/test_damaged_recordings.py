@@ -97,3 +97,26 @@ def test_a_flipped_byte_is_damage_to_who_verifies_too(tmp_path, driven, capsys, 
     assert told["problems"]
     assert f"hil: {path}: {told['problems'][0]}" in said.err
     assert main(["replay", str(path), "--estimator", "odometry"]) == 2
+
+
+def test_what_was_readable_is_evaluated_and_the_damage_named(tmp_path, driven, capsys):
+    path = tmp_path / "run.mcap"
+    path.write_bytes(driven)
+    assert main(["evaluate", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["problems"] == []
+    path.write_bytes(driven[: len(driven) // 2])
+    assert main(["evaluate", str(path), "--json"]) == 2
+    said = capsys.readouterr()
+    told = json.loads(said.out)
+    assert (told["recordings"], len(told["problems"])) == (1, 1)
+    assert re.match(r"run: ends early at byte \d+", told["problems"][0])
+    assert re.search(
+        r"warning: run: ends early at byte .*; its figures are of [12]\.\d s that were read", said.err
+    )
+    assert main(["evaluate", str(path)]) == 2
+    assert "1 recordings, model exact" in capsys.readouterr().out
+    path.write_bytes(driven[: len(driven) // 5])
+    assert main(["evaluate", str(path)]) == 2
+    said = capsys.readouterr()
+    assert re.search(r"ends early at byte \d+ .*; what could be read does not do: ", said.err)
+    assert said.out == ""

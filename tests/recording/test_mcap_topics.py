@@ -28,7 +28,7 @@ RATE_HZ = 50
 SPEED_M_S = 0.1
 
 
-def write_bag(folder, storage=StoragePlugin.MCAP):
+def write_bag(folder, storage=StoragePlugin.MCAP, speed_m_s=SPEED_M_S):
     """Six seconds: at rest, then straight ahead; the right wheels count backwards."""
     store = get_typestore(Stores.ROS2_HUMBLE)
     types = store.types
@@ -44,7 +44,7 @@ def write_bag(folder, storage=StoragePlugin.MCAP):
         for k in range(6 * RATE_HZ):
             t_ns = 1_000_000_000 + k * 1_000_000_000 // RATE_HZ
             head = header(stamp=stamp(sec=t_ns // 10**9, nanosec=t_ns % 10**9), frame_id="")
-            x_m = SPEED_M_S * max(0.0, k / RATE_HZ - 1.0)
+            x_m = speed_m_s * max(0.0, k / RATE_HZ - 1.0)
             angle = x_m / NOMINAL_RADIUS_M * np.array([1.0, 1.0, -1.0, -1.0])
             names = [f"{kind}{i}" for kind in "sw" for i in range(1, 5)]
             message = joint(
@@ -115,8 +115,8 @@ def test_without_a_mapping_the_remedy_is_named(bag, capsys):
     assert "--topics" in capsys.readouterr().err
 
 
-def database(folder):
-    (file,) = write_bag(folder, StoragePlugin.SQLITE3).glob("*.db3")
+def database(folder, speed_m_s=SPEED_M_S):
+    (file,) = write_bag(folder, StoragePlugin.SQLITE3, speed_m_s).glob("*.db3")
     return file
 
 
@@ -140,8 +140,8 @@ def test_every_bag_of_a_folder_is_a_recording(tmp_path, topics):
     many = tmp_path / "many"
     many.mkdir()
     write_bag(many / "line_x_1")
-    write_bag(many / "line_x_2", StoragePlugin.SQLITE3)
-    database(tmp_path / "line_x_3").rename(many / "line_x_3.db3")
+    write_bag(many / "line_x_2", StoragePlugin.SQLITE3, 0.11)
+    database(tmp_path / "line_x_3", 0.12).rename(many / "line_x_3.db3")
     (many / "notes").mkdir()
     code, table = hil("evaluate", many, "--topics", topics)
     assert (code, table["recordings"], table["motions"]["line_x"]["n"]) == (0, 3, 3)

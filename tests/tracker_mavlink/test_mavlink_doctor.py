@@ -84,7 +84,7 @@ def test_a_sender_that_changes_its_frames_is_a_failure_with_a_remedy(by_hand):
 @pytest.mark.parametrize("asked", [math.nan, math.inf, -math.inf, 3e38])
 def test_a_request_for_a_message_that_is_none_is_not_answered(mavlink_bench, asked):
     """A client that asks for message NaN had ended the emulator."""
-    common, bench = dialect("test"), mavlink_bench()
+    common, bench = dialect(), mavlink_bench()
     bench.driver.open()
     mine = bench.computer.options.system_id, bench.computer.options.component_id
     request = common.MAVLink_command_long_message(

@@ -12,7 +12,7 @@ from hil.devices.tracker.mavlink.faulty import SUPPORTED_FAULTS
 from hil.devices.tracker.mavlink.options import IDEAL, ComputerTruthOptions
 from hil.fakes.faults import parse_fault
 from hil.vocabulary.clock import MonotonicClock
-from hil.vocabulary.errors import DeviceError, DeviceTimeoutError, FaultNotSupportedError
+from hil.vocabulary.errors import ConfigError, DeviceError, DeviceTimeoutError, FaultNotSupportedError
 from hil.vocabulary.signals import Status
 from tests.tracker_mavlink.conftest import follow, kinds, until
 
@@ -241,11 +241,11 @@ def test_use_while_closed_is_a_device_error_and_closing_twice_is_none(mavlink_be
 
 def test_without_the_extra_driver_and_emulation_name_it(monkeypatch, mavlink_bench):
     monkeypatch.setitem(sys.modules, "pymavlink.dialects.v20.common", None)
-    with pytest.raises(DeviceError, match=r"pymavlink cannot be imported.*the extra mavlink") as caught:
+    with pytest.raises(ConfigError, match=r"needs pymavlink.*the extra mavlink") as caught:
         MavlinkTracker(MavlinkTrackerConfig(), MonotonicClock()).open()
-    assert caught.value.exit_code == 3
+    assert caught.value.exit_code == 2
     assert "mavlink" in caught.value.remedy
-    with pytest.raises(DeviceError, match="the extra mavlink"):
+    with pytest.raises(ConfigError, match="the extra mavlink"):
         mavlink_bench()
 
 

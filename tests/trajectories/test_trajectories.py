@@ -8,7 +8,7 @@ import pytest
 
 from hil.robot import trajectories as tr
 from hil.robot.kinematics import WheelGeometry
-from hil.robot.motion_limits import MotionLimits, check
+from hil.robot.motion_limits import MotionLimits, check, slowed
 from hil.robot.waypoints import MOST_WAYPOINTS, read_waypoints
 from hil.vocabulary.errors import DataError, TrajectoryError, UsageError
 from hil.vocabulary.geometry import rotation2
@@ -272,6 +272,32 @@ def test_a_range_that_begins_beyond_zero_holds_at_its_very_beginning():
     check(way, CAD, MotionLimits(x_range_m=(0.5, 1.0), y_range_m=(0.25, 0.25)))
     with pytest.raises(TrajectoryError, match="-x on the wall"):
         check(way, CAD, MotionLimits(x_range_m=(0.5 + 1e-5, 1.0)))
+
+
+def refused(way, limits):
+    try:
+        check(way, CAD, MotionLimits(**limits))
+    except TrajectoryError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize("way", ALL, ids=lambda way: way.name)
+@pytest.mark.parametrize("limit", ["wheel_speed_m_s", "wheel_acceleration_m_s2"])
+def test_what_is_a_little_too_fast_is_driven_slower_along_the_same_way(way, limit):
+    reached = next(value for value in 0.25 * 0.998 ** np.arange(3000) if refused(way, {limit: value}))
+    limits = MotionLimits(**{limit: 0.95 * reached})
+    slower = slowed(way, CAD, limits, at_most=1.1)
+    check(slower, CAD, limits)
+    longer = slower.duration_s / way.duration_s
+    assert 1.02 < longer < 1.07
+    for share in (0.0, 0.3, 0.5, 1.0):
+        before, after = (t.sample(share * t.duration_s) for t in (way, slower))
+        assert after.pose_in_wall == pytest.approx(before.pose_in_wall, abs=1e-12)
+        assert longer * after.twist_body == pytest.approx(before.twist_body, abs=1e-12)
+    assert refused(slower, {limit: 0.93 * reached})
+    assert slowed(way, CAD, limits, at_most=1.01) is way
+    assert slowed(way, CAD, MotionLimits(), at_most=1.1) is way
 
 
 @pytest.mark.parametrize(("pull", "held"), [(0.19, True), (0.21, False)])

@@ -52,7 +52,7 @@ class VisualInertialComputer(Scheduled):
         faults: what is wrong with it.
 
     Raises:
-        DeviceError: pymavlink is missing.
+        ConfigError: pymavlink is missing.
     """
 
     def __init__(
@@ -65,7 +65,7 @@ class VisualInertialComputer(Scheduled):
         mount_rotation_wxyz: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0),
     ) -> None:
         self.name, self._world = name, world
-        self._common = dialect(name)
+        self._common = dialect()
         self.options = options if options is not None else ComputerTruthOptions()
         self._rng = world.rng(name)
         self.odometry = VisualOdometry(

@@ -84,12 +84,13 @@ class MavlinkTracker(Sensor[TrackerSample]):
 
         Raises:
             DeviceTimeoutError: no odometry arrives.
-            DeviceError: pymavlink is missing, the port cannot be used, or who sends is not who is wanted, or
-                sends poses in frames that cannot be used.
+            ConfigError: pymavlink is missing.
+            DeviceError: the port cannot be used, or who sends is not who is wanted, or sends poses in frames
+                that cannot be used.
         """
         self.close()
         self._forget()
-        common = messages.dialect(self.name)
+        common = messages.dialect()
         link = self._open_link(self._config, self._clock, self.name)
         self._session = session = Session(link, common, self._config, self._clock)
         try:

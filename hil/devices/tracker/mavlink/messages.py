@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.vocabulary.errors import DeviceError
+from hil.vocabulary.errors import ConfigError
 from hil.vocabulary.extras import how_to_install
 from hil.vocabulary.geometry import Array, Three, rotated
 
@@ -35,14 +35,13 @@ _NAMES = {number: name for name, number in FRAMES.items()}
 _ROWS, _COLUMNS = np.triu_indices(6)
 
 
-def dialect(device: str) -> Any:
-    """Pymavlink's generated messages; raises `DeviceError` with what to do when they cannot be imported."""
+def dialect() -> Any:
+    """Pymavlink's generated messages; raises `ConfigError` with what to do when they cannot be imported."""
     try:
         return importlib.import_module(DIALECT)
     except ImportError as error:
-        raise DeviceError(
-            device,
-            f"pymavlink cannot be imported ({error})",
+        raise ConfigError(
+            f'tracker.model = "mavlink" needs pymavlink, which cannot be imported ({error})',
             expected="the extra mavlink",
             remedy=how_to_install("mavlink"),
         ) from None

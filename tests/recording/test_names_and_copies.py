@@ -1,0 +1,171 @@
+"""Recordings of one name in several folders, and copies of a recording, as commands take them."""
+
+import gzip
+import json
+import shutil
+
+import numpy as np
+import pytest
+
+from hil.calibration.artefact import read_calibration
+from hil.calibration.calibrate import calibrate
+from hil.calibration.problem import RECOMMENDED
+from hil.calibration.synthetic import hidden_robot, make_set
+from hil.cli import main
+from hil.recording.plain_csv import write_plain
+from hil.recording.sources import read_recordings
+from hil.vocabulary.clock import MonotonicClock
+from hil.vocabulary.errors import DataError
+
+MOTIONS = ("line_x", "line_y", "rotation_ccw")
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return make_set(hidden_robot(3), 3, MOTIONS, repetitions=2)
+
+
+@pytest.fixture
+def days(tmp_path, drives):
+    """Two folders of one repetition each, whose files are called alike."""
+    for one in drives:
+        motion, _, number = one.name.rpartition("_")
+        folder = tmp_path / "lab" / number
+        folder.mkdir(parents=True, exist_ok=True)
+        write_plain(folder / f"{motion}_1.csv", one)
+    return tmp_path / "lab"
+
+
+def hil(capsys, *words):
+    capsys.readouterr()
+    code = main([*map(str, words), "--json"])
+    told = capsys.readouterr()
+    return code, json.loads(told.out) if told.out else {}, told.err
+
+
+def test_each_of_one_name_has_its_own_weight_and_digests(days, tmp_path, capsys):
+    out = tmp_path / "c.toml"
+    words = ["calibrate", days / "1", days / "2", "--model", "exact", "--no-validation", "--out", out]
+    code, found, _ = hil(capsys, *words)
+    names = [f"{day}/{motion}_1" for day in "12" for motion in sorted(MOTIONS)]
+    assert (code, list(found["weights"])) == (0, names)
+    kept = read_calibration(out).recordings
+    assert list(kept) == names
+    assert len({what["sha256"][0] for what in kept.values()}) == 6
+    assert {name: what["weight"] for name, what in kept.items()} == found["weights"]
+
+
+def test_a_bad_one_is_named_and_its_namesake_stays(tmp_path, capsys):
+    for folder, spoilt in (("1", "line_x_1"), ("2", None)):
+        (tmp_path / folder).mkdir()
+        for one in make_set(hidden_robot(3), int(folder), MOTIONS, repetitions=2, corrupted=spoilt):
+            write_plain(tmp_path / folder / f"{one.name}.csv", one)
+    out = tmp_path / "c.toml"
+    words = ["calibrate", tmp_path / "1", tmp_path / "2", "--no-validation", "--out", out]
+    code, found, _ = hil(capsys, *words)
+    bad = found["rejected"]
+    assert code == 0
+    assert "1/line_x_1" in bad
+    assert "2/line_x_1" not in bad
+    kept = [p for p in sorted(tmp_path.glob("*/*.csv")) if f"{p.parent.name}/{p.stem}" not in bad]
+    _, table, _ = hil(capsys, "evaluate", *kept, "--calibration", out)
+    assert table["recordings"] == 12 - len(bad)
+    assert found["cost_after_without_rejected"] == pytest.approx(table["cost"], rel=1e-6)
+    assert any(line.startswith("1/line_x_1: does not fit") for line in found["warnings"])
+
+
+def test_as_few_folders_are_named_as_tell_apart(days, tmp_path, drives, monkeypatch):
+    other = tmp_path / "shop" / "1"
+    other.mkdir(parents=True)
+    write_plain(other / "line_x_1.csv", drives[1])
+    lab = days / "1"
+    shutil.rmtree(days / "2")
+    assert [r.name for r in read_recordings([lab, other])] == [
+        "lab/1/line_x_1", "line_y_1", "rotation_ccw_1", "shop/1/line_x_1",
+    ]  # fmt: skip
+    monkeypatch.chdir(lab)
+    assert read_recordings([".", other])[0].name == "lab/1/line_x_1"
+    assert [r.name for r in read_recordings([other])] == ["line_x_1"]
+
+
+def test_other_content_of_one_name_in_one_folder_goes_by_file_names(tmp_path, drives):
+    write_plain(tmp_path / "line_x_1.csv", drives[0])
+    write_plain(tmp_path / "b.csv", drives[1])
+    (tmp_path / "line_x_1.csv.gz").write_bytes(gzip.compress((tmp_path / "b.csv").read_bytes()))
+    (tmp_path / "b.csv").unlink()
+    assert [r.name for r in read_recordings([tmp_path])] == ["line_x_1.csv", "line_x_1.csv.gz"]
+
+
+def test_calibrate_refuses_recordings_of_one_name(drives):
+    with pytest.raises(DataError, match="several recordings are called line_x_1; expected names that differ"):
+        calibrate([drives[0], *drives], RECOMMENDED, MonotonicClock())
+
+
+CHANGES = {
+    "line ends": lambda data: data.replace(b"\r\n", b"\n"),
+    "a line at the end": lambda data: data + b"\n\n",
+    "packed": gzip.compress,
+    "a column": lambda data: data.replace(b"\r\n", b",0\n").replace(b",0\n", b",note\n", 1),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_copies_that_differ_in_form_are_not_held_out(tmp_path, drives, capsys, change):
+    """One repetition and its copies: nothing can be left out, and no figure says that it was."""
+    first, copy = tmp_path / "a", tmp_path / "b"
+    first.mkdir()
+    copy.mkdir()
+    for one in drives[::2]:
+        write_plain(first / f"{one.name}.csv", one)
+        name = f"{one.motion}_2.csv" + (".gz" if change == "packed" else "")
+        (copy / name).write_bytes(CHANGES[change]((first / f"{one.name}.csv").read_bytes()))
+    _, alone, _ = hil(capsys, "calibrate", first, "--model", "exact")
+    code, found, _ = hil(capsys, "calibrate", first, copy, "--model", "exact")
+    assert (code, found["recordings"]) == (0, 3)
+    assert "leave_one_repetition_out" not in found["validation"]
+    assert found["std"] == alone["std"]
+    assert any("no motion is repeated" in line for line in found["warnings"])
+    named = [line for line in found["warnings"] if "copy of it left out" in line]
+    assert [line.partition(":")[0] for line in named] == [f"{m}_1" for m in sorted(MOTIONS)]
+
+
+def test_a_copy_called_by_another_motion_is_none_either(tmp_path, drives):
+    for name in ("line_x_1", "dance_7"):
+        write_plain(tmp_path / f"{name}.csv", drives[0])
+    write_plain(tmp_path / "line_x_2.csv", drives[1])
+    assert [r.name for r in read_recordings([tmp_path])] == ["dance_7", "line_x_2"]
+
+
+def test_an_export_beside_its_recording_is_a_copy(tmp_path, capsys):
+    from hil.bench import open_bench
+    from hil.recording.mcap_writer import McapRecorder
+
+    path = tmp_path / "stand_1.mcap"
+    bench = open_bench("emulated_floor")
+    bench.add_sink(McapRecorder(path, bench.header(), lossless=True))
+    with bench:
+        bench.observe(2.0)
+    assert main(["export", str(path)]) == 0
+    (one,) = read_recordings([tmp_path])
+    assert one.repairs == {f"copy of it left out, {path}": 1}
+
+
+def test_packed_and_plain_halves_of_one_run_get_one_statement(public_data, tmp_path):
+    for half in ("odom_21.csv.gz", "abs_21.csv.gz"):
+        shutil.copy(public_data / half, tmp_path / half)
+    (tmp_path / "odom_21.csv").write_bytes(gzip.decompress((public_data / "odom_21.csv.gz").read_bytes()))
+    (one,) = read_recordings([tmp_path])
+    assert one.repairs == {f"copy of it left out, {tmp_path / 'odom_21.csv.gz'}": 1}
+    lines = gzip.decompress((public_data / "abs_21.csv.gz").read_bytes()).splitlines(keepends=True)
+    (tmp_path / "abs_21.csv").write_bytes(b"".join(lines[:1] + lines[1::2]))
+    (one,) = read_recordings([tmp_path / "odom_21.csv"])
+    assert one.sources == (str(tmp_path / "odom_21.csv"), str(tmp_path / "abs_21.csv"))
+    assert len(one.truth_t_s) == pytest.approx(len(lines) / 2, abs=1)
+
+
+def test_real_repetitions_are_no_copies(public_data):
+    found = read_recordings([public_data])
+    assert len(found) == 24
+    assert all(
+        np.all(np.isfinite(r.truth_pose)) and not any("copy" in what for what in r.repairs) for r in found
+    )
