@@ -37,6 +37,9 @@ if TYPE_CHECKING:
 
 FourNumbers = tuple[int, int, int, int]
 
+WHEEL_ORDER: Literal["FL BL BR FR"] = "FL BL BR FR"
+"""Order of the four numbers of every list in a file."""
+
 
 class MadeFor(BaseModel):
     """The servos that a calibration belongs to, wheel order FL, BL, BR, FR; empty for not recorded.
@@ -69,7 +72,7 @@ class CalibrationFile(BaseModel):
     schema_version: Literal[1] = Field(alias="schema")
     version: int = Field(ge=1)
     created: str
-    wheel_order: str = "FL BL BR FR"
+    wheel_order: Literal["FL BL BR FR"] = WHEEL_ORDER
     method: str
     setting: str
     model: ForwardModel
@@ -135,6 +138,12 @@ def read_calibration(path: Path) -> CalibrationFile:
             expected="a file that hil calibrate --out FILE wrote",
             remedy="name another file, or calibrate anew",
         )
+    if (order := tree.get("wheel_order", WHEEL_ORDER)) != WHEEL_ORDER:
+        raise ConfigError(
+            f"{path}: wheel_order is {order!r}",
+            expected=f"{WHEEL_ORDER!r}, in which every list of four numbers is read",
+            remedy="put all lists of the file in that order, then correct wheel_order; or calibrate anew",
+        )
     try:
         file = CalibrationFile.model_validate(tree)
     except ValidationError as error:
@@ -184,7 +193,7 @@ def calibration_file(
         "schema": 1,
         "version": version,
         "created": created,
-        "wheel_order": "FL BL BR FR",
+        "wheel_order": WHEEL_ORDER,
         **{k: described[k] for k in ("method", "setting", "model", "signal", "cost_before", "cost_after")},
         "parameters": _parameters(result.geometry),
         "nominal": _parameters(result.nominal),

@@ -14,6 +14,7 @@ import numpy as np
 
 from hil.calibration.leaps import Bools, fastest_m_s, find_leaps
 from hil.calibration.nominal import Nominal, lever_m
+from hil.calibration.unit_factors import Drive, check_rates, check_ways
 from hil.calibration.units import check_leaps, check_time, check_units, rolled_m
 from hil.vocabulary.errors import DataError
 from hil.vocabulary.geometry import Array
@@ -24,6 +25,7 @@ _MIN_ROWS = 20
 _MIN_SHARED = 2
 _CREDIBLE = 1e12
 _ROTATION_RAD = 5.0
+_ROLLED_RAD = 0.5
 _ROTATION_PATH_M = 0.3
 
 
@@ -144,17 +146,20 @@ def build_recording(
         raise DataError(
             where, "wheels and ground truth have no rows in the time they share", expected="rows of both"
         )
+    check_ways(where, Drive(t_s, w[:, :4], truth_t_s, np.column_stack([pose[:, :2], heading])), robot)
     check_units(
         where, angle[by_wheels], w[by_wheels, 4:8], truth_t_s[by_truth], pose[by_truth], heading[by_truth],
         robot,
     )  # fmt: skip
+    rate = _recorded_rates(w, angle, repairs)
+    check_rates(where, t_s, angle, rate)
     return Recording(
         name=name,
         motion=motion or classify(angle, pose, robot.radius_m),
         t_s=t_s,
         wheel_angle_rad=angle,
         steering_rad=w[:, 4:8].copy(),
-        wheel_rate_rad_s=w[:, 8:12].copy() if w.shape[1] >= 12 else np.full((len(w), 4), np.nan),
+        wheel_rate_rad_s=rate,
         truth_t_s=truth_t_s,
         truth_pose=pose,
         receive_s=receive_s,
@@ -186,6 +191,16 @@ def _clean(log: Log, needed: int, kind: str, repairs: dict[str, int]) -> tuple[A
     _count(repairs, f"{kind} rows with a repeated stamp dropped", np.count_nonzero(~keep))
     t_s, values, receive_s = t_s[keep], values[keep], receive_s[keep]
     return t_s, values, increasing(receive_s)
+
+
+def _recorded_rates(w: Array, angle: Array, repairs: dict[str, int]) -> Array:
+    """Wheel rates (n, 4) of rows (n, 8 or 12); NaN where there are none, or only 0 while wheels roll."""
+    if w.shape[1] < 12:
+        return np.full((len(w), 4), np.nan)
+    if not w[:, 8:12].any() and np.max(np.ptp(angle, axis=0)) > _ROLLED_RAD:
+        _count(repairs, "columns of wheel rates (w) that are 0 throughout taken as not recorded", 4)
+        return np.full((len(w), 4), np.nan)
+    return np.array(w[:, 8:12])
 
 
 def _without_leaps(

@@ -15,7 +15,6 @@ from hil.robot.kinematics import WheelGeometry
 from hil.vocabulary.geometry import Array
 
 _PRIOR_ONLY = 0.9
-_BOUND_SLACK = 1e-4
 _DEGREES_OF_FREEDOM = 8
 _DIRECTION_NAMES = 3
 _LEAST_KEPT = 1e-7
@@ -65,15 +64,13 @@ def identifiability(fit: Fit) -> Identifiability:
     ratio = np.sqrt(np.diag(posterior))
     names = PARAMETER_NAMES[: len(z)]
     determined = int(np.count_nonzero(values > 1.0))
-    box = problem.upper - problem.lower
-    near = (z - problem.lower <= _BOUND_SLACK * box) | (problem.upper - z <= _BOUND_SLACK * box)
     return Identifiability(
         singular_values=spectrum,
         information=values,
         determined=determined,
         whatever_the_model=min(determined, _without_a_law(fit)),
         directions=tuple(_in_words(vectors[:, k] * spread, unit) for k in range(determined)),
-        at_bound=tuple(n for n, b in zip(names, near, strict=True) if b),
+        at_bound=tuple(n for n, b in zip(names, problem.at_bound(z), strict=True) if b),
         unobservable=tuple(n for n, r in zip(names, ratio, strict=True) if r > _PRIOR_ONLY),
         std_ratio=ratio,
     )
@@ -163,7 +160,7 @@ def standard_errors(fit: Fit, nominal: WheelGeometry) -> StandardErrors:
     weights = problem.weights
     total = np.einsum("r,rab->ab", weights, jj) + np.diag(problem.prior_precision())
     total += 1e-9 * np.diag(np.diag(total))
-    free = (z > problem.lower) & (z < problem.upper)
+    free = ~problem.at_bound(z)
     count, motions = len(weights), np.array(problem.blocks.motions)
     if count < 2 or not free.any():
         return StandardErrors(

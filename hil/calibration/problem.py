@@ -13,6 +13,7 @@ import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from hil.calibration.blocks import Blocks
 from hil.calibration.evaluation import turned_wheels
@@ -28,6 +29,7 @@ PARAMETER_NAMES = tuple(f"{k}_{i}" for k in ("x_w", "y_w", "r", "delta0") for i 
 _EFFECTIVE_OBSERVATIONS = 3.0
 _CAUCHY = 2.0 * 1.2
 _REACH = 10.0
+_BOUND_SLACK = 1e-4
 
 
 @dataclass(frozen=True)
@@ -247,6 +249,14 @@ class Problem:
             own = [np.median(rms[motions == m]) for m in motions]
             typical = np.maximum(typical, own)
         return np.asarray(1.0 / (1.0 + (rms / np.maximum(_CAUCHY * typical, 1e-12)) ** 2), dtype=np.float64)
+
+    def at_bound(self, z: Array) -> npt.NDArray[np.bool_]:
+        """Which of the parameters z (m,) the box decides: within a ten-thousandth of its width of a bound.
+
+        Methods end at a bound, or just inside it.
+        """
+        slack = _BOUND_SLACK * (self.upper - self.lower)
+        return np.asarray((z - self.lower <= slack) | (self.upper - z <= slack))
 
     def clip(self, z: Array) -> Array:
         """Parameters (m,) moved into the box."""

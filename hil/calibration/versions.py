@@ -95,13 +95,24 @@ class Shelf:
             ConfigError: no such version, its validation did not pass, or it belongs to another robot.
         """
         chosen = self.find(version)
-        if chosen.file.verdict not in PASSED:
-            raise ConfigError(
-                f"{chosen.path}: version {version} has not passed a validation run "
-                f"(verdict {chosen.file.verdict or 'none'})",
-                remedy="calibrate with `hil run odometry_calibration`, which ends in one",
-            )
+        check_passed(chosen.file, str(chosen.path))
         return self._put_in_place(chosen, config)
+
+    def adopt(self, file: CalibrationFile, where: str, config: BenchConfig | None = None) -> KeptVersion:
+        """Put a calibration from elsewhere beside the others and in place; a refused one leaves no file.
+
+        Args:
+            file: the calibration.
+            where: it lies, for messages.
+            config: bench that is going to use it, None to check nothing of it.
+
+        Raises:
+            ConfigError: its validation did not pass, it belongs to another robot, or it cannot be written.
+        """
+        check_passed(file, where)
+        if config is not None:
+            check_made_for(file, config, where)
+        return self.apply(self.add(file).file.version, config)
 
     def rollback(self, version: int | None = None, config: BenchConfig | None = None) -> KeptVersion:
         """Put an earlier version back: the given one, else the one before the one in place.
@@ -177,6 +188,25 @@ def made_for(config: BenchConfig) -> MadeFor | None:
         steer_sign=alignment.steer_sign,
         steer_zero_rad=alignment.steer_zero_rad,
     )
+
+
+def check_passed(file: CalibrationFile, path: str) -> None:
+    """Refuse a calibration whose validation run did not pass, or that had none.
+
+    Args:
+        file: the calibration.
+        path: where it lies, for the message.
+
+    Raises:
+        ConfigError: names the file and the verdict.
+    """
+    if file.verdict not in PASSED:
+        raise ConfigError(
+            f"{path}: version {file.version} has not passed a validation run "
+            f"(verdict {file.verdict or 'none'})",
+            expected=f"the verdict {' or '.join(PASSED)}",
+            remedy="calibrate with `hil run odometry_calibration`, which ends in one",
+        )
 
 
 def check_made_for(file: CalibrationFile, config: BenchConfig, path: str) -> None:

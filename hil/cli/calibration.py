@@ -68,17 +68,14 @@ def apply_version(
     Example: hil calibration apply calibration.toml --version 3
     """
     from hil.calibration.artefact import read_calibration
-    from hil.calibration.versions import Shelf, check_made_for
+    from hil.calibration.versions import Shelf
     from hil.vocabulary.errors import UsageError
 
     if (version is None) == (source is None):
         raise UsageError("which calibration?", expected="either --version N or --from FILE")
     shelf, config = Shelf(file), _config(bench)
     if source is not None:
-        found = read_calibration(source)
-        if config is not None:
-            check_made_for(found, config, str(source))
-        version = shelf.add(found).file.version
+        return _done(shelf.adopt(read_calibration(source), str(source), config), file, as_json)
     assert version is not None
     return _done(shelf.apply(version, config), file, as_json)
 

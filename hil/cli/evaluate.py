@@ -30,7 +30,9 @@ _COLUMNS = ("e_x_m", "e_x_a", "e_y_m", "e_y_a", "e_theta_m", "e_theta_a")
 @click.option("--calibration", type=FILE, help="calibration.toml to apply.")
 @click.option("--model", type=click.Choice(MODELS), help="Forward model [default: exact, or the file's].")
 @click.option(
-    "--signal", type=click.Choice(["position", "velocity"]), help="Wheel signal [default: position]."
+    "--signal",
+    type=click.Choice(["position", "velocity"]),
+    help="Wheel signal [default: position, or the file's].",
 )
 @click.option(
     "--deploy", type=click.Choice(["parameters", "twist"]), default="parameters", show_default=True,
@@ -46,8 +48,11 @@ def command(
 ) -> int:  # fmt: skip
     """Odometry error table of recordings: folders of odom_N/abs_N pairs, or plain CSV files.
 
+    With --calibration it says to how many of them that was fitted: errors on those are in sample.
+
     Example: hil evaluate recordings/ --calibration calibration.toml
     """
+    from hil.calibration.applied import in_sample, used_otherwise
     from hil.calibration.caveats import told_by
     from hil.calibration.evaluation import evaluate
     from hil.recording.sources import read_recordings
@@ -63,13 +68,24 @@ def command(
         recordings = read_recordings(
             data, lambda done, total: report("reading", done, total), topics=topics, nominal=robot
         )
-    used_model = model or (file.model if file else "exact")
+    used_model = "exact" if deploy == "twist" else model or (file.model if file else "exact")
     used_signal = signal or (file.signal if file else "position")
     tracks = _tracks(recordings, file, robot, used_model, used_signal, deploy)
     table = evaluate(tracks)
     table |= {"model": used_model, "signal": used_signal, "calibration": str(calibration) if file else None}
     table["geometry"] = robot.to_json()
+    told: list[str] = []
+    if file is not None:
+        seen = in_sample(file, recordings)
+        table |= {"deploy": deploy, "fitted_with": {"model": file.model, "signal": file.signal}}
+        table["in_sample"] = seen.to_json()
+        told = [
+            f"calibration {calibration}, fitted with model {file.model}, signal {file.signal}, "
+            f"applied as {deploy}",
+            seen.in_words(),
+        ]
     warnings = told_by(recordings)
+    warnings += [] if file is None else used_otherwise(file, model, used_signal, deploy)
     warnings += _doubts(recordings, file, robot, used_signal, deploy)
     table["warnings"] = warnings
     table["problems"] = [f"{r.name}: {what}" for r in recordings for what in r.problems]
@@ -79,8 +95,8 @@ def command(
         from hil.report.calibration_page import write_evaluation_page
 
         nominal = _tracks(recordings, None, robot, used_model, used_signal, "parameters") if file else None
-        click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table)}", err=True)
-    click.echo(json.dumps(table) if as_json else _text(table))
+        click.echo(f"page: {write_evaluation_page(plots, tracks, nominal, table, told)}", err=True)
+    click.echo(json.dumps(table) if as_json else _text(table, told))
     return EXIT_USAGE if table["problems"] else EXIT_PASS
 
 
@@ -140,12 +156,13 @@ def _doubts(
     return out
 
 
-def _text(table: dict[str, Any]) -> str:
+def _text(table: dict[str, Any], told: list[str]) -> str:
     geometry = table["geometry"]
     lines = [
         f"{table['recordings']} recordings, model {table['model']}, signal {table['signal']}, "
         f"cost J = {table['cost']:.1f}",
         f"robot on paper: {geometry['source']}",
+        *told,
         f"{'motion':14}" + "".join(f"{c:>10}" for c in _COLUMNS) + f"{'RMSE mm':>10}{'RMSE deg':>10}",
     ]
     motions: dict[str, dict[str, float]] = table["motions"]

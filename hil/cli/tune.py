@@ -14,7 +14,7 @@ import click
 
 from hil.cli.options import FILE, OUT
 from hil.cli.progress import reporting
-from hil.vocabulary.errors import ConfigError, DataError, UsageError
+from hil.vocabulary.errors import EXIT_LIMIT_FAILED, EXIT_PASS, ConfigError, DataError, UsageError
 from hil.vocabulary.files import check_ending, check_file, put_whole, refused
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ _DEFAULT = (
     "--check",
     multiple=True,
     type=FILE,
-    help="Held-out recording: scored before and after, not fitted (repeatable).",
+    help="Held-out recording, not fitted (repeatable): exit code 1 where the figures do worse on it.",
 )
 @click.option(
     "--parameter",
@@ -55,11 +55,12 @@ def command(
 ) -> int:  # fmt: skip
     """Fit the estimator's noise by the likelihood of the true pose in RECORDINGS.
 
-    Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out.
+    Figures about which they say nothing, as the gyro's in recordings of wheels alone, are left out. With
+    --check the exit code is 1 where the new figures do worse on what was not fitted.
 
     Example: hil tune out/wall_tracking/first
     """
-    from hil.estimator.tuning import score, tune
+    from hil.estimator.tuning import score, tune, worse
 
     if out is not None:
         _check_out(out, bench)
@@ -82,13 +83,19 @@ def command(
         "evaluations": found.evaluations,
         "geometry": _geometry(runs[0].geometry, bench),
     }
+    lost = ""
     if held:
         pair = (score(start, held), score(found.config, held))
         result["held_out"] = {"before": asdict(pair[0]), "after": asdict(pair[1])}
+        lost = worse(*pair)
+    result["verdict"] = None if pair is None else "FAIL" if lost else "PASS"
+    result["warnings"] = [_do_not_use(check, lost, out)] if lost else []
+    for line in result["warnings"]:
+        click.echo(f"warning: {line}", err=True)
     if out is not None:
         _write(out, bench, found)
-    click.echo(json.dumps(result) if as_json else _text(found, pair))
-    return 0
+    click.echo(json.dumps(result) if as_json else _text(found, pair, result["verdict"]))
+    return EXIT_LIMIT_FAILED if lost else EXIT_PASS
 
 
 def _check_out(out: Path, bench: str | None) -> None:
@@ -220,7 +227,16 @@ def _write(out: Path, bench: str | None, found: Tuned) -> None:
         raise refused(out, error) from None
 
 
-def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:
+def _do_not_use(check: Sequence[Path], lost: str, out: Path | None) -> str:
+    """What figures that do worse on held-out recordings are worth, and what to do."""
+    kept = "" if out is None else f"; {out} is written all the same"
+    return (
+        f"on {', '.join(map(str, check))}, to which they were not fitted, the new figures do worse than "
+        f"those before: {lost}; do not use them, fit more recordings or fewer figures (--parameter){kept}"
+    )
+
+
+def _text(found: Tuned, held: tuple[Score, Score] | None, verdict: str | None) -> str:
     lines = [f"{name} = {value:.4g}" for name, value in found.values.items()]
     if found.silent:
         lines.append(f"not fitted, the recordings say nothing about: {', '.join(found.silent)}")
@@ -234,5 +250,9 @@ def _text(found: Tuned, held: tuple[Score, Score] | None) -> str:
         lines.append(
             f"{label:16} {s.likelihood:9.3f} {1e3 * s.rmse_position_m:9.3f} "
             f"{math.degrees(s.rmse_theta_rad):9.3f} {s.nees:9.3f}"
+        )
+    if verdict is not None:
+        lines.append(
+            f"held out: {verdict} ({'better or as good as' if verdict == 'PASS' else 'worse than'} before)"
         )
     return "\n".join(lines)

@@ -31,6 +31,7 @@ from hil.vocabulary.signals import Measurements, RobotState, heard
 CHECK_EVERY_NS = 500_000_000
 _FACTORS = (3.0, 1.7, 1.3)
 _LEAST_GAIN = 1e-3
+_CLEARLY_WORSE = 1e-2
 _SENSORS = {"gyro", "tracker"}
 """Tables of noise that are those of a sensor which a recording need not have."""
 _WHITE = ("wheels", "gyro", "tracker")
@@ -137,6 +138,23 @@ def score(config: EstimatorConfig, runs: Sequence[TruthRun]) -> Score:
         float(np.sqrt(np.mean(np.sum(error[:, :2] ** 2, axis=1)))),
         float(np.sqrt(np.mean(error[:, 2] ** 2))),
         float(squared),
+    )
+
+
+def worse(before: Score, after: Score) -> str:
+    """How far fitted figures do worse on recordings that they were not fitted to; empty where they do not.
+
+    Args:
+        before: of those recordings, with the figures that the search began with.
+        after: with the fitted ones. Worse is a mean negative log likelihood that is higher by 0.01.
+    """
+    if after.likelihood <= before.likelihood + _CLEARLY_WORSE:
+        return ""
+    return (
+        f"-ln L {before.likelihood:.2f} -> {after.likelihood:.2f}, "
+        f"RMSE {1e3 * before.rmse_position_m:.3f} -> {1e3 * after.rmse_position_m:.3f} mm and "
+        f"{math.degrees(before.rmse_theta_rad):.3f} -> {math.degrees(after.rmse_theta_rad):.3f} deg, "
+        f"NEES {before.nees:.2f} -> {after.nees:.2f}"
     )
 
 

@@ -30,8 +30,9 @@ _ALLOWED = {False: "how far off a part may be by its drawing", True: "how far th
 
 
 def write_evaluation_page(
-    folder: Path, tracks: Sequence[Track], nominal: Sequence[Track] | None, table: Mapping[str, Any]
-) -> Path:
+    folder: Path, tracks: Sequence[Track], nominal: Sequence[Track] | None, table: Mapping[str, Any],
+    told: Sequence[str] = (),
+) -> Path:  # fmt: skip
     """Write figures and `index.html` of an error table; returns the page's path.
 
     Args:
@@ -39,6 +40,7 @@ def write_evaluation_page(
         tracks: odometry of each recording as judged.
         nominal: the same with nominal parameters; None when `tracks` are these.
         table: the result of `hil evaluate`, JSON values.
+        told: what has to be known of the calibration, a line each.
 
     Raises:
         DataError: they cannot be written.
@@ -51,10 +53,9 @@ def write_evaluation_page(
     )
     if nominal is not None:
         sentence += f" With nominal parameters it errs by {_mm(dict[str, Any](evaluate(before))['mean'])} mm."
-    calibrated = table.get("calibration")
     facts = [
         f"model {table['model']}, signal {table['signal']}, cost J {number(table['cost'])}",
-        f"calibration {calibrated}" if calibrated else "nominal parameters",
+        *(told or ["nominal parameters"]),
     ]
     page = Overview(
         f"Odometry of {table['recordings']} recordings", sentence,

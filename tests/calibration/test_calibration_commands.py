@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 
 import numpy as np
@@ -49,6 +50,64 @@ def test_calibrate_then_evaluate_with_the_file(data, tmp_path, capsys):
     assert after["mean"]["rmse_position_m"] < 0.3 * before["mean"]["rmse_position_m"]
     assert twist["mean"]["rmse_position_m"] < 0.3 * before["mean"]["rmse_position_m"]
     assert set(before["motions"]["line_x"]) >= {"n", "e_x_m", "e_theta_a", "final_position_m"}
+
+
+@pytest.fixture
+def fitted_to_some(data, tmp_path):
+    """A calibration by the first repetitions, and the folder of all."""
+    out, runs = tmp_path / "calibration.toml", [str(path) for path in sorted(data.glob("*_1.csv"))]
+    assert main(["calibrate", *runs, "--no-validation", "--model", "exact", "--out", str(out)]) == 0
+    return out
+
+
+def test_recordings_that_a_calibration_was_fitted_to_are_in_sample_by_any_name(
+    data, fitted_to_some, tmp_path, capsys
+):
+    def evaluated(*args):
+        return run_json(capsys, "evaluate", *args, "--calibration", fitted_to_some)[1]["in_sample"]
+
+    assert evaluated(data) == {"count": 6, "of": 12, "names": sorted(p.stem for p in data.glob("*_1.csv"))}
+    assert evaluated(*sorted(data.glob("*_2.csv"))) == {"count": 0, "of": 6, "names": []}
+    shutil.copy(data / "line_x_1.csv", tmp_path / "line_x_9.csv")
+    assert evaluated(tmp_path / "line_x_9.csv")["names"] == ["line_x_9"]
+    lines = {
+        "*": "in sample: the calibration was fitted to 6 of these 12",
+        "*_2*": "held out: the calibration",
+    }
+    for files, said in lines.items():
+        page, paths = tmp_path / files.replace("*", "x"), [str(p) for p in sorted(data.glob(files + ".csv"))]
+        assert main(["evaluate", *paths, "--calibration", str(fitted_to_some), "--plots", str(page)]) == 0
+        assert said in capsys.readouterr().out
+        assert said in (page / "index.html").read_text()
+    assert run_json(capsys, "evaluate", data)[1].get("in_sample") is None
+
+
+def test_a_calibration_that_names_no_files_says_neither(data, fitted_to_some, capsys):
+    text = fitted_to_some.read_text()
+    fitted_to_some.write_text(re.sub(r"sha256 = \[[^]]*\]", "sha256 = []", text))
+    _, table = run_json(capsys, "evaluate", data, "--calibration", fitted_to_some)
+    assert table["in_sample"]["count"] is None
+    assert main(["evaluate", str(data), "--calibration", str(fitted_to_some)]) == 0
+    assert "does not say to which files it was fitted" in capsys.readouterr().out
+
+
+def test_another_model_or_signal_than_the_calibrations_is_warned_of(data, fitted_to_some, capsys):
+    def warned(*args):
+        _, table = run_json(capsys, "evaluate", data, "--calibration", fitted_to_some, *args)
+        assert table["fitted_with"] == {"model": "exact", "signal": "position"}
+        return [w for w in table["warnings"] if w.startswith("--")], table
+
+    none, own = warned()
+    assert none == []
+    assert (own["model"], own["signal"], own["deploy"]) == ("exact", "position", "parameters")
+    assert warned("--model", "exact", "--signal", "position")[0] == []
+    ((model,), other), ((signal,), _) = warned("--model", "dry-friction"), warned("--signal", "velocity")
+    assert model.startswith("--model dry-friction: the calibration was fitted with the model exact")
+    assert signal.startswith("--signal velocity: the calibration was fitted with the signal position")
+    assert other["model"] == "dry-friction"
+    (twist,), table = warned("--deploy", "twist", "--model", "dry-friction")
+    assert twist.startswith("--model dry-friction has no say with --deploy twist")
+    assert table["model"] == "exact"
 
 
 def test_a_calibration_is_never_overwritten(data, tmp_path):

@@ -9,7 +9,7 @@ from hil.calibration.blocks import reduce_recordings
 from hil.calibration.calibrate import calibrate
 from hil.calibration.evaluation import evaluate, track, truth_window
 from hil.calibration.fitting import fit
-from hil.calibration.identifiability import identifiability, play_shift
+from hil.calibration.identifiability import identifiability, play_shift, standard_errors
 from hil.calibration.motion_models import make_model
 from hil.calibration.problem import PAPER, RECOMMENDED, Problem, make_setting
 from hil.calibration.solvers import METHODS, interior_point, levenberg_marquardt, solve
@@ -88,6 +88,20 @@ def test_all_methods_keep_to_one_box_and_meet_in_it(recordings, model, methods):
         assert np.all(moved[12:] <= 0.05 + 1e-12), method
         assert result.solution.objective <= 1.001 * best, method
         assert named[method] == named["lm"] != set()
+
+
+def test_all_methods_say_the_same_of_intervals_where_bounds_decide(recordings):
+    """Some end on a bound and some just inside it: standard errors had differed by a factor of three."""
+    blocks = reduce_recordings(recordings, 0.1, "velocity")
+    setting = replace(PAPER, bounds=0.02)
+    fits = [fit(blocks, setting, CAD, method=method) for method in METHODS]
+    first, *others = [standard_errors(found, CAD) for found in fits]
+    held = [identifiability(found).at_bound for found in fits]
+    assert 0 < len(held[0]) < 12
+    assert held[1:] == held[:1] * (len(METHODS) - 1)
+    for other in others:
+        np.testing.assert_allclose(other.std, first.std, rtol=0.03)
+        np.testing.assert_allclose(other.twist_std, first.twist_std, rtol=0.03)
 
 
 def test_a_wheel_on_an_axis_of_the_body_is_not_held_there():

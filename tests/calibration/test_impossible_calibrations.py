@@ -57,6 +57,15 @@ def test_an_impossible_number_is_refused_with_file_and_key(tmp_path, key, value)
     assert "expected" in error.value.problems[0]
 
 
+def test_another_order_of_the_wheels_is_refused_with_the_one_that_is_expected(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_text(tomli_w.dumps(json.loads(json.dumps(tree(wheel_order="FR FL BL BR")))))
+    with pytest.raises(
+        ConfigError, match=r"c\.toml: wheel_order is 'FR FL BL BR'; expected 'FL BL BR FR'.*lists"
+    ):
+        read_calibration(path)
+
+
 def test_all_impossible_numbers_are_named_at_once(tmp_path):
     path = tmp_path / "c.toml"
     path.write_text(text("parameters", PAPER | {"x_w_m": [9.0] * 4, "r_m": [0.0] * 4}))

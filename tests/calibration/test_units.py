@@ -64,7 +64,10 @@ def test_one_stamp_that_is_far_from_all_others_is_named(turn):
 def test_a_heading_in_degrees_is_named(which, wrapped, request):
     t_s, wheels, truth_t_s, pose = request.getfixturevalue(which)
     heading = np.angle(np.exp(1j * pose[:, 2])) if wrapped else pose[:, 2]
-    with pytest.raises(DataError, match=r"the heading \(theta\) turns by 3.. while.*expected radians"):
+    with pytest.raises(
+        DataError,
+        match=r"the heading \(theta\) (seems to be in degrees|turns by 3).*expected (theta in rad|radians)",
+    ):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, np.c_[pose[:, :2], DEG * heading]))
 
 
@@ -75,26 +78,135 @@ def test_a_heading_in_radians_may_leap_at_half_a_turn_and_hold_damaged_rows(circ
     build_recording("run", Log(t_s, wheels), Log(truth_t_s, np.c_[pose[:, :2], heading]))
 
 
-@pytest.mark.parametrize("factor", [DEG, 25.4])
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (DEG, r"wheel angles \(phi\) seem to be in degrees.*multiply phi by 0\.01745"),
+        (
+            1.0 / (2.0 * np.pi),
+            r"wheel angles \(phi\) seem to be in revolutions.*multiply phi by 6\.28.*--bench",
+        ),
+        (
+            4096.0 / (2.0 * np.pi),
+            r"wheel angles \(phi\) seem to be in steps of 4096 a turn.*phi by 0\.001533",
+        ),
+        (25.4, r"wheels \(phi\) rolled .* but ground truth moved"),
+    ],
+)
 @pytest.mark.parametrize("which", ["circle", "turn"])
-def test_wheel_angles_in_degrees_or_millimetres_are_named(which, factor, request):
+def test_wheel_angles_in_another_unit_are_named(which, factor, said, request):
     t_s, wheels, truth_t_s, pose = request.getfixturevalue(which)
     wheels = wheels * np.r_[np.full(4, factor), np.ones(4)]
-    with pytest.raises(DataError, match=r"wheels \(phi\) rolled .* but ground truth moved"):
+    with pytest.raises(DataError, match=said):
         build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose))
 
 
-@pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])
-def test_every_command_refuses_such_a_file_by_name(tmp_path, capsys, turn, command):
+def test_a_counter_of_revolutions_that_wraps_is_named_too(circle):
+    t_s, wheels, truth_t_s, pose = circle
+    wheels = np.column_stack([(wheels[:, :4] / (2.0 * np.pi)) % 1.0, wheels[:, 4:]])
+    with pytest.raises(DataError, match=r"\(phi\) seem to be in revolutions"):
+        build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose))
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "millimetres"), (1e2, "centimetres")])
+def test_positions_in_another_unit_are_named(circle, factor, unit):
+    t_s, wheels, truth_t_s, pose = circle
+    with pytest.raises(
+        DataError, match=rf"positions \(x, y\) seem to be in {unit}.*multiply x, y by {1 / factor:g}"
+    ):
+        build_recording("run", Log(t_s, wheels), Log(truth_t_s, pose * (factor, factor, 1.0)))
+
+
+def test_a_turn_of_a_mark_far_from_the_middle_is_no_other_unit(turn):
+    """A turn on the spot, seen at a mark 1 m ahead: six times the way that the wheels roll."""
     t_s, wheels, truth_t_s, pose = turn
+    mark = pose + np.column_stack([np.cos(pose[:, 2]), np.sin(pose[:, 2]), np.zeros(len(pose))])
+    build_recording("run", Log(t_s, wheels), Log(truth_t_s, mark))
+
+
+@pytest.mark.parametrize("slip", [0.5, 1.4, 1.9])
+def test_wheels_that_roll_further_or_less_far_than_the_robot_goes_are_no_other_unit(circle, slip):
+    t_s, wheels, truth_t_s, pose = circle
+    build_recording("run", Log(t_s, wheels * np.r_[np.full(4, slip), np.ones(4)]), Log(truth_t_s, pose))
+
+
+RATES = {
+    60.0
+    / (
+        2.0 * np.pi
+    ): r"seem to be in revolutions per minute: 9\.5.*expected w in rad/s; multiply w by 0\.1047",
+    1.0 / (2.0 * np.pi): r"seem to be in revolutions per second.*multiply w by 6\.28",
+    DEG: r"seem to be in degrees per second.*multiply w by 0\.01745",
+    1.0 / 0.0239809: r"seem to be in steps of 0\.229 revolutions per minute.*multiply w by 0\.02398",
+    3.0: r"disagree with the wheel angles \(phi\): (2\.9|3).*leave out w1 to w4",
+}
+
+
+@pytest.fixture(scope="module")
+def with_rates():
+    return simulate(hidden_robot(1), "circle_cw", "circle_cw_1", np.random.default_rng(1))
+
+
+def rebuilt(run, rate, rows=slice(None)):
+    wheels = np.column_stack([run.wheel_angle_rad, run.steering_rad, rate])
+    return build_recording("run.csv", Log(run.t_s[rows], wheels[rows]), Log(run.truth_t_s, run.truth_pose))
+
+
+@pytest.mark.parametrize("factor", RATES)
+def test_wheel_rates_in_another_unit_are_named(with_rates, factor):
+    with pytest.raises(DataError, match=r"^run\.csv: wheel rates \(w1, w2, w3, w4\) " + RATES[factor]):
+        rebuilt(with_rates, with_rates.wheel_rate_rad_s * factor)
+
+
+def test_one_rate_of_the_wrong_sign_is_named_by_its_column(with_rates):
+    with pytest.raises(DataError, match=r"wheel rates \(w3\) disagree"):
+        rebuilt(with_rates, with_rates.wheel_rate_rad_s * (1.0, 1.0, -1.0, 1.0))
+
+
+def test_rates_that_are_noisy_late_or_full_of_gaps_are_taken_as_they_are(with_rates):
+    rng, rate = np.random.default_rng(2), with_rates.wheel_rate_rad_s
+    noisy = np.roll(rate, 5, axis=0) + rng.normal(0.0, 0.3, rate.shape)
+    rows = rng.uniform(size=len(rate)) < 0.3
+    rows[400:480] = False
+    assert rebuilt(with_rates, noisy, rows).has_rates
+
+
+def test_rates_of_a_robot_at_rest_are_not_judged(with_rates):
+    rng, n = np.random.default_rng(3), len(with_rates.t_s)
+    wheels = np.tile(np.r_[with_rates.wheel_angle_rad[0], with_rates.steering_rad[0]], (n, 1))
+    wheels[:, :4] += rng.choice([0.0, 0.0015], (n, 4))
+    pose = np.tile(with_rates.truth_pose[0], (n, 1)) + rng.normal(0.0, 1e-4, (n, 3))
+    wheels = np.column_stack([wheels, rng.choice([-0.024, 0.0, 0.024], (n, 4))])
+    assert build_recording("rest", Log(with_rates.t_s, wheels), Log(with_rates.t_s, pose)).has_rates
+
+
+def test_rates_that_stay_zero_while_wheels_roll_were_not_recorded(with_rates):
+    found = rebuilt(with_rates, np.zeros((len(with_rates.t_s), 4)))
+    assert not found.has_rates
+    assert found.repairs["columns of wheel rates (w) that are 0 throughout taken as not recorded"] == 4
+
+
+@pytest.mark.parametrize("command", ["evaluate", "calibrate", "tune"])
+def test_every_command_refuses_such_a_file_by_name(tmp_path, capsys, command):
     path = tmp_path / "rotation_cw_1.csv"
-    write_plain(path, build_recording("r", Log(t_s, wheels), Log(truth_t_s, pose)))
+    write_plain(path, simulate(hidden_robot(1), "rotation_cw", "rotation_cw_1", np.random.default_rng(1)))
     head, *rows = path.read_text().splitlines()
     columns = head.split(",")
-    for column, factor, said in (("t", 1e9, "time (t)"), ("theta", DEG, "the heading (theta)")):
-        k = columns.index(column)
-        cells = [row.split(",") for row in rows]
-        lines = [",".join([*c[:k], repr(float(c[k]) * factor), *c[k + 1 :]]) for c in cells]
+    revolutions = 1.0 / (2.0 * np.pi)
+    for column, factor, said in (
+        ("t", 1e9, "time (t)"),
+        ("theta", DEG, "the heading (theta)"),
+        ("phi", revolutions, "wheel angles (phi)"),
+        ("w", 60.0 * revolutions, "wheel rates (w1, w2, w3, w4)"),
+    ):
+        named = [c in (column, *(f"{column}{i}" for i in range(1, 5))) for c in columns]
+        lines = [
+            ",".join(
+                repr(float(c) * factor) if own and c else c
+                for own, c in zip(named, row.split(","), strict=True)
+            )
+            for row in rows
+        ]
         path.write_text("\n".join([head, *lines, ""]))
         assert main([command, str(path)]) == 2
         assert f"{path}: {said}" in capsys.readouterr().err

@@ -161,19 +161,48 @@ def test_a_recording_of_another_robot_than_the_benchs_is_refused(monkeypatch, tm
     assert "another robot" in str(error.value)
 
 
-@pytest.fixture
-def csv_with_truth(tmp_path):
-    """Plain CSV: wheels and ground truth of a short straight drive."""
+def write_drive(path, noise_rad):
+    """Plain CSV: wheels with noise and ground truth of a short straight drive."""
     rng = np.random.default_rng(1)
     lines = ["t,phi1,phi2,phi3,phi4,delta1,delta2,delta3,delta4,x,y,theta"]
     for k in range(400):
         x = 0.05 * max(0.0, k * 0.01 - 1.0)
-        angles = x / 0.0254 + 2e-3 * rng.normal(size=4)
+        angles = x / 0.0254 + noise_rad * rng.normal(size=4)
         row = [k * 0.01, *angles, 0, 0, 0, 0, x, 0.0, 0.0]
         lines.append(",".join(f"{v:.6f}" for v in row))
-    path = tmp_path / "line_x_1.csv"
     path.write_text("\n".join(lines) + "\n")
     return path
+
+
+@pytest.fixture
+def csv_with_truth(tmp_path):
+    return write_drive(tmp_path / "line_x_1.csv", 2e-3)
+
+
+@pytest.mark.parametrize(("noise_rad", "verdict"), [(2e-3, "PASS"), (0.1, "FAIL")])
+def test_figures_that_do_worse_on_what_was_held_out_fail_and_say_so(
+    tmp_path, capsys, csv_with_truth, noise_rad, verdict
+):
+    other, out = write_drive(tmp_path / "held_1.csv", noise_rad), tmp_path / "tuned.toml"
+    words = [str(csv_with_truth), "--check", str(other), "--evaluations", "6", "--parameter", "wheels.step_m"]
+    code = command.main([*words, "--out", str(out), "--json"], standalone_mode=False)
+    said = capsys.readouterr()
+    found = json.loads(said.out)
+    before, after = (found["held_out"][k]["likelihood"] for k in ("before", "after"))
+    assert found["fitted"]["after"]["likelihood"] < found["fitted"]["before"]["likelihood"]
+    assert (code, found["verdict"], after > before) == {
+        "PASS": (0, "PASS", False),
+        "FAIL": (1, "FAIL", True),
+    }[verdict]
+    assert out.exists()
+    warned = [line for line in said.err.splitlines() if line.startswith("warning: ")]
+    assert len(warned) == len(found["warnings"]) == (verdict == "FAIL")
+    for line in warned:
+        assert f"on {other}, to which they were not fitted" in line
+        assert f"-ln L {before:.2f} -> {after:.2f}" in line
+        assert f"{out} is written all the same" in line
+    command.main(words, standalone_mode=False)
+    assert f"held out: {verdict}" in capsys.readouterr().out
 
 
 def test_what_is_given_twice_is_fitted_once_and_never_held_out_too(tmp_path, capsys, csv_with_truth):
@@ -181,6 +210,7 @@ def test_what_is_given_twice_is_fitted_once_and_never_held_out_too(tmp_path, cap
     words = ["--evaluations", "2", "--parameter", "wheels.per_sqrt_m", "--json"]
     assert command.main([str(csv_with_truth), *words], standalone_mode=False) == 0
     once = capsys.readouterr()
+    assert json.loads(once.out)["verdict"] is None
     assert command.main([str(csv_with_truth), str(folder), *words], standalone_mode=False) == 0
     twice = capsys.readouterr()
     assert twice.out == once.out

@@ -168,6 +168,19 @@ def test_the_commands_list_apply_and_roll_back(shelf, capsys, tmp_path):
     assert run(capsys, "apply", shelf.path, "--version", 2)[0] == 0
 
 
+@pytest.mark.parametrize("verdict", ["", "FAIL"])
+def test_a_refused_calibration_from_elsewhere_leaves_nothing_and_is_named_itself(
+    shelf, capsys, tmp_path, verdict
+):
+    source = tmp_path / "result.toml"
+    save_calibration(source, made(0.0251, verdict))
+    before = sorted(tmp_path.rglob("*"))
+    code, said = run(capsys, "apply", shelf.path, "--from", source)
+    assert code == 2
+    assert f"{source}: version 1 has not passed a validation run (verdict {verdict or 'none'})" in said.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
 def test_the_error_that_is_listed_is_of_recordings_that_the_fit_did_not_see(shelf, capsys, tmp_path):
     def listed(**mm):
         tables = {name: {"mean": {"rmse_position_m": 1e-3 * value}} for name, value in mm.items()}

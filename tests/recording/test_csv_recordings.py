@@ -43,7 +43,7 @@ def write_pair(folder, n=200, *, columns=True, compress=False, break_rows=()):
     for k in range(n):
         stamp = f"2024/05/03/12:00:{t[k]:09.6f};{k};{1000 + int(t[k])};{round((t[k] % 1) * 1e9)}"
         position = [float(wheels[k, order[m]]) + order[m] if m in order else 0.01 for m in NAMES]
-        rate = [1.97 + order[m] if m in order else 0.0 for m in NAMES]
+        rate = [1.97 + 0.1 * order[m] if m in order else 0.0 for m in NAMES]
         row = f"{stamp};;{NAMES};{tuple(position)};{tuple(rate)};{(0.0,) * 8}"
         odom.append("garbage" if k in break_rows else row)
         absolute.append(f"{stamp};world;{truth[k, 0]};{truth[k, 1]};0;0;0;0;1")
@@ -71,7 +71,7 @@ def test_public_pairs_come_in_paper_wheel_order(tmp_path, compress):
     (recording,) = read_recordings([tmp_path])
     assert recording.motion == "line_x"
     np.testing.assert_allclose(recording.wheel_angle_rad[0], [0, 1, 2, 3], atol=1e-9)
-    np.testing.assert_allclose(recording.wheel_rate_rad_s[0], [1.97, 2.97, 3.97, 4.97])
+    np.testing.assert_allclose(recording.wheel_rate_rad_s[0], [1.97, 2.07, 2.17, 2.27])
     np.testing.assert_allclose(np.diff(recording.t_s), 0.02, atol=1e-9)
     assert len(recording.sha256) == 2
 
