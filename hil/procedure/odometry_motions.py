@@ -117,7 +117,7 @@ def followed(
     name: str, start: ArrayLike, sizes: Sizes, geometry: WheelGeometry, config: BenchConfig, *,
     backwards: bool = False,
 ) -> Trajectory:  # fmt: skip
-    """`reference` as a robot of this geometry can drive it: a little slower where that is what it takes.
+    """`reference` from `start` (3,) as a robot of this geometry can drive it: a little slower where need be.
 
     A fit may set the wheels further out than the drawing does, so that a turn wants more of them. A speed
     that the configuration does not allow at all stays as it was asked for, and is refused.
