@@ -13,7 +13,7 @@ from hil.console.jobs import signal_process
 from hil.console.objects import read
 from hil.console.stop_process import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
-from tests.console.test_jobs import wait_until
+from tests.console.test_jobs import job_in, wait_until
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
@@ -130,6 +130,27 @@ def test_stop_works_when_the_process_of_the_page_is_dead(console, tmp_path):
         console.start()
         browser.until("!document.getElementById('console').hidden")  # the same page goes on with the new one
         browser.until("document.getElementById('verdict')?.innerText === 'ABORTED'", console.frame)
+    finally:
+        browser.close()
+
+
+def test_the_alarm_outlives_an_examination_and_goes_when_a_person_says_that_it_is_secured(console, tmp_path):
+    left = {"verdict": "ERROR", "held": {"state": "NOT HELD", "moved_m": 0.1, "why": "it slides"}}
+    job_in(console.folder / "jobs", out=json.dumps(left), words=["run", "x", "--bench=my.toml"])
+    browser = opened(console, tmp_path / "profile")
+    try:
+        alarm = "document.getElementById('alarm').innerText"
+        browser.until(f"{alarm}.startsWith('The robot is NOT HELD since x: it slides.')")
+        browser.until("!document.getElementById('examine').disabled", console.frame)
+        browser.ask("document.getElementById('examine').click()", console.frame)
+        browser.until("document.getElementById('now').innerText.startsWith('doctor: PASS')", limit_s=60.0)
+        time.sleep(1.0)
+        assert browser.ask(alarm).startswith("The robot is NOT HELD since x")
+        browser.ask("document.getElementById('secured').click()")
+        browser.until(f"{alarm} === '' && document.getElementById('secure').hidden")
+        browser.open(console.url.partition("?")[0])
+        browser.until("document.getElementById('now').innerText.startsWith('doctor: PASS')")
+        assert browser.ask(alarm) == ""
     finally:
         browser.close()
 
