@@ -42,6 +42,10 @@ def struck(ctx):
     )
 
 
+def files_of(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
+
+
 def run(proc, folder, started="2026-03-01T10:00:00+00:00"):
     source = BenchSource(BenchConfig(schema=1, name="lab"))
     return run_procedure(proc, source, RunOptions(folder, MonotonicClock(), started, {}))
@@ -164,17 +168,12 @@ def test_what_is_foreign_is_not_deleted(root, name):
         loss(root, named(find_results(root), name))
 
 
-def test_a_deleted_run_leaves_what_its_links_lead_to(root, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "file").write_text("keep")
-    (root / "gap" / "one" / "link").symlink_to(tmp_path / "mine")
-    (root / "gap" / "one" / "calibration.toml").write_text("")
+def test_a_deleted_run_says_what_others_may_build_on_and_leaves_the_folder_above(root):
+    (root / "gap" / "one" / "recording.mcap").write_text("")
     lost = loss(root, named(find_results(root), "gap/one"))
-    assert "with calibration.toml" in lost.in_words()
+    assert "with recording.mcap" in lost.in_words()
     delete([lost])
-    assert not (root / "gap" / "one").exists()
-    assert (tmp_path / "mine" / "file").read_text() == "keep"
-    assert (root / "gap").exists()
+    assert files_of(root / "gap") == {"one/figures/page.html"}
 
 
 @pytest.mark.parametrize(
