@@ -19,6 +19,7 @@ from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.removal import delete, loss
 from hil.report.history.series import groups
+from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError, UsageError
 
@@ -160,6 +161,35 @@ def test_one_is_called_by_its_name_its_folder_or_a_part_of_its_name(root):
         named(found, "tri")
     with pytest.raises(UsageError, match="no result is called 'p/on'"):
         named(found, "p/on", whole=True)
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"verdict": "SPLENDID"}, "verdict: Input should be 'PASS'"),
+        ({"measurements.0.outcome": "GREAT"}, "outcome: Input should be"),
+        ({"measurements.0.outcome": "FAIL"}, "verdict PASS, but width is FAIL"),
+        ({"measurements.0.outcome": "MARGINAL"}, "verdict PASS, but a measurement is MARGINAL"),
+        ({"measurements.0.value": 6.5}, "width is PASS with a value beyond its limit"),
+        ({"verdict": "FAIL"}, "verdict FAIL, but no measurement is"),
+        ({"error": {"type": "x", "message": "y"}}, "verdict PASS, but it ended in an error"),
+    ],
+)
+def test_a_result_that_contradicts_itself_is_not_believed(root, change, why):
+    path = root / "gap" / "one" / "result.json"
+    tree = json.loads(path.read_text())
+    for key, value in change.items():
+        *way, last = key.split(".")
+        place = tree
+        for step in way:
+            place = place[int(step) if step.isdigit() else step]
+        place[last] = value
+    path.write_text(json.dumps(tree))
+    kept = named(find_results(root), "gap/one")
+    assert (kept.kind, kept.verdict) == ("foreign", "")
+    assert why in kept.why
+    with pytest.raises(DataError, match=re.escape(why)):
+        write_run_page(path.parent)
 
 
 @pytest.mark.parametrize("name", ["newer", "page", "junk"])

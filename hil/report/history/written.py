@@ -32,6 +32,8 @@ _OF_A_COMMISSIONING = re.compile(
     r"(commission\.(json|html)|trends\.html|robot/record\.toml|robot/history/v\d{4,}\.toml)(\.part)?"
     r"|ablation\.svg|robot/files/[^/]+-[0-9a-f]{12}(\.[^/.]+)?(\.part)?"
 )
+_BEGUN = re.compile(r"\.hil-[0-9a-f]{8}")
+"""A page that a process was struck down over."""
 _STAGE = re.compile(r"\d\d_[a-z0-9_]+(-\d+)?")
 _OF_AN_ACCEPTANCE = re.compile(r"accept\.(json|html)(\.part)?")
 _NAMING = ("recording", "figure", "attach")
@@ -55,6 +57,7 @@ def written(kept: Kept) -> list[str]:
     folder, there = kept.folder, all_files(kept.folder)
     marks = (RESULT, JOURNAL, CAMPAIGN_TABLE, PLAN, "commission.json", "accept.json")
     own = [name for name in _own(kept, there) if not (folder / name).is_symlink()]
+    own += [name for name in there if _BEGUN.fullmatch(name) and not (folder / name).is_symlink()]
     return sorted(own, key=lambda name: (name in marks, name))
 
 
