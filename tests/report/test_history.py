@@ -132,6 +132,14 @@ def test_a_folder_that_is_a_run_itself_does_not_hide_what_lies_below(root):
         loss(root, named(find_results(root), "."))
 
 
+def test_a_run_is_found_by_its_seed(tmp_path):
+    for seed in (3, 4):
+        write(tmp_path / f"run{seed}", seed, seed=seed)
+    write(tmp_path / "none", 5, seed=None)
+    assert [k.name for k in chosen(find_results(tmp_path), words=["seed=3"])] == ["run3"]
+    assert len(chosen(find_results(tmp_path), words=["seed="])) == 2
+
+
 @pytest.mark.parametrize(
     ("asked", "names"),
     [
