@@ -37,6 +37,13 @@ def test_every_shipped_procedure_and_the_commands_around_them_are_offered(offere
     }
 
 
+def test_no_help_on_the_page_speaks_of_options_of_a_terminal(offered):
+    helps = {f.name: f.help for action in offered.values() for f in action.fields}
+    assert [text for text in helps.values() if "--" in text] == []
+    assert helps["--quick"] == "The procedure's quick form."
+    assert helps["--seed"] == "Seed of the emulated world."
+
+
 @pytest.mark.parametrize("name", shipped_names())
 def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
     """Every default that is shown is accepted, and every limit that is shown is one."""

@@ -42,7 +42,7 @@ def chosen(
 
 
 def _text(kept: Kept) -> str:
-    """What a search looks through: names, verdict, errors, notes, faults, seed and parameters as KEY=VALUE."""
+    """What a search looks through: names, verdict, errors, notes, faults; as KEY=VALUE seed, parameters."""
     tree: Mapping[str, Any] = kept.result
     parts = [kept.name, kept.kind, kept.what, kept.bench, kept.where, kept.verdict, kept.why]
     parts += [str(kept.when), tree.get("summary", ""), *tree.get("notes", ()), *tree.get("faults", ())]
