@@ -89,7 +89,7 @@ def test_what_a_user_has_put_there_stays_and_is_named(root):
     put(root / "gap" / "one", MINE)
     lost = removed(root, "gap/one")
     assert files_of(root / "gap" / "one") == set(MINE) == set(lost.stays)
-    assert "7 files that hil did not write stay in " in lost.in_words()
+    assert "7 files that are not part of it stay in " in lost.in_words()
     assert "attachments/letter.txt, calibration.toml, figures/mine.svg" in lost.in_words()
     assert "with bench_fragment.toml;" in lost.in_words()  # the calibration is none of this run
 
@@ -182,7 +182,7 @@ def test_the_terminal_says_what_stays(hil, tmp_path):
     hil("run", "small.py", "--out", "out/x")
     put(tmp_path / "out" / "x", {"thesis.txt": "years"})
     said = hil("results", "delete", "x", "--yes")
-    assert said.splitlines() == ["deleted: x", "1 file that hil did not write stays in out/x: thesis.txt"]
+    assert said.splitlines() == ["deleted: x", "1 file that is not part of it stays in out/x: thesis.txt"]
 
 
 @pytest.mark.long

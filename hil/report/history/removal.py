@@ -47,11 +47,9 @@ class Loss:
         if not self.stays:
             return ""
         few = ", ".join(self.stays[:_SHOWN]) + (", ..." if len(self.stays) > _SHOWN else "")
-        many = len(self.stays) != 1
-        return (
-            f"{len(self.stays)} file{'s' * many} that hil did not write "
-            f"stay{'s' * (not many)} in {self.kept.folder}: {few}"
-        )
+        if len(self.stays) == 1:
+            return f"1 file that is not part of it stays in {self.kept.folder}: {few}"
+        return f"{len(self.stays)} files that are not part of it stay in {self.kept.folder}: {few}"
 
 
 def loss(root: Path, kept: Kept) -> Loss:
