@@ -6,6 +6,7 @@ import json
 import secrets
 import signal
 import time
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,21 +52,33 @@ def command(bench: str | None, where: Path, port: int, stopping: bool, as_json: 
 
 def _stop(folder: Path, *, as_json: bool) -> int:
     """Stop every job by its own files: needs neither the page nor the process with the button."""
+    from hil.console import jobs
+    from hil.console.alarm import Alarm
     from hil.console.stop_process import end_without_page
     from hil.console.stopping import in_words, stop_all, wait_for
 
     ended = wait_for(stop_all(folder / "jobs"), _STOP_S)
     button = end_without_page(folder)
+    left = Alarm(folder).not_held()
+    last = [] if ended else [jobs.state(job) for job in jobs.jobs(folder / "jobs", 1)]
     if as_json:
         keys = ("title", "running", "held", "verdict", "why")
-        told = [{k: job.get(k) for k in keys} for job in ended]
-        click.echo(json.dumps({"stopped": told, "button_ended": button}))
+        stopped, before = ([{k: job.get(k) for k in keys} for job in some] for some in (ended, last))
+        told = {"stopped": stopped, "last": next(iter(before), None), "not_held": left}
+        click.echo(json.dumps(told | {"button_ended": button}))
     else:
         said = [in_words(job) for job in ended]
         said = said or [f"nothing runs that the console in {folder.parent} has started"]
-        click.echo("\n".join(said + ["the STOP button of a console that died has ended"] * button))
-    fine = all(not t["running"] and (t["held"] or {}).get("state") != "NOT HELD" for t in ended)
-    return EXIT_PASS if fine else EXIT_DEVICE
+        said += [f"the last was {in_words(job)}" for job in last]
+        said += ["the STOP button of a console that died has ended"] * button
+        click.echo("\n".join([*said, *_alarm(left)]))
+    return EXIT_DEVICE if left or any(job["running"] for job in ended) else EXIT_PASS
+
+
+def _alarm(left: Sequence[Mapping[str, str]]) -> list[str]:
+    """Lines about robots that were left NOT HELD, and how such a line goes away."""
+    rest = "once it is secured, say so on the page of hil console, or end a run on that bench HELD"
+    return [*(robot["words"] for robot in left), *([rest] if left else [])]
 
 
 def _serve(folder: Path, where: Path, bench: str | None, port: int, *, as_json: bool) -> int:
@@ -169,7 +182,10 @@ def _stopper(folder: Path, port: int, known: dict[str, Any] | None = None) -> di
 
 def _farewell(folder: Path) -> None:
     from hil.console import jobs
+    from hil.console.alarm import Alarm
 
+    for line in _alarm(Alarm(folder).not_held()):
+        click.echo(f"hil: {line}", err=True)
     running = [job.title for job in jobs.jobs(folder / "jobs") if jobs.alive(job)]
     if running:
         click.echo(

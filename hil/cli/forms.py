@@ -148,7 +148,7 @@ def _fields(command: click.Command, seen: Sequence[str]) -> Iterator[Field]:
 def _field(option: click.Option, *, more: bool) -> Field:
     kind, default = option.type, option.default
     known = str(default) if isinstance(default, (str, int, float)) else ""
-    plain = Field(option.opts[-1], "text", known, (option.help or "").split(" [default")[0], more=more)
+    plain = Field(option.opts[-1], "text", known, _on_a_page(option.help or ""), more=more)
     if option.is_flag:
         return replace(plain, kind="flag", default="")
     if isinstance(kind, click.Choice) and not option.multiple:
@@ -159,6 +159,12 @@ def _field(option: click.Option, *, more: bool) -> Field:
             unit=_unit(option.name or ""), low=kind.min, high=kind.max, low_open=kind.min_open,
         )  # fmt: skip
     return replace(plain, choices=benches() if plain.name == _BENCH else ())
+
+
+def _on_a_page(text: str) -> str:
+    """The help of an option, without its default, which the field shows, and without words of a terminal."""
+    parts = [part for part in text.split(" [default")[0].split("; ") if "--" not in part]
+    return "; ".join(parts).rstrip(".") + "." * bool(parts)
 
 
 def _parameter(d: Described, proc: Procedure) -> Field:

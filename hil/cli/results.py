@@ -83,7 +83,7 @@ def list_results(where: Path, as_json: bool, **asked: Any) -> int:
 @_filters
 @_JSON
 def search(words: tuple[str, ...], where: Path, as_json: bool, **asked: Any) -> int:
-    """As list, but only what holds all WORDS: names, errors, notes, faults, parameters as KEY=VALUE.
+    """As list, but only what holds all WORDS: names, errors, notes, faults, seed and parameters as KEY=VALUE.
 
     Example: hil results search tracker "not held"
     """
@@ -261,7 +261,8 @@ def _group_json(group: Any) -> dict[str, Any]:
 def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
     """Delete results for good. Says what would be lost, and asks.
 
-    Only what `hil` has written is deleted, no run that is still going on, nothing behind a link.
+    Only what `hil` has written is deleted. Files of yours in the folder of a run stay, and are named. No run
+    that is still going on is deleted, no link, and nothing behind one.
 
     Example: hil results delete bring_up/20260131-101500-000
     """
@@ -281,5 +282,10 @@ def delete(runs: tuple[str, ...], where: Path, yes: bool, as_json: bool) -> int:
         )
     remove(losses)
     told = [item.kept.name for item in losses]
-    click.echo(json.dumps({"deleted": told}) if as_json else printable(f"deleted: {', '.join(told)}"))
+    if as_json:
+        left = {item.kept.name: list(item.stays) for item in losses if item.stays}
+        click.echo(json.dumps({"deleted": told, "stays": left}))
+    else:
+        said = [f"deleted: {', '.join(told)}", *filter(None, (item.stays_in_words() for item in losses))]
+        click.echo(printable("\n".join(said)))
     return EXIT_PASS

@@ -99,17 +99,24 @@ def detached(module: str, folder: Path) -> None:
 
 def jobs(root: Path, most: int = 12) -> list[Job]:
     """The latest jobs of a folder, the latest first."""
+    return [job for job in map(job_in, job_folders(root)[:most]) if job is not None]
+
+
+def job_folders(root: Path) -> list[Path]:
+    """Folders of jobs, the latest first."""
     try:
-        folders = sorted((p for p in root.iterdir() if p.is_dir()), reverse=True)[:most]
+        return sorted((p for p in root.iterdir() if p.is_dir()), reverse=True)
     except OSError:
         return []
-    found = []
-    for folder in folders:
-        tree = read(folder / COMMAND)
-        words, title, started = tree.get("words"), tree.get("title"), tree.get("started")
-        if isinstance(words, list) and isinstance(title, str) and isinstance(started, (int, float)):
-            found.append(Job(folder, tuple(map(str, words)), title, float(started)))
-    return found
+
+
+def job_in(folder: Path) -> Job | None:
+    """The job of a folder; None where there is none."""
+    tree = read(folder / COMMAND)
+    words, title, started = tree.get("words"), tree.get("title"), tree.get("started")
+    if isinstance(words, list) and isinstance(title, str) and isinstance(started, (int, float)):
+        return Job(folder, tuple(map(str, words)), title, float(started))
+    return None
 
 
 def identity(pid: int) -> dict[str, Any]:
@@ -207,7 +214,7 @@ def _take(told: dict[str, Any], line: str) -> None:
     elif kind == "answered":
         told["question"] = None
     elif kind == "live":
-        told["live"] = data
+        told["live"], told["held"] = data, None  # of a bench before this one
         told["events"] += data.get("events", ())
     else:
         told[kind] = data
@@ -225,13 +232,14 @@ def _end(job: Job, told: Mapping[str, Any]) -> dict[str, Any]:
         why = error["message"] if isinstance(error, dict) else str(result.get("ended", ""))
     else:
         verdict, why = UNTOLD, "it ended without a result: it was killed, or could not start"
-    held = result.get("held") or told["held"]
+    held = found if isinstance(found := result.get("held"), dict) else told["held"]
     pages: dict[str, Any] = {
         k: v for k in ("report", "page", "folder") if isinstance(v := result.get(k), str)
     }
     if isinstance(result.get("findings"), list):
         pages["findings"] = result["findings"]
-    return {"verdict": verdict, "why": why, "held": held, **pages}
+    emulated = result.get("virtual_time") is True
+    return {"verdict": verdict, "why": why, "held": held, "emulated": emulated, **pages}
 
 
 def _judged(result: Mapping[str, Any]) -> str:

@@ -99,9 +99,11 @@ class PageProcess:
 
     def _offer(self, request: Request) -> Reply:
         offered = [action.to_json() for action in self._actions.values()]
+        elsewhere = "" if self._results.resolve() == Path("out").resolve() else str(self._results)
         return as_json(
-            {"actions": offered, "benches": list(self._benches()), "bench": self._bench, "own": self._own}
-        )
+            {"actions": offered, "benches": list(self._benches()), "bench": self._bench, "own": self._own,
+             "elsewhere": elsewhere}
+        )  # fmt: skip
 
     def _state(self, request: Request) -> Reply:
         return as_json({"jobs": [self._job(job) for job in jobs.jobs(self._jobs, _SHOWN_JOBS)]})

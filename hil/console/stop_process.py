@@ -15,14 +15,16 @@ import signal
 import sys
 import threading
 import time
+from http import HTTPStatus
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 from hil.console import jobs
+from hil.console.alarm import Alarm
 from hil.console.objects import put_private, read
 from hil.console.stopping import in_words, stop_all
-from hil.console.web import NAMES, Reply, Request, Route, Server, as_json
+from hil.console.web import NAMES, Refused, Reply, Request, Route, Server, as_json
 
 ASKED, STOP, PAGE = "asked.json", "stop.json", "page.json"
 IDENTITY = ("pid", "ticks", "boot")
@@ -72,6 +74,7 @@ class StopProcess:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
+        self._alarm, self._asking = Alarm(folder), threading.Lock()
 
     def routes(self) -> dict[tuple[str, str], Route]:
         """By method and path."""
@@ -81,11 +84,25 @@ class StopProcess:
             ("GET", "/style.css"): lambda _: asset("style.css"),
             ("GET", "/state"): self._state,
             ("POST", "/stop"): self._stop,
+            ("POST", "/secured"): self._secured,
         }
 
     def _stop(self, request: Request) -> Reply:
         asked = stop_all(self._folder / "jobs")
         return as_json({"asked": [job.title for job in asked]})
+
+    def _secured(self, request: Request) -> Reply:
+        """A person says that the robots are secured that these jobs left; of later ones it says nothing."""
+        names = request.body.get("jobs")
+        if not isinstance(names, list):
+            raise Refused(HTTPStatus.BAD_REQUEST, "expected the names of jobs")
+        with self._asking:
+            try:
+                self._alarm.secure(list(map(str, names)))
+            except OSError as error:
+                text = f"{error.filename}: {error.strerror}: the alarm stays"
+                raise Refused(HTTPStatus.INTERNAL_SERVER_ERROR, text) from None
+        return as_json({})
 
     def _state(self, request: Request) -> Reply:
         page = read(self._folder / PAGE)
@@ -98,7 +115,9 @@ class StopProcess:
             told.append(
                 {k: state.get(k) for k in keys} | {"words": "" if state["running"] else in_words(state)}
             )
-        return as_json({"page": page.get("port") if runs(page) else None, "jobs": told})
+        with self._asking:
+            left = self._alarm.not_held()
+        return as_json({"page": page.get("port") if runs(page) else None, "jobs": told, "not_held": left})
 
     def serve_until_it_is_over(self, server: Server) -> None:
         """Watch page and jobs; stop serving when neither needs the button any more."""

@@ -5,6 +5,7 @@ A results folder may come from anywhere, so what is named in it is only used whe
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 from urllib.parse import quote
@@ -49,7 +50,7 @@ class _Row(_Part):
     low: _Number = None
     high: _Number = None
     margin: _Number = None
-    outcome: str
+    outcome: Literal["PASS", "MARGINAL", "FAIL", "NOT MEASURED"]
     limited: bool = True
     rationale: str = ""
 
@@ -89,7 +90,7 @@ class _Calibration(_Part):
 class _Result(_Part):
     schema_version: Literal[1] = Field(alias="schema")
     procedure: str
-    verdict: str
+    verdict: Literal["PASS", "MARGINAL", "FAIL", "ERROR", "ABORTED"]
     exit_code: int = 0
     error: _Problem | None = None
     held: _Held | None = None
@@ -130,7 +131,8 @@ def read_result(folder: Path) -> dict[str, Any]:
     """`result.json` of a run.
 
     Raises:
-        DataError: missing, damaged, of another schema, or with values of the wrong kind.
+        DataError: missing, damaged, of another schema, with values of the wrong kind, or with a verdict that
+            what it measured contradicts.
     """
     path = folder / RESULT
     remedy = "name a results folder of hil run"
@@ -143,7 +145,33 @@ def read_result(folder: Path) -> dict[str, Any]:
         raise DataError(
             str(path), f"is not the result of a run ({wrong_shape(error)})", expected=f"schema {SCHEMA}"
         ) from None
+    if wrong := contradiction(found):
+        raise DataError(
+            str(path),
+            f"contradicts itself: {wrong}",
+            remedy="it was damaged or changed by hand; run it again",
+        )
     return found
+
+
+def contradiction(result: Mapping[str, Any]) -> str:
+    """What in a result cannot be true together: verdict, outcomes, values, errors; empty where all can."""
+    verdict, rows = result["verdict"], result["measurements"]
+    for row in rows:
+        value, low, high = row["value"], row["low"], row["high"]
+        beyond = value is not None and (
+            (low is not None and value < low) or (high is not None and value > high)
+        )
+        if beyond and row["outcome"] in GOOD:
+            return f"{row['name']} is {row['outcome']} with a value beyond its limit"
+    failed = [row["name"] for row in rows if row["outcome"] == "FAIL"]
+    if verdict in GOOD and failed:
+        return f"verdict {verdict}, but {failed[0]} is FAIL"
+    if verdict in GOOD and (result["error"] or result["teardown_errors"]):
+        return f"verdict {verdict}, but it ended in an error"
+    if verdict == "PASS" and any(row["outcome"] == "MARGINAL" for row in rows):
+        return "verdict PASS, but a measurement is MARGINAL"
+    return "verdict FAIL, but no measurement is" if verdict == "FAIL" and not failed else ""
 
 
 def inside(folder: Path, path: str) -> Path | None:

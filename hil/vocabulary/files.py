@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import secrets
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,6 +12,8 @@ from pathlib import Path
 
 from hil.vocabulary.errors import ConfigError, DataError, HilError, UsageError
 
+PARTIAL = ".hil-"
+"""How the names of files and folders begin that are not whole yet; one may be left where `hil` is killed."""
 _REMEDY = "choose a folder that exists and has room"
 _NOT_YOURS = "choose a folder that you may write"
 
@@ -41,15 +44,39 @@ def check_name(path: Path, whose: str = "") -> None:
 def write_text(path: Path, text: str) -> Path:
     """Write a text as UTF-8, over what was there, in a folder that need not exist; returns the path.
 
+    It appears at once: where the disk does not take it, the old file is still there, or none. A device or
+    what a link leads to is written in place.
+
     Raises:
         DataError: it cannot be written.
     """
+    content = text.encode("utf-8", "backslashreplace")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8", errors="backslashreplace")
+        if path.is_symlink() or (path.exists() and not path.is_file()):
+            path.write_bytes(content)
+        else:
+            _put(path, content)
     except OSError as error:
         raise refused(path, error) from None
     return path
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Write beside and rename, with the rights of the old file; raises `OSError`."""
+    partial = path.with_name(f"{PARTIAL}{secrets.token_hex(4)}")
+    if path.exists() and not os.access(path, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+    try:
+        with partial.open("xb") as file:
+            if path.exists():
+                os.fchmod(file.fileno(), path.stat().st_mode & 0o777)
+            file.write(content)
+        os.replace(partial, path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink()
+        raise
 
 
 def put_whole(path: Path, content: bytes) -> None:
@@ -150,7 +177,7 @@ def _probe(path: Path, folder: Path) -> None:
             there = there.parent
         if not there.is_dir():
             raise DataError(str(path), f"{there} is a file", expected="a folder, new or not")
-        with tempfile.TemporaryDirectory(prefix=".hil-", dir=there):
+        with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=there):
             pass
     except OSError as error:
         raise refused(path, error) from None
@@ -169,7 +196,7 @@ def staged(folder: Path) -> Iterator[Path]:
     made = [p for p in (folder, *folder.parents) if not p.exists()]
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=".hil-", dir=folder) as parts:
+        with tempfile.TemporaryDirectory(prefix=PARTIAL, dir=folder) as parts:
             yield Path(parts)
             for part in sorted(Path(parts).iterdir()):
                 os.replace(part, folder / part.name)

@@ -37,6 +37,13 @@ def test_every_shipped_procedure_and_the_commands_around_them_are_offered(offere
     }
 
 
+def test_no_help_on_the_page_speaks_of_options_of_a_terminal(offered):
+    helps = {f.name: f.help for action in offered.values() for f in action.fields}
+    assert [text for text in helps.values() if "--" in text] == []
+    assert helps["--quick"] == "The procedure's quick form."
+    assert helps["--seed"] == "Seed of the emulated world."
+
+
 @pytest.mark.parametrize("name", shipped_names())
 def test_the_form_of_a_procedure_says_what_its_parameters_accept(offered, name):
     """Every default that is shown is accepted, and every limit that is shown is one."""
@@ -173,7 +180,9 @@ def test_stop_from_a_shell_says_that_nothing_runs(place, capsys):
     assert main(["console", "--stop"]) == 0
     assert "nothing runs" in capsys.readouterr().out
     assert main(["console", "--stop", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out) == {"stopped": [], "button_ended": False}
+    assert json.loads(capsys.readouterr().out) == {
+        "stopped": [], "last": None, "not_held": [], "button_ended": False
+    }  # fmt: skip
 
 
 def test_a_console_that_ends_in_order_takes_the_button_with_it(place, capsys, monkeypatch):

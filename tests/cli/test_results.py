@@ -167,7 +167,8 @@ def test_without_a_question_only_whole_names_of_our_own_are_deleted(place, capsy
         code, _, said = call(capsys, "delete", name, "--yes")
         assert code == 2
         assert why in said
-    assert call(capsys, "delete", "idle/one", "--yes", "--json")[1] == '{"deleted": ["idle/one"]}\n'
+    told = call(capsys, "delete", "idle/one", "--yes", "--json")[1]
+    assert told == '{"deleted": ["idle/one"], "stays": {}}\n'
 
 
 def test_a_folder_without_results_is_told(place, capsys):

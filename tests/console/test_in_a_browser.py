@@ -13,7 +13,7 @@ from hil.console.jobs import signal_process
 from hil.console.objects import read
 from hil.console.stop_process import IDENTITY, PAGE, STOP
 from tests.chromium import CHROMIUM, Browser
-from tests.console.test_jobs import wait_until
+from tests.console.test_jobs import job_in, wait_until
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium here")]
 
@@ -34,14 +34,14 @@ SIZES = [(1280, 900, False), (390, 844, True)]
 class Console:
     """`hil console` in a folder, as somebody starts it."""
 
-    def __init__(self, place):
-        self.folder = place / "out" / "console"
-        self._place = place
+    def __init__(self, place, results="out"):
+        self.folder = place / results / "console"
+        self._place, self._results = place, results
         self.start()
 
     def start(self):
         (self.folder / PAGE).unlink(missing_ok=True)
-        command = [sys.executable, "-m", "hil", "console", "--json"]
+        command = [sys.executable, "-m", "hil", "console", "--json", "--in", self._results]
         self.process = subprocess.Popen(command, cwd=self._place, stdout=subprocess.PIPE, text=True)
         self.url = json.loads(self.process.stdout.readline())["url"]
         self.frame = f"http://127.0.0.1:{read(self.folder / PAGE)['port']}"
@@ -55,14 +55,15 @@ class Console:
         self.process.communicate(timeout=30)
 
 
-@pytest.fixture
-def console(tmp_path):
+@pytest.fixture(params=["out"])
+def console(tmp_path, request):
     (tmp_path / "asking.py").write_text(ASKING)
-    made = Console(tmp_path)
+    made = Console(tmp_path, request.param)
     yield made
     if made.process.poll() is None:
         made.end()
-    subprocess.run([sys.executable, "-m", "hil", "console", "--stop"], cwd=tmp_path, check=True)
+    stop = [sys.executable, "-m", "hil", "console", "--in", request.param, "--stop"]
+    subprocess.run(stop, cwd=tmp_path, check=True)
     stop = read(made.folder / STOP)
     if stop:
         signal_process({key: stop.get(key) for key in IDENTITY}, signal.SIGTERM)
@@ -134,6 +135,27 @@ def test_stop_works_when_the_process_of_the_page_is_dead(console, tmp_path):
         browser.close()
 
 
+def test_the_alarm_outlives_an_examination_and_goes_when_a_person_says_that_it_is_secured(console, tmp_path):
+    left = {"verdict": "ERROR", "held": {"state": "NOT HELD", "moved_m": 0.1, "why": "it slides"}}
+    job_in(console.folder / "jobs", out=json.dumps(left), words=["run", "x", "--bench=my.toml"])
+    browser = opened(console, tmp_path / "profile")
+    try:
+        alarm = "document.getElementById('alarm').innerText"
+        browser.until(f"{alarm}.startsWith('The robot is NOT HELD since x: it slides.')")
+        browser.until("!document.getElementById('examine').disabled", console.frame)
+        browser.ask("document.getElementById('examine').click()", console.frame)
+        browser.until("document.getElementById('now').innerText.startsWith('doctor: PASS')", limit_s=60.0)
+        time.sleep(1.0)
+        assert browser.ask(alarm).startswith("The robot is NOT HELD since x")
+        browser.ask("document.getElementById('secured').click()")
+        browser.until(f"{alarm} === '' && document.getElementById('secure').hidden")
+        browser.open(console.url.partition("?")[0])
+        browser.until("document.getElementById('now').innerText.startsWith('doctor: PASS')")
+        assert browser.ask(alarm) == ""
+    finally:
+        browser.close()
+
+
 def test_a_page_that_nobody_answers_any_more_says_so_and_nothing_of_stop(console, tmp_path):
     browser = opened(console, tmp_path / "profile")
     try:
@@ -201,5 +223,52 @@ def test_no_word_of_the_devices_is_broken_and_no_half_of_a_desk_is_empty(console
         assert broken == []
         left = "Math.round(document.querySelector('.devices').getBoundingClientRect().left)"
         assert (browser.ask(left, console.frame) > width / 3) == (not mobile)
+    finally:
+        browser.close()
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_no_word_of_the_history_is_broken(console, tmp_path, size):
+    """A phone has no room for four columns: the last of them had 75 px, and its words were cut."""
+    run = {
+        "schema": 1, "procedure": "surface_identification", "verdict": "ERROR", "measurements": [],
+        "bench": "emulated_delivered", "started": "2026-03-01T10:00:00+00:00", "virtual_time": True,
+        "error": {"type": "SafetyStop", "message": "robot stopped (stale_adhesion): nothing usable from it"},
+    }  # fmt: skip
+    folder = console.folder.parent / "surface_identification" / "20260301"
+    folder.mkdir(parents=True)
+    (folder / "result.json").write_text(json.dumps(run))
+    browser = opened(console, tmp_path / "profile", *size)
+    try:
+        browser.until("document.querySelectorAll('#history td').length === 4", console.frame)
+        words = """(() => [...document.querySelectorAll("#history td")].flatMap((cell) => {
+            const text = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT).nextNode();
+            return [...text.data.matchAll(/\\S+/g)].map((found) => {
+                const range = document.createRange();
+                range.setStart(text, found.index); range.setEnd(text, found.index + found[0].length);
+                return [found[0], range.getClientRects().length];
+            });
+        }))()"""
+        assert [word for word, lines in browser.ask(words, console.frame) if lines > 1] == []
+        widths = "[...document.querySelectorAll('#history td')].map((c) => c.getBoundingClientRect().width)"
+        assert browser.ask(widths, console.frame)[3] > 200
+    finally:
+        browser.close()
+
+
+@pytest.mark.parametrize("console", ["my lab"], indirect=True)
+def test_the_same_in_a_terminal_leaves_its_results_in_the_folder_of_the_console(console, tmp_path):
+    browser = opened(console, tmp_path / "profile")
+    try:
+        said = {}
+        for name in ("doctor", "live", "bring_up"):
+            browser.ask(f"choose('{name}')", console.frame)
+            said[name] = browser.ask("document.getElementById('same').innerText", console.frame)
+        stamp = "$(date +%Y%m%d-%H%M%S)"
+        assert said == {
+            "doctor": "hil doctor",
+            "live": f"hil live --record 'my lab/live/'{stamp}.mcap",
+            "bring_up": f"hil run bring_up --out 'my lab/bring_up/'{stamp}",
+        }
     finally:
         browser.close()

@@ -138,3 +138,9 @@ def test_the_devices_of_a_bench_are_told_and_a_bench_that_is_wrong_is_named(page
     assert {row["backend"] for row in told["devices"]} == {"emulated"}
     with pytest.raises(Refused, match="nothing_like_that"):
         page("GET", "/api/bench", name="nothing_like_that")
+
+
+def test_the_page_knows_a_folder_of_results_that_a_terminal_would_not_use_by_itself(page, monkeypatch):
+    assert tree(page("GET", "/api/offer"))["elsewhere"] == str(page.results)
+    monkeypatch.chdir(page.results.parent)
+    assert tree(page("GET", "/api/offer"))["elsewhere"] == ""

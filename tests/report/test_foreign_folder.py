@@ -14,9 +14,8 @@ from importlib.resources import files
 from urllib.parse import unquote
 
 import pytest
-from click.testing import CliRunner
 
-from hil.cli import cli, main
+from hil.cli import main
 from hil.report.result_file import read_result
 from hil.report.run_page import write_run_page
 from hil.vocabulary.errors import DataError
@@ -37,13 +36,13 @@ SVG = """<?xml version="1.0"?>
 
 def tree(evil):
     return {
-        "schema": 1, "procedure": f"p{evil}", "verdict": f"PASS{evil}", "summary": evil, "bench": evil,
+        "schema": 1, "procedure": f"p{evil}", "verdict": "ERROR", "summary": evil, "bench": evil,
         "started": evil, "seed": 1, "faults": [evil], "emulated": [evil], "git_revision": evil,
         "held": {"state": evil, "moved_m": 0.001, "why": evil},
         "error": {"type": evil, "message": evil, "step": evil},
         "teardown_errors": [{"type": evil, "message": evil, "step": evil}],
         "measurements": [{"name": evil, "unit": evil, "value": 1.0, "low": 0.0, "high": 2.0, "margin": 1.0,
-                          "outcome": evil, "limited": True, "rationale": evil}],
+                          "outcome": "PASS", "limited": True, "rationale": evil}],
         "steps": [{"title": evil, "outcome": evil, "depth": 1, "bench_s": 1.0, "wall_s": 1.0}],
         "tables": [{"title": evil, "head": [evil], "rows": [[evil]], "note": evil}],
         "figures": [{"title": evil, "caption": evil, "path": "figures/evil.svg"}],
@@ -189,10 +188,13 @@ def test_the_page_is_not_written_through_a_link(folder, tmp_path, capsys):
     assert mine.read_text() == "keep"
 
 
-def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder):
-    change(folder[0], verdict="PASS\x1b]0;title\x07\ud800")
-    done = CliRunner().invoke(cli, ["report", str(folder[0])])
-    assert done.output.startswith(r"PASS\x1b]0;title\x07\ud800: ")
+def test_no_control_character_of_a_foreign_folder_reaches_the_terminal(folder, capsys):
+    row = {"name": "a\x1b]0;title\x07\ud800", "unit": "1", "value": 3.0, "high": 2.0, "outcome": "PASS"}
+    change(folder[0], measurements=[row])
+    assert main(["report", str(folder[0])]) == 2
+    said = capsys.readouterr().err
+    assert r"a\x1b]0;title\x07\ud800 is PASS with a value beyond its limit" in said
+    assert "\x1b" not in said
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from hil.report.history.opening import page_of
 from hil.report.history.page import drawing, headline, write_trends_page
 from hil.report.history.removal import delete, loss
 from hil.report.history.series import groups
+from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import DataError, UsageError
 
@@ -40,6 +41,10 @@ def struck(ctx):
     (ctx.folder / "seen_from_inside.json").write_text(
         json.dumps([k.why for k in find_results(ctx.folder.parent)])
     )
+
+
+def files_of(folder):
+    return {p.relative_to(folder).as_posix() for p in folder.rglob("*") if p.is_file()}
 
 
 def run(proc, folder, started="2026-03-01T10:00:00+00:00"):
@@ -127,6 +132,14 @@ def test_a_folder_that_is_a_run_itself_does_not_hide_what_lies_below(root):
         loss(root, named(find_results(root), "."))
 
 
+def test_a_run_is_found_by_its_seed(tmp_path):
+    for seed in (3, 4):
+        write(tmp_path / f"run{seed}", seed, seed=seed)
+    write(tmp_path / "none", 5, seed=None)
+    assert [k.name for k in chosen(find_results(tmp_path), words=["seed=3"])] == ["run3"]
+    assert len(chosen(find_results(tmp_path), words=["seed="])) == 2
+
+
 @pytest.mark.parametrize(
     ("asked", "names"),
     [
@@ -158,23 +171,47 @@ def test_one_is_called_by_its_name_its_folder_or_a_part_of_its_name(root):
         named(found, "p/on", whole=True)
 
 
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        ({"verdict": "SPLENDID"}, "verdict: Input should be 'PASS'"),
+        ({"measurements.0.outcome": "GREAT"}, "outcome: Input should be"),
+        ({"measurements.0.outcome": "FAIL"}, "verdict PASS, but width is FAIL"),
+        ({"measurements.0.outcome": "MARGINAL"}, "verdict PASS, but a measurement is MARGINAL"),
+        ({"measurements.0.value": 6.5}, "width is PASS with a value beyond its limit"),
+        ({"verdict": "FAIL"}, "verdict FAIL, but no measurement is"),
+        ({"error": {"type": "x", "message": "y"}}, "verdict PASS, but it ended in an error"),
+    ],
+)
+def test_a_result_that_contradicts_itself_is_not_believed(root, change, why):
+    path = root / "gap" / "one" / "result.json"
+    tree = json.loads(path.read_text())
+    for key, value in change.items():
+        *way, last = key.split(".")
+        place = tree
+        for step in way:
+            place = place[int(step) if step.isdigit() else step]
+        place[last] = value
+    path.write_text(json.dumps(tree))
+    kept = named(find_results(root), "gap/one")
+    assert (kept.kind, kept.verdict) == ("foreign", "")
+    assert why in kept.why
+    with pytest.raises(DataError, match=re.escape(why)):
+        write_run_page(path.parent)
+
+
 @pytest.mark.parametrize("name", ["newer", "page", "junk"])
 def test_what_is_foreign_is_not_deleted(root, name):
     with pytest.raises(DataError, match="is not deleted"):
         loss(root, named(find_results(root), name))
 
 
-def test_a_deleted_run_leaves_what_its_links_lead_to(root, tmp_path):
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "file").write_text("keep")
-    (root / "gap" / "one" / "link").symlink_to(tmp_path / "mine")
-    (root / "gap" / "one" / "calibration.toml").write_text("")
+def test_a_deleted_run_says_what_others_may_build_on_and_leaves_the_folder_above(root):
+    (root / "gap" / "one" / "recording.mcap").write_text("")
     lost = loss(root, named(find_results(root), "gap/one"))
-    assert "with calibration.toml" in lost.in_words()
+    assert "with recording.mcap" in lost.in_words()
     delete([lost])
-    assert not (root / "gap" / "one").exists()
-    assert (tmp_path / "mine" / "file").read_text() == "keep"
-    assert (root / "gap").exists()
+    assert files_of(root / "gap") == {"one/figures/page.html"}
 
 
 @pytest.mark.parametrize(

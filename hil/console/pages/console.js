@@ -39,13 +39,25 @@ function same() {
   for (const field of action().fields) {
     const value = values[field.name];
     if (!value) continue;
-    const text = /^[\w.,:@+=/-]+$/.test(value) ? value : `'${value}'`;
+    const text = quoted(value);
     if (field.kind === "flag") words.push(field.name);
     else if (field.name === "SCRIPT") words.push(text);
     else if (field.name.startsWith("--")) words.push(field.name, text);
     else words.push("--set", `${field.name}=${text}`);
   }
-  at("same").textContent = words.join(" ");
+  at("same").textContent = [...words, ...place(values)].join(" ");
+}
+
+const quoted = (text) => (/^[\w.,:@+=/-]+$/.test(text) ? text : `'${text.replaceAll("'", "'\\''")}'`);
+
+// Where the results go, unless that is where a terminal puts them by itself.
+function place(values) {
+  const name = action().name;
+  if (!offer.elsewhere || name === "doctor") return [];
+  const script = (values.SCRIPT || "script").replace(/^.*\//, "").replace(/\.[^.]*$/, "");
+  const folder = quoted(`${offer.elsewhere}/${name.includes(" ") ? script : name}/`);
+  const stamp = "$(date +%Y%m%d-%H%M%S)";
+  return name === "live" ? ["--record", `${folder}${stamp}.mcap`] : ["--out", `${folder}${stamp}`];
 }
 
 async function start(name, values) {
@@ -121,7 +133,7 @@ function show(jobs) {
   if (start) start.disabled = Boolean(job && job.running);
   at("examine").disabled = offer === null || Boolean(job && job.running);
   at("live").hidden = !(job && job.live);
-  at("live-title").textContent = job && job.running ? "Live" : "Last figures";
+  at("live-title").textContent = job && job.running ? "Live" : "Last figures before the stop";
   if (job && job.live) live(job);
   const lines = job ? [...job.messages, ...job.events] : [];
   at("more").hidden = !lines.length;

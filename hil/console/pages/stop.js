@@ -7,6 +7,7 @@ const PATIENCE_MS = 3000;
 let shownPort = null;
 let asked = false;
 let silentSince = null;
+let notHeld = [];
 
 async function call(path, options) {
   const reply = await fetch(path, { signal: AbortSignal.timeout(4000), ...options });
@@ -29,6 +30,7 @@ function silent() {
   at("stop").textContent = "STOP";
   at("now").textContent = "";
   at("alarm").textContent = gone ? GONE : SILENT;
+  at("secure").hidden = true;
   at("alone").hidden = true;
   at("gone").hidden = !gone;
   if (gone) at("console").hidden = true;
@@ -39,8 +41,10 @@ function show(state) {
   at("gone").hidden = true;
   const now = state.jobs.length ? state.jobs.map(words).join(" · ") : "Nothing runs.";
   if (at("now").textContent !== now) at("now").textContent = now;
-  const loose = state.jobs.some((job) => job.held && job.held.state === "NOT HELD");
-  at("alarm").textContent = loose ? "The robot is NOT HELD. Secure it before you do anything else." : "";
+  notHeld = state.not_held;
+  const alarm = notHeld.map((left) => left.words).join(" ");
+  if (at("alarm").textContent !== alarm) at("alarm").textContent = alarm;
+  at("secure").hidden = !notHeld.length;
   if (asked && state.jobs.every((job) => !job.running)) asked = false;
   at("stop").textContent = asked ? "STOP …" : "STOP";
   at("console").hidden = state.page === null;
@@ -63,13 +67,26 @@ async function watch() {
   setTimeout(watch, 500);
 }
 
+const post = (path, body) =>
+  call(path, { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) });
+
 at("stop").addEventListener("click", async () => {
   asked = true;
   at("stop").textContent = "STOP …";
   try {
-    await call("/stop", { method: "POST", headers: { "Content-Type": "application/json" }, body: "{}" });
+    await post("/stop", {});
   } catch (error) {
     silent();
+  }
+});
+
+// Of what the page shows, and no more: what was left since then has its alarm.
+at("secured").addEventListener("click", async () => {
+  try {
+    await post("/secured", { jobs: notHeld.map((left) => left.job) });
+    show(await call("/state"));
+  } catch (error) {
+    at("alarm").textContent = String(error.message || error);
   }
 });
 watch();

@@ -42,7 +42,7 @@ def chosen(
 
 
 def _text(kept: Kept) -> str:
-    """What a search looks through: names, verdict, errors, notes, faults, parameters as KEY=VALUE."""
+    """What a search looks through: names, verdict, errors, notes, faults; as KEY=VALUE seed, parameters."""
     tree: Mapping[str, Any] = kept.result
     parts = [kept.name, kept.kind, kept.what, kept.bench, kept.where, kept.verdict, kept.why]
     parts += [str(kept.when), tree.get("summary", ""), *tree.get("notes", ()), *tree.get("faults", ())]
@@ -50,6 +50,7 @@ def _text(kept: Kept) -> str:
     parts += [f"{p['type']} {p['step']} {p['message']}" for p in problems if p]
     parts += [f"{row['name']} {row['outcome']}" for row in tree.get("measurements", ())]
     parts += [f"{key}={value}" for key, value in dotted(tree.get("parameters", {}))]
+    parts += [f"seed={tree['seed']}"] if tree.get("seed") is not None else []
     parts += [f"{key} {value}" for key, value in dotted(tree.get("versions", {}))]
     if tree.get("calibration"):
         parts.append("calibration {path} version {version}".format(**tree["calibration"]))

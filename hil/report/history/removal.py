@@ -1,33 +1,55 @@
-"""Deletes results, and nothing else: what a run is still writing, what is foreign, what is a link stays."""
+"""Deletes results and nothing else: what `hil` did not write, what a run is writing, and links stay."""
 
 from __future__ import annotations
 
-import shutil
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from hil.report.history.found import OURS, Kept, in_use
+from hil.report.history.written import FOLDERS, all_files, written
 from hil.vocabulary.errors import DataError
 
-_PRECIOUS = ("calibration.toml", "bench_fragment.toml", "*.mcap")
+_PRECIOUS = ("calibration.toml", "bench_fragment.toml", "record.toml")
+_SHOWN = 4
 
 
 @dataclass(frozen=True)
 class Loss:
-    """What goes with a result: its files, its size, and which of them others may build on."""
+    """What goes with a result, and what does not.
+
+    Attributes:
+        kept: the result.
+        files: what goes, as paths within its folder.
+        size_bytes: of that.
+        precious: names of those that others may build on.
+        stays: what `hil` has not written, as paths within the folder.
+    """
 
     kept: Kept
-    files: int
+    files: tuple[str, ...]
     size_bytes: int
     precious: tuple[str, ...]
+    stays: tuple[str, ...] = ()
 
     def in_words(self) -> str:
         """One line for whoever is asked."""
         what = f"{self.kept.name}: {self.kept.what} {self.kept.verdict or self.kept.kind}"
         part = f", part of {self.kept.within}" if self.kept.within else ""
         held = f", with {', '.join(self.precious)}" if self.precious else ""
-        return f"{what}, {self.files} files, {self.size_bytes / 1e6:.1f} MB{held}{part}"
+        size = f"{len(self.files)} files, {self.size_bytes / 1e6:.1f} MB"
+        return "; ".join(filter(None, (f"{what}, {size}{held}{part}", self.stays_in_words())))
+
+    def stays_in_words(self) -> str:
+        """What is left of the folder and why; empty where all of it goes."""
+        if not self.stays:
+            return ""
+        few = ", ".join(self.stays[:_SHOWN]) + (", ..." if len(self.stays) > _SHOWN else "")
+        if len(self.stays) == 1:
+            return f"1 file that is not part of it stays in {self.kept.folder}: {few}"
+        return f"{len(self.stays)} files that are not part of it stay in {self.kept.folder}: {few}"
 
 
 def loss(root: Path, kept: Kept) -> Loss:
@@ -50,20 +72,37 @@ def loss(root: Path, kept: Kept) -> Loss:
         raise DataError(
             str(folder), "is not deleted: a run is still writing to it", remedy="wait for its end"
         )
-    files = [p for p in folder.rglob("*") if p.is_file() and not p.is_symlink()]
-    precious = {p.name for pattern in _PRECIOUS for p in folder.rglob(pattern)}
-    return Loss(kept, len(files), sum(p.stat().st_size for p in files), tuple(sorted(precious)[:6]))
+    own = written(kept)
+    precious = {n.rpartition("/")[2] for n in own if n.endswith((".mcap", *_PRECIOUS))}
+    size_bytes = sum((folder / name).lstat().st_size for name in own)
+    stays = tuple(sorted(set(all_files(folder)).difference(own)))
+    return Loss(kept, tuple(own), size_bytes, tuple(sorted(precious)[:6]), stays)
 
 
 def delete(losses: Sequence[Loss]) -> None:
-    """Delete what was looked at; links in it are taken away, what they lead to stays.
+    """Delete what was looked at, and the folders that are empty then.
 
     Raises:
-        DataError: a folder cannot be deleted; names it. Those before it are gone.
+        DataError: a file cannot be deleted; names it. Those before it are gone.
     """
     for item in losses:
         folder = item.kept.folder
-        try:
-            shutil.rmtree(folder)
-        except OSError as error:
-            raise DataError(str(folder), f"cannot be deleted ({error.strerror or error})") from None
+        for name in item.files:
+            try:
+                (folder / name).unlink(missing_ok=True)
+            except OSError as error:
+                raise DataError(
+                    str(folder / name), f"cannot be deleted ({error.strerror or error})"
+                ) from None
+        for place in _emptied(item):
+            with suppress(OSError):  # something of somebody else's is in it
+                os.rmdir(place)
+
+
+def _emptied(item: Loss) -> Iterator[Path]:
+    """Folders that `hil` has made for what it wrote, the deepest first, the result's own last."""
+    folder = item.kept.folder
+    held = {place for name in item.files for place in (folder / name).parents if place != folder}
+    within = {place for place in held if place.is_relative_to(folder)} | {folder / name for name in FOLDERS}
+    yield from sorted(within, key=lambda place: len(place.parts), reverse=True)
+    yield folder

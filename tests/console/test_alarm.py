@@ -1,0 +1,151 @@
+"""The alarm of a robot that was left NOT HELD: what keeps it, what takes it away, what a terminal says."""
+
+import json
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hil.console import jobs
+from hil.console.alarm import SECURED, Alarm
+from hil.console.stop_process import StopProcess
+from hil.console.web import Refused, Request
+from tests.console.test_jobs import HELD, job_in, line
+
+LOOSE = HELD | {"state": "NOT HELD", "why": "the fan does not answer"}
+UNTOUCHED = {"state": "not needed", "moved_m": None, "why": "no device was opened"}
+ON_THE_FLOOR = {"state": "not needed", "moved_m": 0.0, "why": "on the floor; torque on, at rest by wheels"}
+MINE = ["run", "x", "--bench=my.toml", "--json"]
+
+
+def names(n):
+    return f"20260101-00000{n}-000000"
+
+
+def left(folder, n, held, words=MINE, **told):
+    """The nth job, which ended so."""
+    out = "" if held is None else json.dumps({"verdict": "PASS", "held": held, **told})
+    return job_in(folder / "jobs", names(n), out=out, words=words)
+
+
+def examined(folder, n):
+    out = json.dumps({"ok": True, "findings": []})
+    return job_in(folder / "jobs", names(n), out=out, words=["doctor", "--bench=my.toml", "--json"])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    place = tmp_path / "out" / "console"
+    left(place, 1, LOOSE)
+    return place
+
+
+def test_it_says_what_happened_and_asks_to_secure_the_robot(folder):
+    (told,) = Alarm(folder).not_held()
+    assert told == {
+        "job": names(1),
+        "words": "The robot is NOT HELD since x: the fan does not answer. "
+        "Secure it before you do anything else.",
+    }
+
+
+@pytest.mark.parametrize(
+    "later",
+    [
+        examined,
+        lambda place, n: left(place, n, UNTOUCHED),
+        lambda place, n: left(place, n, None),
+        lambda place, n: left(place, n, HELD, words=["run", "x", "--json"]),
+        lambda place, n: left(place, n, HELD, words=["run", "x", "--bench=other.toml", "--json"]),
+        lambda place, n: left(place, n, HELD, words=[*MINE, "--emulate=all"]),
+        lambda place, n: job_in(
+            place / "jobs", names(n), process=jobs.identity(os.getpid()), words=MINE, err=line(held=HELD)
+        ),
+    ],
+    ids=["examined", "untouched", "no result", "another world", "another bench", "emulated", "still runs"],
+)
+def test_whoever_has_not_looked_at_that_robot_does_not_take_it_away(folder, later):
+    alarm = Alarm(folder)
+    before = alarm.not_held()
+    later(folder, 2)
+    assert alarm.not_held() == Alarm(folder).not_held() == before
+
+
+@pytest.mark.parametrize("held", [HELD, ON_THE_FLOOR])
+def test_a_run_that_found_it_held_takes_it_away_and_the_next_one_may_bring_it_back(folder, held):
+    alarm = Alarm(folder)
+    left(folder, 2, held)
+    assert alarm.not_held() == []
+    left(folder, 3, LOOSE | {"why": "again"})
+    assert [told["job"] for told in alarm.not_held()] == [names(3)]
+
+
+def test_it_is_kept_however_much_was_started_since(folder):
+    for n in range(300):
+        job_in(folder / "jobs", f"20260102-000000-{n:06}", out='{"ok": true}')
+    assert [told["job"] for told in Alarm(folder).not_held()] == [names(1)]
+
+
+def test_a_run_that_was_killed_while_it_drove_is_one_too_and_doctor_that_was_killed_is_none(tmp_path):
+    moved = line(held=HELD) + line(live={"pose": [0, 0, 0]})
+    job_in(tmp_path / "jobs", names(1), words=MINE, err=moved)
+    job_in(tmp_path / "jobs", names(2), words=["doctor", "--bench=my.toml"])
+    (told,) = Alarm(tmp_path).not_held()
+    assert told["words"] == "x was killed while its loop ran. Check whether the robot is held."
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [(["run", "x"], {}), (["run", "x", "--bench=emulated_floor"], {"virtual_time": True})],
+)
+def test_an_emulated_robot_is_called_so(tmp_path, words, told):
+    left(tmp_path, 1, LOOSE, words, **told)
+    assert Alarm(tmp_path).not_held()[0]["words"] == (
+        "x left its emulated robot NOT HELD: the fan does not answer."
+    )
+
+
+def asked(process, method, path, body=None):
+    return json.loads(process.routes()[method, path](Request(path, {}, body or {}, "127.0.0.1")).content)
+
+
+def test_a_person_takes_away_what_the_page_shows_and_it_stays_away_after_a_restart(folder):
+    process = StopProcess(folder)
+    (shown,) = asked(process, "GET", "/state")["not_held"]
+    other = left(folder, 2, LOOSE, words=["run", "x", "--bench=other.toml"])  # since the page was drawn
+    assert asked(process, "POST", "/secured", {"jobs": [shown["job"], "../x"]}) == {}
+    for later in (process, StopProcess(folder)):
+        assert [told["job"] for told in asked(later, "GET", "/state")["not_held"]] == [other.name]
+    left(folder, 3, LOOSE)
+    assert len(asked(process, "GET", "/state")["not_held"]) == 2
+
+
+def test_what_cannot_be_noted_is_not_taken_away(folder):
+    (folder / f"{SECURED}.part").mkdir()
+    process = StopProcess(folder)
+    with pytest.raises(Refused, match="the alarm stays"):
+        asked(process, "POST", "/secured", {"jobs": [names(1)]})
+    with pytest.raises(Refused, match="names of jobs"):
+        asked(process, "POST", "/secured", {"jobs": names(1)})
+    assert len(asked(process, "GET", "/state")["not_held"]) == 1
+
+
+def test_a_terminal_learns_it_with_exit_code_3_until_it_is_secured(folder):
+    def stop(*words):
+        command = [sys.executable, "-m", "hil", "console", "--in", str(folder.parent), "--stop", *words]
+        done = subprocess.run(command, capture_output=True, text=True)
+        return done.returncode, done.stdout
+
+    code, said = stop()
+    assert code == 3
+    assert "nothing runs" in said
+    assert "the last was x: NOT HELD: the fan does not answer" in said
+    assert "The robot is NOT HELD since x" in said
+    examined(folder, 2)
+    code, said = stop("--json")
+    assert (code, json.loads(said)["last"]["title"], len(json.loads(said)["not_held"])) == (3, "x", 1)
+    Alarm(folder).secure([names(1)])
+    code, said = stop()
+    assert code == 0
+    assert "The robot" not in said
