@@ -199,11 +199,13 @@ def _run(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 all good, 1 a limit failed, else that of the first run that ended in an error."""
+    """0 all good, 1 a limit failed or a fault never acted, else that of the first run with an error."""
     broken = next(
         (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
     )
-    return broken if broken is not None else max(row.exit_code for row in rows)
+    if broken is not None:
+        return broken
+    return max(row.exit_code if row.tested else EXIT_LIMIT_FAILED for row in rows)
 
 
 def _write(
@@ -245,9 +247,7 @@ def _text(tree: dict[str, Any]) -> str:
 
     lines = []
     for group in tree["groups"]:
-        low, high = group["pass_share_95"]
-        good = f"{100 * group['pass_share']:.0f} % good (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-        lines.append(f"{group['group']}: {group['n']} runs, {good}")
+        lines.append(f"{group['group']}: {_share(group)}")
         for m in group["measurements"]:
             span = f"[{number(m['min'])} to {number(m['max'])}]"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
@@ -256,4 +256,21 @@ def _text(tree: dict[str, Any]) -> str:
     if len(broken) > _SHOWN:
         lines.append(f"{len(broken) - _SHOWN} more such runs are in {CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
+    if untested := tree["cases"] - sum(group["tested"] for group in tree["groups"]):
+        counted += f"; {untested} of them NOT TESTED: a fault never acted"
     return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])
+
+
+def _share(group: dict[str, Any]) -> str:
+    """How many runs of a combination were good, of those in which its faults have acted."""
+    from hil.procedure.campaign.table import never_acted
+
+    said, tested = f"{group['n']} runs", group["tested"]
+    if tested:
+        low, high = group["pass_share_95"]
+        of_tested = "" if tested == group["n"] else f" of {tested} tested"
+        share = f"{100 * group['pass_share']:.0f} % good{of_tested}"
+        said += f", {share} (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    if tested < group["n"]:
+        said += f", {group['n'] - tested} NOT TESTED: {never_acted(group['faults_not_begun'])}"
+    return said

@@ -194,7 +194,7 @@ def here(tmp_path, monkeypatch):
     )  # fmt: skip
     profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     Path("bench.toml").write_text(f'calibration = "cal/calibration.toml"\n{profile}')
-    Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
+    Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')
     return folder
 
 

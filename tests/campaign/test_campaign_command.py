@@ -189,10 +189,10 @@ def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(camp
         code, _, said = campaign("--seeds", "0:2", *options, "--resume")
         assert (code, f"{file} changed since the campaign began" in said) == (2, True), said
         file.write_text(before)
-    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')
     options, more = options[:-1], ("fault=none,late.toml", "--resume")
     assert campaign("--seeds", "0:2", *options, *more)[0] == 0
-    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 50.0\n')
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.2\n')
     assert campaign("--seeds", "0:2", *options, *more)[0] == 2
 
 

@@ -11,10 +11,9 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from hil.procedure.campaign.table import Row
+from hil.procedure.campaign.table import Row, count, never_acted
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
-from hil.report.result_file import GOOD
 from hil.report.run_page import PAGE
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
@@ -36,14 +35,16 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     """
     names = dict.fromkeys(n for row in rows for n in row.measurements)
     commands = {row["case"]: row["command"] for row in tree["rows"]}
-    drawn = [name for name in names if _values(name, rows)]
-    figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
-    shown = sorted(rows, key=lambda row: row.verdict in GOOD)[:_ROWS_SHOWN]
+    tested = [row for row in rows if row.tested]
+    drawn = [name for name in names if _values(name, tested)]
+    figures = [{"name": name, "image": _figure(name, tested)} for name in drawn]
+    shown = sorted(rows, key=lambda row: row.good)[:_ROWS_SHOWN]
     page = (
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, sentence=_sentence(tree, rows),
+            campaign=tree, sentence=_sentence(rows), not_tested=len(rows) - len(tested),
+            never_acted=never_acted,
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
@@ -51,10 +52,15 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     return write_text(path, page)
 
 
-def _sentence(tree: Mapping[str, Any], rows: Sequence[Row]) -> str:
-    """How many runs were good, and what the others missed most often."""
-    good = sum(tree["verdicts"].get(v, 0) for v in GOOD)
-    said = f"{good} of {tree['cases']} runs kept their limits."
+def _sentence(rows: Sequence[Row]) -> str:
+    """How many runs were good, which faults were never tested, and what limits were missed most often."""
+    tested, good = sum(row.tested for row in rows), sum(row.good for row in rows)
+    if tested == len(rows):
+        said = f"{good} of {tested} runs kept their limits."
+    else:
+        never = never_acted(count(spec for row in rows for spec in row.faults_not_begun))
+        kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
+        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({never}); {kept}."
     missed = Counter(name for row in rows for name, m in row.measurements.items() if m["outcome"] == "FAIL")
     if missed:
         most = missed.most_common(_NAMED)
