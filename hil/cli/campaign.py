@@ -243,6 +243,7 @@ def _line(error: str) -> str:
 
 
 def _text(tree: dict[str, Any]) -> str:
+    from hil.procedure.campaign.table import in_words
     from hil.report.pages import number
 
     lines = []
@@ -250,6 +251,8 @@ def _text(tree: dict[str, Any]) -> str:
         lines.append(f"{group['group']}: {_share(group)}")
         for m in group["measurements"]:
             span = f"[{number(m['min'])} to {number(m['max'])}]"
+            if m["n"] < m["of"]:
+                span += f" in {m['n']} of {m['of']} runs; {in_words(m['missing'])}"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
     broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
     lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]

@@ -232,12 +232,13 @@ def finished(job: Job) -> Row | None:
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:
     from hil.procedure.campaign import Row
+    from hil.procedure.campaign.table import missing
 
     kept = ("unit", "value", "outcome", "low", "high")
     error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
     return Row(
         job.case, job.folder, tree["verdict"], tree["exit_code"], tree.get("duration_s") or 0.0,
-        {row["name"]: {k: row[k] for k in kept} for row in tree["measurements"]},
+        {row["name"]: {k: row[k] for k in kept} | {"missing": missing(row)} for row in tree["measurements"]},
         "" if error is None else f"{error['type']} in {error['step']!r}: {error['message']}",
         tuple(tree["faults_not_begun"]),
     )  # fmt: skip

@@ -21,7 +21,7 @@ def lead(path):
 
 def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     def row(seed, *failed, error=""):
-        limits = {"unit": "mm", "value": 1.0, "low": None, "high": 2.0}
+        limits = {"unit": "mm", "value": 1.0, "low": None, "high": 2.0, "missing": ""}
         measured = {n: limits | {"outcome": "FAIL" if n in failed else "PASS"} for n in ("end", "way")}
         measured = {} if error else measured
         verdict = "ERROR" if error else "FAIL" if failed else "PASS"

@@ -11,7 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from hil.procedure.campaign.table import Row, count, never_acted
+from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, never_acted
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
 from hil.report.run_page import PAGE
@@ -44,7 +44,8 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         .get_template("campaign.html")
         .render(
             campaign=tree, sentence=_sentence(rows), not_tested=len(rows) - len(tested),
-            never_acted=never_acted,
+            never_acted=never_acted, in_words=in_words,
+            incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
@@ -61,13 +62,24 @@ def _sentence(rows: Sequence[Row]) -> str:
         never = never_acted(count(spec for row in rows for spec in row.faults_not_begun))
         kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
         said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({never}); {kept}."
-    missed = Counter(name for row in rows for name, m in row.measurements.items() if m["outcome"] == "FAIL")
-    if missed:
-        most = missed.most_common(_NAMED)
-        more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
-        said += f" Beyond its limit: {', '.join(f'{name} in {n}' for name, n in most)}{more}."
+    failed = [
+        (n, m) for row in rows if row.tested for n, m in row.measurements.items() if m["outcome"] == "FAIL"
+    ]
+    for words, why in (
+        ("Beyond its limit", ""),
+        ("No finite number", NOT_FINITE),
+        ("Never measured", NEVER_SET),
+    ):
+        if missed := Counter(name for name, m in failed if m["missing"] == why):
+            said += f" {words}: {_most(missed)}."
     ended = sum(bool(row.error) for row in rows)
     return said + (f" {ended} ended early." if ended else "")
+
+
+def _most(missed: Counter[str]) -> str:
+    """Measurements with the number of their runs, those of most runs first."""
+    more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
+    return ", ".join(f"{name} in {n}" for name, n in missed.most_common(_NAMED)) + more
 
 
 def _report(row: Row) -> str:

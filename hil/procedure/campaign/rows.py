@@ -16,7 +16,8 @@ from hil.vocabulary.extras import is_installed
 from hil.vocabulary.files import put_whole
 
 _END = b"PAR1"
-_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None}
+_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None,
+         "missing": None}  # fmt: skip
 
 
 def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
@@ -25,7 +26,8 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     Not `over` those that are whole: a run that was finished earlier may have none, or torn ones.
 
     Columns: case, seed, settings (map of text to text), verdict, faults_not_begun (list of text: those that
-    never acted), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high.
+    never acted), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high,
+    missing (why there is no value).
 
     Raises:
         DataError: they cannot be written.
@@ -44,7 +46,7 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
             "case": text, "seed": pa.int64(), "settings": pa.map_(text, text), "verdict": text,
             "faults_not_begun": pa.list_(text), "exit_code": pa.int64(), "duration_s": number,
             "error": text, "measurement": text, "unit": text,
-            "value": number, "outcome": text, "low": number, "high": number,
+            "value": number, "outcome": text, "low": number, "high": number, "missing": text,
         }
     )  # fmt: skip
     own = {

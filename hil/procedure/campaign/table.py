@@ -14,9 +14,12 @@ import numpy as np
 
 from hil.procedure.campaign.plan import Case
 from hil.report.result_file import GOOD
+from hil.report.run_words import was_set
 from hil.vocabulary.errors import DataError
 
 _Z95 = 1.959963984540054
+NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"
+"""Why a run has no value of a measurement."""
 
 
 @dataclass(frozen=True)
@@ -24,7 +27,8 @@ class Row:
     """One finished case.
 
     Attributes:
-        measurements: name -> unit, value, outcome and limits, as the run reported them.
+        measurements: name -> unit, value, outcome and limits, as the run reported them, and `missing`: why
+            there is no value, empty where there is one.
         error: what went wrong, empty if nothing did.
         exit_code: as `hil run` would have ended.
         faults_not_begun: specs of its faults that it ended before: it says nothing about what they do.
@@ -87,11 +91,25 @@ def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
+def missing(row: Mapping[str, Any]) -> str:
+    """Why a measurement of `result.json` has no value; empty where it has one."""
+    if row["value"] is not None:
+        return ""
+    if row["outcome"] == "NOT MEASURED":
+        return ENDED_BEFORE
+    return NOT_FINITE if was_set(row) else NEVER_SET
+
+
 def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Of the finite values; `n` is how many they are, `missing` why the other `of` - n runs have none."""
     found = [row.measurements[name] for row in rows if name in row.measurements]
     values = np.array([m["value"] for m in found if m["value"] is not None], dtype=np.float64)
+    whys = [m["missing"] for m in found if m["missing"]] + [ENDED_BEFORE] * (len(rows) - len(found))
     first = found[0]
-    some = {"name": name, "unit": first["unit"], "low": first["low"], "high": first["high"], "n": len(values)}
+    some = {
+        "name": name, "unit": first["unit"], "low": first["low"], "high": first["high"],
+        "n": len(values), "of": len(rows), "missing": count(whys),
+    }  # fmt: skip
     if len(values) == 0:
         return some | dict.fromkeys(("mean", "std", "min", "median", "p95", "max"))
     return some | {
@@ -107,6 +125,11 @@ def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
 def count(words: Iterable[str]) -> dict[str, int]:
     """How often each word is among them, verdicts for example."""
     return dict(sorted(Counter(words).items()))
+
+
+def in_words(counted: Mapping[str, int]) -> str:
+    """Reasons and how often each held: `13 never measured, 2 ended before`."""
+    return ", ".join(f"{n} {why}" for why, n in counted.items())
 
 
 def never_acted(faults: Mapping[str, int]) -> str:
