@@ -211,7 +211,7 @@ def exit_code(rows: Sequence[Row]) -> int:
 def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
-    from hil.procedure.campaign import summarise, write_campaign_page, write_csv
+    from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
     from hil.procedure.campaign.table import count
     from hil.report.result_file import CAMPAIGN_TABLE
 
@@ -226,6 +226,7 @@ def _write(
         "cases": len(rows),
         "verdicts": count(row.verdict for row in rows),
         "groups": summarise(rows),
+        "alike": alike(rows),
         "folder": str(out),
         "page": str(out / PAGE),
         "rows": [{**row.to_json(), "command": setup.command(row.case)} for row in rows],
@@ -243,6 +244,7 @@ def _line(error: str) -> str:
 
 
 def _text(tree: dict[str, Any]) -> str:
+    from hil.procedure.campaign.alike import in_a_sentence
     from hil.procedure.campaign.table import in_words
     from hil.report.pages import number
 
@@ -254,6 +256,7 @@ def _text(tree: dict[str, Any]) -> str:
             if m["n"] < m["of"]:
                 span += f" in {m['n']} of {m['of']} runs; {in_words(m['missing'])}"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
+    lines += map(in_a_sentence, tree["alike"])
     broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
     lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]
     if len(broken) > _SHOWN:

@@ -38,7 +38,7 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     rows = [row(1), row(2, "end"), row(3, "end", "way"), row(4, error="it fell")]
     tree = {
         "procedure": "short", "cases": 4, "verdicts": {"PASS": 1, "FAIL": 2, "ERROR": 1}, "verdict": "ERROR",
-        "summary": "", "bench": "b", "groups": [],
+        "summary": "", "bench": "b", "groups": [], "alike": [],
         "rows": [{"case": r.case.name, "command": "hil"} for r in rows],
     }  # fmt: skip
     said = lead(write_campaign_page(tmp_path / "page.html", tree, rows))

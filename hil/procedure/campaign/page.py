@@ -11,6 +11,7 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
+from hil.procedure.campaign.alike import in_a_sentence
 from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, never_acted
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
@@ -44,6 +45,7 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
         .get_template("campaign.html")
         .render(
             campaign=tree, sentence=_sentence(rows), not_tested=len(rows) - len(tested),
+            alike=[in_a_sentence(found) for found in tree["alike"]],
             never_acted=never_acted, in_words=in_words,
             incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
