@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.campaign_check import check
 from hil.cli.campaign_files import files_of
 from hil.cli.campaign_plan import RUNS, SCHEMA, alone_in, keep_plan
 from hil.cli.campaign_runs import (
@@ -84,7 +85,7 @@ def command(
         _absolute(script), _optional(bench), emulate, settings, tuple(map(_absolute, faults)),
         _optional(calibration), _optional(answers), keep,
     )  # fmt: skip
-    _check(setup, proc, cases)
+    check(setup, proc, cases)
     if workers or scheduler:
         check_dask()
     if out is None:
@@ -123,31 +124,6 @@ def _absolute(given: str | Path) -> str:
 
 def _optional(given: str | Path | None) -> str | None:
     return None if given is None else _absolute(given)
-
-
-def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
-    """Refuse before anything runs what no case, or a single one, could do."""
-    from hil.procedure.operator import Answers
-    from hil.procedure.parameters import make_parameters
-
-    if setup.answers is not None:
-        Answers(Path(setup.answers))
-
-    seen = set()
-    for case in cases:
-        if case.settings in seen:
-            continue
-        seen.add(case.settings)
-        source, parameters = setup.source(proc, case)
-        make_parameters(proc.parameters, parameters, proc.name)
-        proc.check_needs(source.config)
-        source.check_faults()
-        source.describe_calibration()
-        if not source.virtual:
-            raise UsageError(
-                f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",
-                expected="every device emulated", remedy="add --emulate all",
-            )  # fmt: skip
 
 
 def _run(

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.vocabulary.errors import EXIT_USAGE, ConfigError, HilError, RecordingError
+from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
 
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
@@ -252,4 +252,4 @@ def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
 
 def lost(job: Job, reason: str) -> Row:
     """The row of a case whose worker did not come back."""
-    return _failed(job, "LOST", reason, EXIT_USAGE)
+    return _failed(job, "LOST", reason, EXIT_ABORTED)
