@@ -36,15 +36,14 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     """
     names = dict.fromkeys(n for row in rows for n in row.measurements)
     commands = {row["case"]: row["command"] for row in tree["rows"]}
-    tested = [row for row in rows if row.tested]
-    drawn = [name for name in names if _values(name, tested)]
-    figures = [{"name": name, "image": _figure(name, tested)} for name in drawn]
+    drawn = [name for name in names if _values(name, rows)]
+    figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
     shown = sorted(rows, key=lambda row: row.good)[:_ROWS_SHOWN]
     page = (
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, sentence=_sentence(rows), not_tested=len(rows) - len(tested),
+            campaign=tree, sentence=_sentence(rows), not_tested=sum(not row.tested for row in rows),
             alike=[in_a_sentence(found) for found in tree["alike"]],
             never_acted=never_acted, in_words=in_words,
             incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
@@ -91,7 +90,9 @@ def _report(row: Row) -> str:
 
 
 def _values(name: str, rows: Sequence[Row]) -> list[float]:
-    return [m["value"] for row in rows if (m := row.measurements.get(name)) and m["value"] is not None]
+    """Finite values of the runs in which all faults have acted."""
+    found = (row.measurements.get(name) for row in rows if row.tested)
+    return [m["value"] for m in found if m and m["value"] is not None]
 
 
 def _figure(name: str, rows: Sequence[Row]) -> Markup:
