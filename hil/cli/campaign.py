@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from hil.cli.campaign_check import check
 from hil.cli.campaign_files import files_of
 from hil.cli.campaign_plan import RUNS, SCHEMA, alone_in, keep_plan
 from hil.cli.campaign_runs import (
@@ -84,7 +85,7 @@ def command(
         _absolute(script), _optional(bench), emulate, settings, tuple(map(_absolute, faults)),
         _optional(calibration), _optional(answers), keep,
     )  # fmt: skip
-    _check(setup, proc, cases)
+    check(setup, proc, cases)
     if workers or scheduler:
         check_dask()
     if out is None:
@@ -123,31 +124,6 @@ def _absolute(given: str | Path) -> str:
 
 def _optional(given: str | Path | None) -> str | None:
     return None if given is None else _absolute(given)
-
-
-def _check(setup: Setup, proc: Procedure, cases: Sequence[Case]) -> None:
-    """Refuse before anything runs what no case, or a single one, could do."""
-    from hil.procedure.operator import Answers
-    from hil.procedure.parameters import make_parameters
-
-    if setup.answers is not None:
-        Answers(Path(setup.answers))
-
-    seen = set()
-    for case in cases:
-        if case.settings in seen:
-            continue
-        seen.add(case.settings)
-        source, parameters = setup.source(proc, case)
-        make_parameters(proc.parameters, parameters, proc.name)
-        proc.check_needs(source.config)
-        source.check_faults()
-        source.describe_calibration()
-        if not source.virtual:
-            raise UsageError(
-                f"bench {source.config.name}: {', '.join(source.real)} cannot be real in a campaign",
-                expected="every device emulated", remedy="add --emulate all",
-            )  # fmt: skip
 
 
 def _run(
@@ -199,17 +175,19 @@ def _run(
 
 
 def exit_code(rows: Sequence[Row]) -> int:
-    """0 all good, 1 a limit failed, else that of the first run that ended in an error."""
+    """0 all good, 1 a limit failed or a fault never acted, else that of the first run with an error."""
     broken = next(
         (row.exit_code for row in rows if row.exit_code not in (EXIT_PASS, EXIT_LIMIT_FAILED)), None
     )
-    return broken if broken is not None else max(row.exit_code for row in rows)
+    if broken is not None:
+        return broken
+    return max(row.exit_code if row.tested else EXIT_LIMIT_FAILED for row in rows)
 
 
 def _write(
     out: Path, proc: Procedure, setup: Setup, cases: Sequence[Case], rows: Sequence[Row]
 ) -> dict[str, Any]:
-    from hil.procedure.campaign import summarise, write_campaign_page, write_csv
+    from hil.procedure.campaign import alike, summarise, write_campaign_page, write_csv
     from hil.procedure.campaign.table import count
     from hil.report.result_file import CAMPAIGN_TABLE
 
@@ -224,6 +202,7 @@ def _write(
         "cases": len(rows),
         "verdicts": count(row.verdict for row in rows),
         "groups": summarise(rows),
+        "alike": alike(rows),
         "folder": str(out),
         "page": str(out / PAGE),
         "rows": [{**row.to_json(), "command": setup.command(row.case)} for row in rows],
@@ -241,19 +220,39 @@ def _line(error: str) -> str:
 
 
 def _text(tree: dict[str, Any]) -> str:
+    from hil.procedure.campaign.alike import in_a_sentence
+    from hil.procedure.campaign.table import in_words
     from hil.report.pages import number
 
     lines = []
     for group in tree["groups"]:
-        low, high = group["pass_share_95"]
-        good = f"{100 * group['pass_share']:.0f} % good (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-        lines.append(f"{group['group']}: {group['n']} runs, {good}")
+        lines.append(f"{group['group']}: {_share(group)}")
         for m in group["measurements"]:
             span = f"[{number(m['min'])} to {number(m['max'])}]"
+            if m["n"] < m["of"]:
+                span += f" in {m['n']} of {m['of']} runs; {in_words(m['missing'])}"
             lines.append(f"  {m['name']:42}{number(m['median']):>11} {m['unit']:6} {span}")
+    lines += map(in_a_sentence, tree["alike"])
     broken = [row for row in tree["rows"] if row["verdict"] in ("ERROR", "LOST")]
     lines += [f"{row['verdict']} {row['case']}: {_line(row['error'])}" for row in broken[:_SHOWN]]
     if len(broken) > _SHOWN:
         lines.append(f"{len(broken) - _SHOWN} more such runs are in {CSV}")
     counted = ", ".join(f"{n} {verdict}" for verdict, n in tree["verdicts"].items())
+    if untested := tree["cases"] - sum(group["tested"] for group in tree["groups"]):
+        counted += f"; {untested} of them NOT TESTED: a fault never acted"
     return "\n".join([*lines, f"{tree['verdict']}: {tree['procedure']}, {counted}"])
+
+
+def _share(group: dict[str, Any]) -> str:
+    """How many runs of a combination were good, of those in which its faults have acted."""
+    from hil.procedure.campaign.table import never_acted
+
+    said, tested = f"{group['n']} runs", group["tested"]
+    if tested:
+        low, high = group["pass_share_95"]
+        of_tested = "" if tested == group["n"] else f" of {tested} tested"
+        share = f"{100 * group['pass_share']:.0f} % good{of_tested}"
+        said += f", {share} (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    if tested < group["n"]:
+        said += f", {group['n'] - tested} NOT TESTED: {never_acted(group['faults_not_begun'])}"
+    return said

@@ -12,7 +12,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hil.vocabulary.errors import EXIT_USAGE, ConfigError, HilError, RecordingError
+from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError, RecordingError
 
 if TYPE_CHECKING:
     from hil.procedure.bench_source import BenchSource
@@ -232,13 +232,15 @@ def finished(job: Job) -> Row | None:
 
 def _row(job: Job, tree: dict[str, Any]) -> Row:
     from hil.procedure.campaign import Row
+    from hil.procedure.campaign.table import missing
 
     kept = ("unit", "value", "outcome", "low", "high")
     error = tree.get("error") or next(iter(tree.get("teardown_errors", [])), None)
     return Row(
         job.case, job.folder, tree["verdict"], tree["exit_code"], tree.get("duration_s") or 0.0,
-        {row["name"]: {k: row[k] for k in kept} for row in tree["measurements"]},
+        {row["name"]: {k: row[k] for k in kept} | {"missing": missing(row)} for row in tree["measurements"]},
         "" if error is None else f"{error['type']} in {error['step']!r}: {error['message']}",
+        tuple(tree["faults_not_begun"]),
     )  # fmt: skip
 
 
@@ -250,4 +252,4 @@ def _failed(job: Job, verdict: str, reason: str, code: int) -> Row:
 
 def lost(job: Job, reason: str) -> Row:
     """The row of a case whose worker did not come back."""
-    return _failed(job, "LOST", reason, EXIT_USAGE)
+    return _failed(job, "LOST", reason, EXIT_ABORTED)

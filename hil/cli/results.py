@@ -205,18 +205,19 @@ def open_result(run: str, where: Path, browser: bool | None, as_json: bool) -> i
 @_PROCEDURE
 @_BENCH
 @click.option("--out", type=OUT, help="Page to write [default: trends.html in the folder].")
-@click.option("--strict", is_flag=True, help="Exit with 1 when a measurement drifts or is outside.")
+@click.option(
+    "--strict", is_flag=True, help="Exit with 1 when a measurement drifts, is outside or is missing."
+)
 @_JSON
 def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bool, as_json: bool) -> int:
     """Each measurement over all runs of a bench: is it steady, does it drift, when does it meet its limit?
 
     Example: hil results trends --bench lab
     """
-    from hil.report.history.chart import DRIFTING, OUTSIDE
     from hil.report.history.choice import chosen
     from hil.report.history.found import find_results
     from hil.report.history.page import PAGE, headline, write_trends_page
-    from hil.report.history.series import groups
+    from hil.report.history.series import ALARMS, groups
     from hil.report.result_file import own_file
     from hil.vocabulary.reading import printable
 
@@ -230,24 +231,25 @@ def trends(where: Path, procedure: str, bench: str, out: Path | None, strict: bo
     else:
         click.echo(headline(found))
         for group in found:
-            urgent = [s for s in group.series if s.chart.state in (DRIFTING, OUTSIDE)]
+            urgent = [s for s in group.series if s.state in ALARMS]
             runs = f"{len(group.runs)} run{'s' * (len(group.runs) != 1)}"
+            runs += f" and {group.early} that ended early" if group.early else ""
             click.echo(printable(f"{group.title}: {runs}, {len(urgent) or 'none'} to look at"))
             for series in urgent:
                 click.echo(printable(f"    {series.name} {series.in_words()}"))
         click.echo(f"page: {page}" if page else f"No page was written: {where} holds nothing to follow.")
-    alarmed = any(s.chart.state in (DRIFTING, OUTSIDE) for g in found for s in g.series)
+    alarmed = any(s.state in ALARMS for g in found for s in g.series)
     return EXIT_LIMIT_FAILED if strict and alarmed else EXIT_PASS
 
 
 def _group_json(group: Any) -> dict[str, Any]:
     return {
         "procedure": group.procedure, "bench": group.bench, "where": group.where, "runs": len(group.runs),
-        "settings": json.loads(group.settings),
+        "ended_early": group.early, "settings": json.loads(group.settings),
         "measurements": [
             {"name": s.name, "unit": s.unit, "limits": [s.low, s.high], "values": [p.value for p in s.points],
              "calibrations": [p.calibration for p in s.points], "runs": [p.run for p in s.points],
-             "words": s.in_words(), **vars(s.chart)}
+             "words": s.in_words(), **vars(s.chart), "state": s.state, "missing": s.missing}
             for s in group.series
         ],
     }  # fmt: skip

@@ -42,8 +42,7 @@ def split_targets(target: str) -> tuple[str, ...]:
     """Outputs of a comma-separated list.
 
     Raises:
-        UsageError: Rerun is not installed; an empty list, a word that is none of them, or a file in a folder
-            that does not exist.
+        UsageError: Rerun is not installed; an empty list, or a word that is none of them.
         DataError: a file that cannot be written.
     """
     if not is_installed("rerun"):
@@ -60,8 +59,6 @@ def split_targets(target: str) -> tuple[str, ...]:
                 f"the monitor cannot open {name!r}", expected=expected, remedy=did_you_mean(name, LIVE)
             )
         check_name(Path(name), "--rerun")
-        if not Path(name).resolve().parent.is_dir():
-            raise UsageError(f"the monitor cannot open {name!r}: no such folder", expected=expected)
         check_file(Path(name))
     return targets
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
@@ -84,6 +85,7 @@ class RerunStream:
             shown = f"http://{viewer.HOST}:{viewer.WEB_PORT}?url={quote(viewer.url(), safe='')}"
             print(f"rerun: open {shown} in a browser", file=sys.stderr)
             return rr.GrpcSink(viewer.url())
+        Path(target).parent.mkdir(parents=True, exist_ok=True)
         return rr.FileSink(target)
 
     def add(self, record: CycleRecord) -> None:

@@ -1,7 +1,8 @@
 """Two campaigns over the same cases, case by case: is the second one better, and how sure is that?
 
 Both met the same worlds, so the difference of each case is free of what the worlds differ in. That tells two
-estimators or calibrations apart with far fewer runs than two averages would.
+estimators or calibrations apart with far fewer runs than two averages would. What has a value in one campaign
+only makes no pair, and is named.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from markupsafe import Markup
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy import stats
 
+from hil.report.campaign_differences import PLAN, differences
 from hil.report.figures import drawn_image
 from hil.report.pages import environment, number
 from hil.report.result_file import CAMPAIGN_TABLE, GOOD, wrong_shape
@@ -39,6 +41,16 @@ class _Row(_Part):
     case: str
     verdict: str
     measurements: dict[str, _Measured]
+    faults_not_begun: list[str] = []
+
+    @property
+    def good(self) -> bool:
+        """Whether it kept its limits."""
+        return self.verdict in GOOD
+
+    def value(self, name: str) -> float | None:
+        """Of a measurement; None where it has none."""
+        return self.measurements[name].value if name in self.measurements else None
 
 
 class _Campaign(_Part):
@@ -56,10 +68,13 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
     """Hold two campaigns against each other, case by case.
 
     Returns:
-        JSON values: `procedure`, `folders`, `cases` (in both), `only_first`, `only_second`, `verdicts` (cases
-        that only one passed, with the p value of the exact McNemar test), `measurements`: unit, pairs,
-        medians, mean difference (second minus first) with its 95 % interval (Student's t), p value of the
-        Wilcoxon signed-rank test, and the differences by case.
+        JSON values: `procedure`, `folders`, `differences` (option, file or package, and what it was in both;
+        None where that is not known), `cases` (in both), `only_first`, `only_second`, `not_tested` (cases in
+        both of which a fault never acted in one: they are left out of what follows), `verdicts` (cases that
+        only one passed, with the p value of the exact McNemar test), `measurements`: unit, pairs (cases with
+        a value in both) `of` so many, medians, mean difference (second minus first) with its 95 % interval
+        (Student's t), p value of the Wilcoxon signed-rank test, and the differences by case; `missing`: cases
+        without a value of a measurement, in the `first` and in the `second`.
 
     Raises:
         DataError: a folder without the results of a campaign.
@@ -78,16 +93,20 @@ def compare_campaigns(first: Path, second: Path) -> dict[str, Any]:
             f"{first} and {second} have no case in common",
             expected="the same seeds and varied settings in both", remedy="put what differs into --set",
         )  # fmt: skip
-    pairs = [(rows[0][case], rows[1][case]) for case in cases]
-    names = dict.fromkeys(n for a, b in pairs for n in a.measurements if n in b.measurements)
+    every = [(rows[0][case], rows[1][case]) for case in cases]
+    pairs = [(a, b) for a, b in every if not (a.faults_not_begun or b.faults_not_begun)]
+    names = dict.fromkeys(name for pair in pairs for row in pair for name in row.measurements)
     return {
         "procedure": trees[0].procedure,
         "folders": [str(first), str(second)],
+        "differences": differences(first, second),
         "cases": len(cases),
         "only_first": [case for case in rows[0] if case not in rows[1]],
         "only_second": [case for case in rows[1] if case not in rows[0]],
+        "not_tested": [a.case for a, b in every if a.faults_not_begun or b.faults_not_begun],
         "verdicts": _verdicts(pairs),
         "measurements": [m for name in names if (m := _measurement(name, pairs)) is not None],
+        "missing": [m for name in names if (m := _missing(name, pairs)) is not None],
     }
 
 
@@ -101,20 +120,16 @@ def _read(folder: Path) -> _Campaign:
 
 
 def _verdicts(pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any]:
-    better = [a.case for a, b in pairs if a.verdict not in GOOD and b.verdict in GOOD]
-    worse = [a.case for a, b in pairs if a.verdict in GOOD and b.verdict not in GOOD]
+    better = [a.case for a, b in pairs if b.good and not a.good]
+    worse = [a.case for a, b in pairs if a.good and not b.good]
     changed = len(better) + len(worse)
     p = float(stats.binomtest(len(better), changed).pvalue) if changed else 1.0
-    good = [sum(row.verdict in GOOD for row in own) for own in zip(*pairs, strict=True)]
+    good = [sum(pair[side].good for pair in pairs) for side in (0, 1)]
     return {"good": good, "better": better, "worse": worse, "p": p}
 
 
 def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any] | None:
-    found = [
-        (a.case, a.measurements[name].value, b.measurements[name].value)
-        for a, b in pairs
-        if name in a.measurements and name in b.measurements
-    ]
+    found = [(a.case, a.value(name), b.value(name)) for a, b in pairs]
     both = [(case, one, two) for case, one, two in found if one is not None and two is not None]
     if not both:
         return None
@@ -124,6 +139,7 @@ def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any
         "name": name,
         "unit": next(a.measurements[name].unit for a, _ in pairs if name in a.measurements),
         "pairs": len(both),
+        "of": len(pairs),
         "medians": np.median(values, axis=0).tolist(),
         "change": float(change.mean()),
         "interval": None,
@@ -138,21 +154,42 @@ def _measurement(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any
     return some
 
 
+def _missing(name: str, pairs: Sequence[tuple[_Row, _Row]]) -> dict[str, Any] | None:
+    """Cases without a value, in the first and in the second; None where every case has both."""
+    first = [a.case for a, _ in pairs if a.value(name) is None]
+    second = [b.case for _, b in pairs if b.value(name) is None]
+    return {"name": name, "first": first, "second": second} if first or second else None
+
+
 def campaigns_text(table: Mapping[str, Any]) -> str:
     """The comparison for a terminal."""
     one, two = table["verdicts"]["good"]
+    untested = len(table["not_tested"])
+    left_out = f", {untested} NOT TESTED (a fault never acted) are left out" if untested else ""
     lines = [
-        f"{table['procedure']}: {table['cases']} cases in both; good: {one} and then {two} "
+        f"{table['procedure']}: {table['cases']} cases in both{left_out}; good: {one} and then {two} "
         f"(p = {table['verdicts']['p']:.2g})"
     ]
     for m in table["measurements"]:
         low_high = "" if m["interval"] is None else " [{} to {}]".format(*map(number, m["interval"]))
         sure = "" if m["p"] is None else f", p = {m['p']:.2g}"
         was, now = map(number, m["medians"])
+        paired = "" if m["pairs"] == m["of"] else f" ({m['pairs']} of {m['of']} pairs)"
         lines.append(
-            f"  {m['name']:42}{was:>11} ->{now:>11} {m['unit']:6} {m['change']:+.4g}{low_high}{sure}"
+            f"  {m['name']:42}{was:>11} ->{now:>11} {m['unit']:6} {m['change']:+.4g}{low_high}{sure}{paired}"
         )
-    return "\n".join(lines)
+    for m in table["missing"]:
+        where = [f"{len(m[side])} cases of the {side}" for side in ("first", "second") if m[side]]
+        lines.append(f"  {m['name']}: no value in {', '.join(where)}")
+    return "\n".join([*lines, *_differing(table["differences"])])
+
+
+def _differing(found: Sequence[Mapping[str, Any]] | None) -> list[str]:
+    if found is None:
+        return [f"what differs in their options is not known: a {PLAN} is missing or cannot be read"]
+    if not found:
+        return ["the same options, files and versions in both"]
+    return ["differs:", *(f"  {row['key']}: {' -> '.join(row['values'])}" for row in found)]
 
 
 def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
@@ -163,11 +200,19 @@ def write_campaigns_page(path: Path, table: Mapping[str, Any]) -> Path:
     """
     differing = [m for m in table["measurements"] if any(m["changes"].values())]
     figures = [{"name": m["name"], "image": _figure(m)} for m in differing]
-    alike = [m["name"] for m in table["measurements"] if m not in differing]
+    alike = [_alike(m) for m in table["measurements"] if m not in differing]
     page = (
-        environment().get_template("campaigns_compare.html").render(table=table, figures=figures, alike=alike)
+        environment()
+        .get_template("campaigns_compare.html")
+        .render(table=table, figures=figures, alike=alike, plan=PLAN)
     )
     return write_text(path, page)
+
+
+def _alike(measured: Mapping[str, Any]) -> str:
+    """A measurement that is the same in each of its pairs, and how many these are where a case makes none."""
+    pairs, of = measured["pairs"], measured["of"]
+    return str(measured["name"]) if pairs == of else f"{measured['name']} ({pairs} of {of} pairs)"
 
 
 def _figure(measured: Mapping[str, Any]) -> Markup:

@@ -13,6 +13,10 @@ from hil.vocabulary.errors import UsageError
 from hil.vocabulary.files import write_text
 
 _NAMED = 3
+_LINES = 8
+"""So many differences are named on the terminal."""
+_GIVEN = ("seed", "faults", "emulated", "calibration")
+"""Of a run, beside its parameters, configuration and versions."""
 _FACTS = ("verdict", "started", "bench", "seed", "git_revision", "duration_s")
 
 
@@ -21,7 +25,8 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
 
     Returns:
         JSON values: `procedure`, `runs` (facts by run), `measurements` (name, unit, values, outcomes,
-        change from the first run to the last), `parameters` and `config` that differ.
+        change from the first run to the last), `differences`: seed, faults, emulated devices, calibration,
+        parameters, configuration and versions that differ, with the value in each run.
 
     Raises:
         DataError: a folder that holds no result.
@@ -72,7 +77,8 @@ def _outcome(row: Mapping[str, Any] | None) -> str:
 
 def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     flat = [
-        {
+        {key: v for part in _GIVEN for key, v in _leaves({part: _shown(t.get(part))})}
+        | {
             f"{part}.{k}": v
             for part in ("parameters", "config", "versions")
             for k, v in _leaves(t.get(part) or {})
@@ -82,6 +88,11 @@ def _differences(trees: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     keys = dict.fromkeys(k for tree in flat for k in tree)
     found = [{"key": k, "values": [str(tree.get(k, "–")) for tree in flat]} for k in keys]
     return [row for row in found if len(set(row["values"])) > 1]
+
+
+def _shown(value: Any) -> Any:
+    """Devices and faults in words; another value as it is."""
+    return ", ".join(map(str, value)) if isinstance(value, list) else value
 
 
 def _leaves(tree: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
@@ -98,6 +109,10 @@ def comparison_text(table: Mapping[str, Any]) -> str:
     for row in table["measurements"]:
         values = "".join(f"{number(v):>12}" for v in row["values"])
         lines.append(f"{row['name']:44}{values} {row['unit']:8}{_change(row)}")
+    differing = table["differences"]
+    lines += [f"differs: {row['key']} {', '.join(row['values'])}" for row in differing[:_LINES]]
+    if len(differing) > _LINES:
+        lines.append(f"{len(differing) - _LINES} more that differ are on the page")
     return "\n".join(lines)
 
 
@@ -114,7 +129,8 @@ def _sentence(table: Mapping[str, Any]) -> str:
     if not turned:
         return f"{said} No measurement changed its outcome."
     more = f" and {len(turned) - _NAMED} more" if len(turned) > _NAMED else ""
-    return f"{said} Another outcome have {', '.join(turned[:_NAMED])}{more}."
+    many = "1 measurement has" if len(turned) == 1 else f"{len(turned)} measurements have"
+    return f"{said} {many} another outcome: {', '.join(turned[:_NAMED])}{more}."
 
 
 def write_compare_page(path: Path, table: Mapping[str, Any]) -> Path:

@@ -103,6 +103,7 @@ class _Result(_Part):
     virtual_time: bool = False
     seed: int | None = None
     faults: list[str] = []
+    faults_not_begun: list[str] = []
     parameters: dict[str, Any] = {}
     config: dict[str, Any] = {}
     calibration: _Calibration | None = None

@@ -49,14 +49,14 @@ def _is_number(row: Mapping[str, Any]) -> bool:
     return row["value"] is not None and math.isfinite(row["value"])
 
 
-def _was_set(row: Mapping[str, Any]) -> bool:
+def was_set(row: Mapping[str, Any]) -> bool:
     """Whether the procedure set it, if to a value that JSON cannot hold: then there is a step alone."""
     return row["value"] is not None or bool(row.get("step"))
 
 
 def _left_out_after_a_failure(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
     """Those at the end that were never set, where what was set before them failed by a number."""
-    count = next((k for k, row in enumerate(reversed(rows)) if _was_set(row)), len(rows))
+    count = next((k for k, row in enumerate(reversed(rows)) if was_set(row)), len(rows))
     before, later = rows[: len(rows) - count], rows[len(rows) - count :]
     failed = any(r["outcome"] == "FAIL" and _is_number(r) for r in before)
     return [r for r in later if r["outcome"] == "FAIL"] if failed else []
@@ -112,7 +112,7 @@ def _name(row: Mapping[str, Any]) -> str:
 
 def missing_words(row: Mapping[str, Any]) -> str:
     """What is wrong with a value that is not there."""
-    return "is no finite number" if _was_set(row) else "was never measured"
+    return "is no finite number" if was_set(row) else "was never measured"
 
 
 def _value_and_limit(row: Mapping[str, Any]) -> str:

@@ -194,7 +194,7 @@ def here(tmp_path, monkeypatch):
     )  # fmt: skip
     profile = resources.files("hil.config.profiles").joinpath("emulated_floor.toml").read_text()
     Path("bench.toml").write_text(f'calibration = "cal/calibration.toml"\n{profile}')
-    Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
+    Path("late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')
     return folder
 
 
@@ -276,7 +276,7 @@ def test_a_full_disk_at_a_worker_loses_its_runs_alone_until_they_are_resumed(clu
     cluster.worker("one", full, here)
     options = ("--seeds", "0:2", "--scheduler", cluster.address, "--out", "far")
     code, tree, _ = campaign(capsys, *options)
-    assert (code, tree["verdicts"]) == (2, {"LOST": 2}), tree["rows"]
+    assert (code, tree["verdicts"]) == (4, {"LOST": 2}), tree["rows"]
     assert "No space left on device" in tree["rows"][0]["error"]
     assert "worker tcp://127.0.0.1:" in tree["rows"][0]["error"]
     code, tree, _ = campaign(capsys, "--seeds", "0:2", "--workers", "0", "--out", "far", "--resume")

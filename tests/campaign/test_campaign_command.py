@@ -189,10 +189,10 @@ def test_who_resumes_with_files_that_have_changed_is_refused_and_told_which(camp
         code, _, said = campaign("--seeds", "0:2", *options, "--resume")
         assert (code, f"{file} changed since the campaign began" in said) == (2, True), said
         file.write_text(before)
-    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n')
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n')
     options, more = options[:-1], ("fault=none,late.toml", "--resume")
     assert campaign("--seeds", "0:2", *options, *more)[0] == 0
-    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 50.0\n')
+    (tmp_path / "late.toml").write_text('[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.2\n')
     assert campaign("--seeds", "0:2", *options, *more)[0] == 2
 
 
@@ -263,6 +263,10 @@ def test_the_terminal_names_runs_that_ended_in_an_error_and_why(script, capsys):
         (("--resume",), "there is no campaign to resume"),
         (("--set", "bench.mocap.backend=real"), "mocap cannot be real in a campaign"),
         (("--scheduler", "tcp://127.0.0.1:9", "--vary", "speed=1"), "speed: unknown parameter"),
+        (("--set", "gain=1", "--vary", "gain=1,2"), "gain is both given by --set and varied by --vary"),
+        (("--vary", "gain=1,2,1e0"), "gain=1 and gain=1e0 are the same setting; name each value once"),
+        (("--vary", "fault=imu:off@5;imu:off@5.0"), "fault=imu:off@5 and fault=imu:off@5.0 are the same"),
+        (("--vary", "bench.loop.rate_hz=100,100.0"), "bench.loop.rate_hz=100.0 are the same setting"),
     ],
 )
 def test_what_cannot_run_is_refused_before_anything_runs(campaign, tmp_path, options, told):
@@ -337,7 +341,7 @@ def test_dask_gives_what_one_process_gives(campaign):
 def test_a_run_that_kills_its_worker_is_lost_alone(campaign):
     pytest.importorskip("distributed", reason="Dask (the extra campaign) is not installed")
     code, tree, _ = campaign("--seeds", "0:3", "--set", "deadly=1", "--workers", "2", "--out", "o")
-    assert code == 2
+    assert code == 4
     assert [row["verdict"] for row in tree["rows"]] == ["PASS", "LOST", "PASS"]
     assert "its worker process died" in tree["rows"][1]["error"]
 

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 
 from hil.procedure.campaign import Axis, Case, Row, expand, parse_axis, parse_seeds, summarise, write_csv
-from hil.procedure.campaign.table import wilson
+from hil.procedure.campaign.table import NEVER_SET, wilson
 from hil.vocabulary.errors import UsageError
 
 
@@ -86,6 +86,7 @@ def test_the_interval_of_a_share_is_that_of_scipy(good, total):
 
 def row(seed, verdict, value, setting="1"):
     measured = {"error": {"unit": "mm", "value": value, "outcome": verdict, "low": None, "high": 3.0}}
+    measured["error"]["missing"] = NEVER_SET if value is None else ""
     return Row(Case(seed, (("speed", setting),)), f"runs/{seed}", verdict, 0, 1.0, measured, "")
 
 

@@ -170,13 +170,13 @@ def test_a_campaign_that_is_at_work_is_left_alone(campaign, tmp_path):
 
 def test_cases_are_not_left_out_and_files_are_those_of_the_same_folder(campaign, tmp_path, monkeypatch):
     (tmp_path / "plain.py").write_text(PLAIN)
-    late = '[[fault]]\ndevice = "tracker"\nkind = "off"\nat_s = 60.0\n'
+    late = '[[fault]]\ndevice = "tracker"\nkind = "slow"\nat_s = 0.1\n'
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "late.toml").write_text(late)
     out, options = str(tmp_path / "o"), (str(tmp_path / "plain.py"), "--fault", "late.toml")
     monkeypatch.chdir(tmp_path / "a")
-    assert campaign(*options, "--seeds", "0:2", "--out", out)[0] == 0
+    assert campaign(*options, "--seeds", "0:2", "--out", out)[0] == 1  # no device, so no fault
     code, _, said = campaign(*options, "--seeds", "1", "--out", out, "--resume")
     assert (code, "has 1 more cases, seed=0 among them" in said) == (2, True), said
     monkeypatch.chdir(tmp_path / "b")

@@ -149,8 +149,8 @@ def beside(k: int, sigma_m: float = 0.01) -> CycleRecord:
 
 
 @needs_rerun
-def test_every_filter_beside_the_loop_has_its_ellipse(tmp_path):
-    path = tmp_path / "run.rrd"
+def test_every_filter_beside_the_loop_has_its_ellipse_in_a_file_whose_folder_is_made(tmp_path):
+    path = tmp_path / "new" / "folder" / "run.rrd"
     monitor = RerunMonitor(str(path), lossless=True)
     for k in range(30):
         monitor.write(beside(k, math.nan if k < 5 else 0.01))
@@ -251,5 +251,6 @@ def test_a_killed_monitor_is_named_and_the_rest_counted():
 
 @needs_rerun
 def test_a_target_that_cannot_be_opened_is_named_at_once(tmp_path):
-    with pytest.raises(UsageError, match="cannot open"):
-        RerunMonitor(str(tmp_path / "no" / "such" / "run.rrd"), lossless=False)
+    (tmp_path / "file").touch()
+    with pytest.raises(DataError, match="is a file; expected a folder, new or not"):
+        RerunMonitor(str(tmp_path / "file" / "run.rrd"), lossless=False)

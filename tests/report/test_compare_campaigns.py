@@ -88,6 +88,68 @@ def test_what_is_the_same_in_every_case_is_named_and_not_drawn(tmp_path, capsys)
     first, second = campaign(tmp_path / "one", values), campaign(tmp_path / "two", values)
     assert main(["report", first, second]) == 0
     page = (tmp_path / "one" / "compare.html").read_text()
-    assert "The same in every case: end error." in page
+    assert "The same in every pair: end error." in page
     assert '<div class="plot"' not in page
     assert "<td>0</td>" in page
+
+
+def test_cases_without_a_value_make_no_pair_and_are_named(tmp_path, capsys):
+    whole = {f"seed={k}": ("PASS", 5.0 + k) for k in range(5)}
+    holes = {**whole, "seed=1": ("ERROR", None), "seed=3": ("FAIL", None)}
+    first, second = campaign(tmp_path / "one", whole), campaign(tmp_path / "two", holes)
+    assert main(["report", first, second]) == 0
+    said = capsys.readouterr().out
+    assert "(3 of 5 pairs)" in said
+    assert "  end error: no value in 2 cases of the second\n" in said
+    page = (tmp_path / "one" / "compare.html").read_text()
+    assert "The same in every pair: end error (3 of 5 pairs)." in page
+    assert "<td>3 of 5</td>" in page
+    assert "seed=1; seed=3" in page
+    assert "passed 5 of 5, the second 3" in page
+
+
+def test_a_measurement_that_only_one_campaign_has_is_named(tmp_path, capsys):
+    first = campaign(tmp_path / "one", {"seed=0": ("PASS", 1.0), "seed=1": ("PASS", 2.0)})
+    second = campaign(tmp_path / "two", {"seed=0": ("FAIL", None), "seed=1": ("FAIL", None)})
+    assert main(["report", first, second, "--json"]) == 0
+    table = json.loads(capsys.readouterr().out)
+    assert (table["measurements"], table["missing"]) == (
+        [],
+        [{"name": "end error", "first": [], "second": ["seed=0", "seed=1"]}],
+    )
+
+
+def test_cases_in_which_a_fault_never_acted_are_left_out(tmp_path, capsys):
+    values = {f"seed={k}": ("PASS", 5.0 + k) for k in range(3)}
+    first, second = campaign(tmp_path / "one", values), campaign(tmp_path / "two", values)
+    path = tmp_path / "two" / "campaign.json"
+    tree = json.loads(path.read_text())
+    tree["rows"][1]["faults_not_begun"] = ["imu:off@500"]
+    path.write_text(json.dumps(tree))
+    assert main(["report", first, second]) == 0
+    said = capsys.readouterr().out
+    assert "3 cases in both, 1 NOT TESTED (a fault never acted) are left out; good: 2 and then 2" in said
+    assert "1 of them are left out" in (tmp_path / "one" / "compare.html").read_text()
+
+
+def test_what_they_were_given_differently_is_listed(tmp_path, capsys):
+    values = {"seed=0": ("PASS", 5.0)}
+    folders = [campaign(tmp_path / name, values) for name in ("one", "two")]
+    assert main(["report", *folders]) == 0
+    assert "not known: a plan.json is missing" in capsys.readouterr().out
+    plan = {
+        "script": "climb", "settings": ["gain=1", "bench.name=a"], "faults": [], "make": {"numpy": "2.0"},
+        "contents": {"/x.toml": "ab" * 32},
+    }  # fmt: skip
+    other = {**plan, "settings": ["gain=2", "bench.name=a"], "faults": ["imu:off@1"]}
+    (tmp_path / "one" / "plan.json").write_text(json.dumps(plan))
+    for changed, told in (
+        (plan, ["the same options, files and versions in both"]),
+        (other, ["  --set gain: 1 -> 2", "  --fault: – -> imu:off@1"]),
+        ({**plan, "contents": {"/x.toml": "cd" * 32}}, ["  /x.toml: content abababab -> content cdcdcdcd"]),
+    ):
+        (tmp_path / "two" / "plan.json").write_text(json.dumps(changed))
+        assert main(["report", *folders]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-1 - len(told) : -1] == told
+    assert "/x.toml" in (tmp_path / "one" / "compare.html").read_text()

@@ -21,7 +21,7 @@ def lead(path):
 
 def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     def row(seed, *failed, error=""):
-        limits = {"unit": "mm", "value": 1.0, "low": None, "high": 2.0}
+        limits = {"unit": "mm", "value": 1.0, "low": None, "high": 2.0, "missing": ""}
         measured = {n: limits | {"outcome": "FAIL" if n in failed else "PASS"} for n in ("end", "way")}
         measured = {} if error else measured
         verdict = "ERROR" if error else "FAIL" if failed else "PASS"
@@ -38,7 +38,7 @@ def test_a_campaign_says_which_limits_were_missed_and_how_often(tmp_path):
     rows = [row(1), row(2, "end"), row(3, "end", "way"), row(4, error="it fell")]
     tree = {
         "procedure": "short", "cases": 4, "verdicts": {"PASS": 1, "FAIL": 2, "ERROR": 1}, "verdict": "ERROR",
-        "summary": "", "bench": "b", "groups": [],
+        "summary": "", "bench": "b", "groups": [], "alike": [],
         "rows": [{"case": r.case.name, "command": "hil"} for r in rows],
     }  # fmt: skip
     said = lead(write_campaign_page(tmp_path / "page.html", tree, rows))

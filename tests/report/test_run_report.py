@@ -278,7 +278,24 @@ def test_runs_are_compared_measurement_by_measurement(folder, tmp_path):
     assert table["differences"] == [{"key": "parameters.gain", "values": ["–", "2"]}]
     assert "outside" in comparison_text(table)
     page = Page(write_compare_page(tmp_path / "compare.html", table).read_text())
-    assert "parameters.gain" in " ".join(page.text)
+    words = " ".join(page.text)
+    assert "parameters.gain" in words
+    assert "2 measurements have another outcome: outside, told." in words
+
+
+def test_runs_of_other_seeds_and_faults_are_not_the_same(folder, tmp_path):
+    tree = json.loads((folder / "result.json").read_text())
+    changed = {"seed": 7, "faults": ["imu:off@1", "tracker:off"]}
+    (tmp_path / "result.json").write_text(json.dumps({**tree, **changed}))
+    table = compare([folder, tmp_path])
+    assert {row["key"]: row["values"][1] for row in table["differences"]} == {
+        "seed": "7", "faults": "imu:off@1, tracker:off",
+    }  # fmt: skip
+    assert "differs: faults" in comparison_text(table)
+    same = compare([tmp_path, tmp_path])
+    page = write_compare_page(tmp_path / "compare.html", same).read_text()
+    assert "Seed, faults, devices, calibration, parameters, configuration and versions are the same" in page
+    assert "No measurement changed its outcome" in page
 
 
 def test_different_procedures_are_not_compared(folder, tmp_path):

@@ -4,6 +4,7 @@ What a single run does is an argument: this package plans the cases, spreads the
 machines, and says what came out as statistics, CSV and a page.
 """
 
+from hil.procedure.campaign.alike import alike
 from hil.procedure.campaign.page import write_campaign_page
 from hil.procedure.campaign.parcel import Parcel, names, parcel
 from hil.procedure.campaign.plan import Axis, Case, expand, parse_axis, parse_seeds
@@ -16,6 +17,7 @@ __all__ = [
     "Case",
     "Parcel",
     "Row",
+    "alike",
     "check_dask",
     "expand",
     "names",

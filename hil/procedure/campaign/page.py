@@ -11,10 +11,10 @@ from urllib.parse import quote
 import numpy as np
 from markupsafe import Markup
 
-from hil.procedure.campaign.table import Row
+from hil.procedure.campaign.alike import in_a_sentence
+from hil.procedure.campaign.table import NEVER_SET, NOT_FINITE, Row, count, in_words, never_acted
 from hil.report.figures import drawn_image
 from hil.report.pages import environment
-from hil.report.result_file import GOOD
 from hil.report.run_page import PAGE
 from hil.report.run_plots import PALETTE, new_figure, style
 from hil.vocabulary.files import write_text
@@ -38,12 +38,15 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     commands = {row["case"]: row["command"] for row in tree["rows"]}
     drawn = [name for name in names if _values(name, rows)]
     figures = [{"name": name, "image": _figure(name, rows)} for name in drawn]
-    shown = sorted(rows, key=lambda row: row.verdict in GOOD)[:_ROWS_SHOWN]
+    shown = sorted(rows, key=lambda row: row.good)[:_ROWS_SHOWN]
     page = (
         environment()
         .get_template("campaign.html")
         .render(
-            campaign=tree, sentence=_sentence(tree, rows),
+            campaign=tree, sentence=_sentence(rows), not_tested=sum(not row.tested for row in rows),
+            alike=[in_a_sentence(found) for found in tree["alike"]],
+            never_acted=never_acted, in_words=in_words,
+            incomplete=any(m["missing"] for group in tree["groups"] for m in group["measurements"]),
             figures=figures, rows=shown, hidden=len(rows) - len(shown), names=list(names),
             reports=[_report(row) for row in shown], commands=[commands[row.case.name] for row in shown],
         )
@@ -51,17 +54,33 @@ def write_campaign_page(path: Path, tree: Mapping[str, Any], rows: Sequence[Row]
     return write_text(path, page)
 
 
-def _sentence(tree: Mapping[str, Any], rows: Sequence[Row]) -> str:
-    """How many runs were good, and what the others missed most often."""
-    good = sum(tree["verdicts"].get(v, 0) for v in GOOD)
-    said = f"{good} of {tree['cases']} runs kept their limits."
-    missed = Counter(name for row in rows for name, m in row.measurements.items() if m["outcome"] == "FAIL")
-    if missed:
-        most = missed.most_common(_NAMED)
-        more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
-        said += f" Beyond its limit: {', '.join(f'{name} in {n}' for name, n in most)}{more}."
+def _sentence(rows: Sequence[Row]) -> str:
+    """How many runs were good, which faults were never tested, and what limits were missed most often."""
+    tested, good = sum(row.tested for row in rows), sum(row.good for row in rows)
+    if tested == len(rows):
+        said = f"{good} of {tested} runs kept their limits."
+    else:
+        never = never_acted(count(spec for row in rows for spec in row.faults_not_begun))
+        kept = f"{good} of the other {tested} kept their limits" if tested else "there are no others"
+        said = f"{len(rows) - tested} of {len(rows)} runs tested nothing ({never}); {kept}."
+    failed = [
+        (n, m) for row in rows if row.tested for n, m in row.measurements.items() if m["outcome"] == "FAIL"
+    ]
+    for words, why in (
+        ("Beyond its limit", ""),
+        ("No finite number", NOT_FINITE),
+        ("Never measured", NEVER_SET),
+    ):
+        if missed := Counter(name for name, m in failed if m["missing"] == why):
+            said += f" {words}: {_most(missed)}."
     ended = sum(bool(row.error) for row in rows)
     return said + (f" {ended} ended early." if ended else "")
+
+
+def _most(missed: Counter[str]) -> str:
+    """Measurements with the number of their runs, those of most runs first."""
+    more = f", and {len(missed) - _NAMED} more" if len(missed) > _NAMED else ""
+    return ", ".join(f"{name} in {n}" for name, n in missed.most_common(_NAMED)) + more
 
 
 def _report(row: Row) -> str:
@@ -71,7 +90,9 @@ def _report(row: Row) -> str:
 
 
 def _values(name: str, rows: Sequence[Row]) -> list[float]:
-    return [m["value"] for row in rows if (m := row.measurements.get(name)) and m["value"] is not None]
+    """Finite values of the runs in which all faults have acted."""
+    found = (row.measurements.get(name) for row in rows if row.tested)
+    return [m["value"] for m in found if m and m["value"] is not None]
 
 
 def _figure(name: str, rows: Sequence[Row]) -> Markup:

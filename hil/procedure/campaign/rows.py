@@ -16,7 +16,8 @@ from hil.vocabulary.extras import is_installed
 from hil.vocabulary.files import put_whole
 
 _END = b"PAR1"
-_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None}
+_NONE = {"measurement": None, "unit": None, "value": None, "outcome": None, "low": None, "high": None,
+         "missing": None}  # fmt: skip
 
 
 def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
@@ -24,8 +25,9 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
 
     Not `over` those that are whole: a run that was finished earlier may have none, or torn ones.
 
-    Columns: case, seed, settings (map of text to text), verdict, exit_code, duration_s (s), error,
-    measurement, unit, value (in `unit`), outcome, low, high.
+    Columns: case, seed, settings (map of text to text), verdict, faults_not_begun (list of text: those that
+    never acted), exit_code, duration_s (s), error, measurement, unit, value (in `unit`), outcome, low, high,
+    missing (why there is no value).
 
     Raises:
         DataError: they cannot be written.
@@ -42,13 +44,15 @@ def write_rows(folder: Path, row: Row, *, over: bool = True) -> None:
     schema = pa.schema(
         {
             "case": text, "seed": pa.int64(), "settings": pa.map_(text, text), "verdict": text,
-            "exit_code": pa.int64(), "duration_s": number, "error": text, "measurement": text, "unit": text,
-            "value": number, "outcome": text, "low": number, "high": number,
+            "faults_not_begun": pa.list_(text), "exit_code": pa.int64(), "duration_s": number,
+            "error": text, "measurement": text, "unit": text,
+            "value": number, "outcome": text, "low": number, "high": number, "missing": text,
         }
     )  # fmt: skip
     own = {
         "case": row.case.name, "seed": row.case.seed, "settings": list(row.case.settings),
-        "verdict": row.verdict, "exit_code": row.exit_code, "duration_s": row.duration_s, "error": row.error,
+        "verdict": row.verdict, "faults_not_begun": list(row.faults_not_begun), "exit_code": row.exit_code,
+        "duration_s": row.duration_s, "error": row.error,
     }  # fmt: skip
     measured: list[dict[str, Any]] = [{"measurement": name, **m} for name, m in row.measurements.items()]
     lines = [{**own, **values} for values in measured or [_NONE]]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Iterable, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,9 +14,12 @@ import numpy as np
 
 from hil.procedure.campaign.plan import Case
 from hil.report.result_file import GOOD
+from hil.report.run_words import was_set
 from hil.vocabulary.errors import DataError
 
 _Z95 = 1.959963984540054
+NOT_FINITE, NEVER_SET, ENDED_BEFORE = "no finite number", "never measured", "ended before"
+"""Why a run has no value of a measurement."""
 
 
 @dataclass(frozen=True)
@@ -23,9 +27,11 @@ class Row:
     """One finished case.
 
     Attributes:
-        measurements: name -> unit, value, outcome and limits, as the run reported them.
+        measurements: name -> unit, value, outcome and limits, as the run reported them, and `missing`: why
+            there is no value, empty where there is one.
         error: what went wrong, empty if nothing did.
         exit_code: as `hil run` would have ended.
+        faults_not_begun: specs of its faults that it ended before: it says nothing about what they do.
     """
 
     case: Case
@@ -35,6 +41,17 @@ class Row:
     duration_s: float
     measurements: dict[str, dict[str, Any]] = field(default_factory=dict)
     error: str = ""
+    faults_not_begun: tuple[str, ...] = ()
+
+    @property
+    def tested(self) -> bool:
+        """Whether all its faults have acted."""
+        return not self.faults_not_begun
+
+    @property
+    def good(self) -> bool:
+        """Whether it kept its limits under its faults; those that never acted were not withstood."""
+        return self.tested and self.verdict in GOOD
 
     def to_json(self) -> dict[str, Any]:
         """Plain data; the case as name, seed and settings."""
@@ -44,7 +61,11 @@ class Row:
 
 
 def summarise(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Per combination of settings: verdicts, share of good runs, and statistics of each measurement."""
+    """Per combination of settings: verdicts, share of good runs, and statistics of each measurement.
+
+    Share and statistics are those of the runs in which all faults have acted (`tested`); the share is None
+    where there is none.
+    """
     groups: dict[str, list[Row]] = {}
     for row in rows:
         groups.setdefault(row.case.group, []).append(row)
@@ -52,25 +73,43 @@ def summarise(rows: Sequence[Row]) -> list[dict[str, Any]]:
 
 
 def _summary(name: str, rows: Sequence[Row]) -> dict[str, Any]:
-    good = sum(row.verdict in GOOD for row in rows)
-    low, high = wilson(good, len(rows))
-    names = dict.fromkeys(n for row in rows for n in row.measurements)
+    tested = [row for row in rows if row.tested]
+    good = sum(row.good for row in tested)
+    low, high = wilson(good, len(tested))
+    names = dict.fromkeys(n for row in tested for n in row.measurements)
     return {
         "group": name,
         "settings": dict(rows[0].case.settings),
         "n": len(rows),
+        "tested": len(tested),
+        "faults_not_begun": count(spec for row in rows for spec in row.faults_not_begun),
         "verdicts": count(row.verdict for row in rows),
-        "pass_share": good / len(rows),
+        "good": good,
+        "pass_share": good / len(tested) if tested else None,
         "pass_share_95": [low, high],
-        "measurements": [_statistics(n, rows) for n in names],
+        "measurements": [_statistics(n, tested) for n in names],
     }
 
 
+def missing(row: Mapping[str, Any]) -> str:
+    """Why a measurement of `result.json` has no value; empty where it has one."""
+    if row["value"] is not None:
+        return ""
+    if row["outcome"] == "NOT MEASURED":
+        return ENDED_BEFORE
+    return NOT_FINITE if was_set(row) else NEVER_SET
+
+
 def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
+    """Of the finite values; `n` is how many they are, `missing` why the other `of` - n runs have none."""
     found = [row.measurements[name] for row in rows if name in row.measurements]
     values = np.array([m["value"] for m in found if m["value"] is not None], dtype=np.float64)
+    whys = [m["missing"] for m in found if m["missing"]] + [ENDED_BEFORE] * (len(rows) - len(found))
     first = found[0]
-    some = {"name": name, "unit": first["unit"], "low": first["low"], "high": first["high"], "n": len(values)}
+    some = {
+        "name": name, "unit": first["unit"], "low": first["low"], "high": first["high"],
+        "n": len(values), "of": len(rows), "missing": count(whys),
+    }  # fmt: skip
     if len(values) == 0:
         return some | dict.fromkeys(("mean", "std", "min", "median", "p95", "max"))
     return some | {
@@ -83,12 +122,19 @@ def _statistics(name: str, rows: Sequence[Row]) -> dict[str, Any]:
     }
 
 
-def count(verdicts: Iterable[str]) -> dict[str, int]:
-    """How often each verdict came out."""
-    found: dict[str, int] = {}
-    for verdict in verdicts:
-        found[verdict] = found.get(verdict, 0) + 1
-    return dict(sorted(found.items()))
+def count(words: Iterable[str]) -> dict[str, int]:
+    """How often each word is among them, verdicts for example."""
+    return dict(sorted(Counter(words).items()))
+
+
+def in_words(counted: Mapping[str, int]) -> str:
+    """Reasons and how often each held: `13 never measured, 2 ended before`."""
+    return ", ".join(f"{n} {why}" for why, n in counted.items())
+
+
+def never_acted(faults: Mapping[str, int]) -> str:
+    """In how many runs each fault has never acted: `imu:off@500 never acted in 2`."""
+    return ", ".join(f"{spec} never acted in {n}" for spec, n in faults.items())
 
 
 def wilson(good: int, total: int) -> tuple[float, float]:
@@ -103,7 +149,7 @@ def wilson(good: int, total: int) -> tuple[float, float]:
 
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
-    """One line per case: settings, verdict, measurements with their units in the header.
+    """One line per case: settings, verdict, faults that never acted, measurements with units in the header.
 
     Raises:
         DataError: it cannot be written.
@@ -115,6 +161,7 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
         "seed",
         *keys,
         "verdict",
+        "faults_not_begun",
         "duration_s",
         *(f"{n} ({u})" for n, u in units.items()),
         "error",
@@ -128,7 +175,8 @@ def write_csv(path: Path, rows: Sequence[Row]) -> None:
                 values = [row.measurements.get(n, {}).get("value") for n in units]
                 writer.writerow(
                     [row.case.name, row.case.seed, *(settings.get(k, "") for k in keys), row.verdict,
-                     f"{row.duration_s:.3f}", *("" if v is None else repr(v) for v in values), row.error]
+                     "; ".join(row.faults_not_begun), f"{row.duration_s:.3f}",
+                     *("" if v is None else repr(v) for v in values), row.error]
                 )  # fmt: skip
     except OSError as error:
         raise DataError(str(path), f"cannot be written ({error.strerror})") from None

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW
-from hil.report.history.series import Group, Series
+from hil.report.history.series import MISSING, Group, Series
 from hil.report.pages import environment, number, quantity
 from hil.report.readings import Curve, Readings, Scale, as_json
 from hil.report.run_plots import MOST_POINTS
@@ -20,8 +20,8 @@ from hil.vocabulary.files import write_text
 
 PAGE = "trends.html"
 _IN_WORDS = {
-    DRIFTING: "drifting", OUTSIDE: "outside their control limits", STEADY: "steady",
-    TOO_FEW: "with too few runs to judge",
+    MISSING: "without a value in the newest runs", DRIFTING: "drifting",
+    OUTSIDE: "outside their control limits", STEADY: "steady", TOO_FEW: "with too few runs to judge",
 }  # fmt: skip
 _WIDTH, _HEIGHT, _EDGE = 320.0, 110.0, 8.0
 
@@ -32,7 +32,7 @@ def write_trends_page(path: Path, found: Sequence[Group]) -> Path:
     Raises:
         DataError: it cannot be written.
     """
-    shown = [{"group": g, "series": [(s, drawing(s)) for s in g.series]} for g in found]
+    shown = [{"group": g, "series": [(s, drawing(s) if s.points else None) for s in g.series]} for g in found]
     template = environment().get_template("trends.html")
     page = template.render(groups=shown, headline=headline(found), width=_WIDTH, height=_HEIGHT)
     return write_text(path, page)
@@ -42,7 +42,7 @@ def headline(found: Sequence[Group]) -> str:
     """One sentence: whether anything needs a look."""
     all_series = [s for group in found for s in group.series]
     runs = sum(len(group.runs) for group in found)
-    counts = Counter(s.chart.state for s in all_series)
+    counts = Counter(s.state for s in all_series)
     if not all_series:
         return "No run that came to its end has measured anything yet."
     told = [f"{counts[state]} {words}" for state, words in _IN_WORDS.items() if counts[state]]
@@ -52,6 +52,9 @@ def headline(found: Sequence[Group]) -> str:
 
 def drawing(series: Series) -> dict[str, Any]:
     """Places of what is drawn, in px of a picture `_WIDTH` by `_HEIGHT`; runs stand side by side.
+
+    Args:
+        series: with at least one value.
 
     Returns:
         `points` (x, y, tone, words), `lines` through the points of each stretch, `limits` (y),

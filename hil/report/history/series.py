@@ -2,7 +2,7 @@
 
 Only runs that can be compared stand in one series: of one procedure on one bench, on the same devices, with
 the same parameters and faults, and of the same emulated robot (its seed). Runs of a campaign are no history
-of a bench and are left out.
+of a bench and are left out. A measurement that the newest runs have no value of is not steady: it is missing.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import groupby
+from itertools import groupby, takewhile
 from typing import Any
 
 from hil.report.history.chart import DRIFTING, OUTSIDE, STEADY, TOO_FEW, Chart, individuals_chart
@@ -19,9 +19,15 @@ from hil.report.history.found import RUN, Kept
 from hil.report.pages import number
 from hil.report.result_file import GOOD
 
-_URGENCY = (DRIFTING, OUTSIDE, STEADY, TOO_FEW)
+MISSING = "missing"
+"""State of a measurement of which the newest runs have no value."""
+ALARMS = (MISSING, DRIFTING, OUTSIDE)
+"""States that somebody has to look at."""
+_URGENCY = (*ALARMS, STEADY, TOO_FEW)
 _COUNTED = (*GOOD, "FAIL")
 """Verdicts of runs that came to their end; what an aborted one measured is left out."""
+_EARLY = ("ERROR", "ABORTED")
+"""Those of runs that ended early."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +49,9 @@ class Series:
         name: of the measurement.
         unit: of its values and limits.
         low, high: limits of the last run; None for none.
-        stretches: points between two changes of the calibration, each with its chart, in order.
+        stretches: points between two changes of the calibration, each with its chart, in order; none where no
+            run has a value.
+        missing: how many of the newest runs have no value, those that ended early among them.
     """
 
     name: str
@@ -51,6 +59,12 @@ class Series:
     low: float | None
     high: float | None
     stretches: tuple[tuple[tuple[Point, ...], Chart], ...]
+    missing: int = 0
+
+    @property
+    def state(self) -> str:
+        """`missing`, else that of the chart."""
+        return MISSING if self.missing else self.chart.state
 
     @property
     def points(self) -> list[Point]:
@@ -59,11 +73,19 @@ class Series:
 
     @property
     def chart(self) -> Chart:
-        """That of the last stretch: what the measurement does now."""
-        return self.stretches[-1][1]
+        """That of the last stretch: what the measurement does now, or did while there were values."""
+        return self.stretches[-1][1] if self.stretches else Chart(TOO_FEW)
 
     def in_words(self) -> str:
         """One sentence: what it does."""
+        if not self.missing:
+            return self._values_in_words()
+        if not self.stretches:
+            return f"no value in any run ({self.missing})"
+        newest = f"the last {self.missing} runs" if self.missing > 1 else "the last run"
+        return f"no value in {newest}; before: {self._values_in_words()}"
+
+    def _values_in_words(self) -> str:
         chart, last = self.chart, self.points[-1].value
         unit = "" if self.unit == "1" else f" {self.unit}"
         if chart.state == TOO_FEW:
@@ -89,7 +111,12 @@ class Series:
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that can be compared, and their measurements, those that need a look first."""
+    """Runs that can be compared, and their measurements, those that need a look first.
+
+    Attributes:
+        runs: those that came to their end, in order.
+        early: how many more ended early.
+    """
 
     procedure: str
     bench: str
@@ -97,6 +124,7 @@ class Group:
     settings: str
     runs: tuple[Kept, ...]
     series: tuple[Series, ...]
+    early: int = 0
 
     @property
     def title(self) -> str:
@@ -116,10 +144,11 @@ class Group:
 
 
 def groups(found: Sequence[Kept]) -> list[Group]:
-    """Comparable runs together, those with a drift first, then by name."""
-    runs = [k for k in found if k.kind == RUN and k.verdict in _COUNTED and not k.of_campaign]
+    """Comparable runs together, those that need a look first, then by name."""
+    runs = [k for k in found if k.kind == RUN and k.verdict in (*_COUNTED, *_EARLY) and not k.of_campaign]
     ordered = sorted(runs, key=lambda k: (_key(k), k.when))
-    made = [_group(key, tuple(own)) for key, own in groupby(ordered, key=_key)]
+    alike = [(key, tuple(own)) for key, own in groupby(ordered, key=_key)]
+    made = [_group(key, own) for key, own in alike if any(k.verdict in _COUNTED for k in own)]
     return sorted(made, key=lambda g: (min((_urgency(s) for s in g.series), default=len(_URGENCY)), g.title))
 
 
@@ -130,33 +159,42 @@ def _key(kept: Kept) -> tuple[str, str, str, str]:
     return kept.what, kept.bench, kept.where, json.dumps(settings, sort_keys=True, default=str)
 
 
-def _group(key: tuple[str, str, str, str], runs: tuple[Kept, ...]) -> Group:
+def _group(key: tuple[str, str, str, str], every: Sequence[Kept]) -> Group:
+    runs = tuple(kept for kept in every if kept.verdict in _COUNTED)
     names = dict.fromkeys(row["name"] for kept in runs for row in kept.result["measurements"])
-    series = [s for s in (_series(name, runs) for name in names) if s is not None]
-    return Group(*key, runs, tuple(sorted(series, key=_urgency)))
+    series = [_series(name, runs, every) for name in names]
+    return Group(*key, runs, tuple(sorted(series, key=_urgency)), len(every) - len(runs))
 
 
 def _urgency(series: Series) -> int:
-    return _URGENCY.index(series.chart.state)
+    return _URGENCY.index(series.state)
 
 
-def _series(name: str, runs: Sequence[Kept]) -> Series | None:
-    """None for a measurement that no run has a value of. Values in another unit than the last begin anew."""
-    rows = [(kept, row) for kept in runs for row in kept.result["measurements"] if row["name"] == name]
-    rows = [(kept, row) for kept, row in rows if row["value"] is not None]
-    if not rows:
-        return None
-    last = rows[-1][1]
+def _row(name: str, kept: Kept) -> Mapping[str, Any] | None:
+    return next((row for row in kept.result["measurements"] if row["name"] == name), None)
+
+
+def _has_value(name: str, kept: Kept) -> bool:
+    row = _row(name, kept)
+    return row is not None and row["value"] is not None
+
+
+def _series(name: str, runs: Sequence[Kept], every: Sequence[Kept]) -> Series:
+    """Values of `runs`, what is missing of `every` run. Values in another unit than the last begin anew."""
+    rows = [(kept, row) for kept in runs if (row := _row(name, kept)) is not None]
+    measured = [(kept, row) for kept, row in rows if row["value"] is not None]
+    last = (measured or rows)[-1][1]
+    missing = sum(1 for _ in takewhile(lambda kept: not _has_value(name, kept), reversed(every)))
     points = [
         Point(kept.name, kept.when, row["value"], row["outcome"], _calibration(kept.result))
-        for kept, row in rows
+        for kept, row in measured
         if row["unit"] == last["unit"]
     ]
     stretches = [tuple(own) for _, own in groupby(points, key=lambda p: p.calibration)]
     charts = [
         (own, individuals_chart([p.value for p in own], last["low"], last["high"])) for own in stretches
     ]
-    return Series(name, last["unit"], last["low"], last["high"], tuple(charts))
+    return Series(name, last["unit"], last["low"], last["high"], tuple(charts), missing)
 
 
 def _calibration(tree: Mapping[str, Any]) -> str:

@@ -1,0 +1,63 @@
+"""Values that are not there are counted apart from those beyond a limit, and shown beside the range."""
+
+import html
+import json
+import re
+
+import pytest
+
+from hil.cli import main
+
+SCRIPT = '''
+"""Every third run has a value; the others have none, each kind for its own reason."""
+from hil.procedure import Measurement, procedure
+
+
+@procedure(name="holes", measurements=[Measurement("two", "mm", high=5.5), Measurement("free", "1")])
+def run(ctx):
+    """Measure, or not."""
+    ctx.measure("free", 1.0)
+    if ctx.seed == 7:
+        raise ValueError("on its way")
+    if ctx.seed % 3 == 0:
+        ctx.measure("two", float(ctx.seed))
+    elif ctx.seed % 3 == 1:
+        ctx.measure("two", float("inf"))
+'''
+
+
+@pytest.fixture
+def holes(tmp_path, monkeypatch, capsys):
+    """Folder of a campaign of nine runs, and what the terminal said."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "holes.py").write_text(SCRIPT)
+    main(["campaign", "holes.py", "--seeds", "0:9", "--workers", "0", "--keep", "results", "--out", "o"])
+    return tmp_path / "o", capsys.readouterr().out
+
+
+def test_the_terminal_says_of_how_many_runs_a_range_tells(holes):
+    folder, said = holes
+    (two,) = [line for line in said.splitlines() if line.startswith("  two ")]
+    assert two.endswith("[0 to 6] in 3 of 9 runs; 1 ended before, 3 never measured, 2 no finite number")
+    (free,) = [line for line in said.splitlines() if line.startswith("  free ")]
+    assert free.endswith("[1 to 1]")
+    found = json.loads((folder / "campaign.json").read_text())["groups"][0]["measurements"][0]
+    assert (found["n"], found["of"]) == (3, 9)
+    assert found["missing"] == {"ended before": 1, "never measured": 3, "no finite number": 2}
+
+
+def test_the_page_counts_what_is_beyond_its_limit_apart(holes):
+    page = (holes[0] / "campaign.html").read_text()
+    lead = html.unescape(re.search(r'<p class="lead">(.*?)</p>', page, re.S)[1])
+    assert "Beyond its limit: two in 1. No finite number: two in 2. Never measured: two in 3. 1 ended" in lead
+    assert "<td>3 of 9</td>" in page
+    assert "1 ended before, 3 never measured, 2 no finite number" in page
+
+
+def test_parquet_says_why_there_is_no_value(holes):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(holes[0] / "rows").to_pydict()
+    whys = dict(zip(zip(table["seed"], table["measurement"], strict=True), table["missing"], strict=True))
+    assert [whys[seed, "two"] for seed in (0, 1, 2, 7)] == [
+        "", "no finite number", "never measured", "ended before",
+    ]  # fmt: skip

@@ -1,0 +1,84 @@
+"""A fault that never acted is not withstood: such a run counts as neither good nor bad, and is told."""
+
+import csv
+import json
+
+import pytest
+
+from hil.cli import main
+from hil.procedure.campaign import Case, Row, summarise
+
+SCRIPT = '''
+"""Hold for as long as the seed says."""
+from hil.procedure import Measurement, procedure
+
+
+@procedure(name="hold", needs=("mocap",), measurements=[Measurement("held", "s", low=0.1)])
+def run(ctx):
+    """Hold."""
+    held_s = 0.3 + ctx.seed
+    ctx.bench.observe(held_s, feedback="odometry")
+    ctx.measure("held", held_s)
+'''
+
+
+@pytest.fixture
+def campaign(tmp_path, monkeypatch, capsys):
+    """Exit code and what the terminal says; the campaign is in `o`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "hold.py").write_text(SCRIPT)
+
+    def go(*options):
+        common = ("--workers", "0", "--keep", "results", "--out", "o")
+        code = main(["campaign", "hold.py", *common, *options])
+        return code, capsys.readouterr().out
+
+    return go
+
+
+def test_a_fault_that_never_acted_is_not_survived(campaign, tmp_path):
+    code, said = campaign("--seeds", "0:2", "--vary", "fault=none;tracker:off@500")
+    assert code == 1
+    assert "fault=none: 2 runs, 100 % good (95 %" in said
+    assert "fault=tracker:off@500: 2 runs, 2 NOT TESTED: tracker:off@500 never acted in 2\n" in said
+    assert "FAIL: hold, 4 PASS; 2 of them NOT TESTED" in said
+    tree = json.loads((tmp_path / "o" / "campaign.json").read_text())
+    without, never = tree["groups"]
+    assert (without["tested"], without["pass_share"]) == (2, 1.0)
+    assert (never["n"], never["tested"], never["pass_share"], never["measurements"]) == (2, 0, None, [])
+    assert [row["verdict"] for row in tree["rows"]] == ["PASS"] * 4
+    assert [row["faults_not_begun"] for row in tree["rows"]] == [[], [], *[["tracker:off@500"]] * 2]
+    with (tmp_path / "o" / "campaign.csv").open(newline="") as file:
+        lines = [line["faults_not_begun"] for line in csv.DictReader(file)]
+    assert lines == ["", "", *["tracker:off@500"] * 2]
+    page = (tmp_path / "o" / "campaign.html").read_text()
+    assert "2 of 4 runs tested nothing (tracker:off@500 never acted in 2); 2 of the other 2 kept" in page
+    assert page.count("PASS, not tested") == 2
+    parquet = pytest.importorskip("pyarrow.parquet")
+    table = parquet.read_table(tmp_path / "o" / "rows").to_pydict()
+    assert table["faults_not_begun"].count(["tracker:off@500"]) == 2
+
+
+def test_the_share_is_that_of_the_runs_in_which_the_fault_acted_also_when_they_are_read_again(campaign):
+    options = ("--seeds", "0:4", "--vary", "fault=tracker:off@2")
+    for more in ((), ("--resume",)):
+        code, said = campaign(*options, *more)
+        assert (code, "4 runs, 100 % good of 2 tested (95 %" in said) == (1, True), said
+        assert "2 NOT TESTED: tracker:off@2 never acted in 2" in said
+        assert "[2.3 to 3.3]" in said
+
+
+def test_a_fault_that_acted_everywhere_changes_nothing(campaign):
+    code, said = campaign("--seeds", "0:2", "--vary", "fault=tracker:slow@0.1")
+    assert (code, "NOT TESTED" in said) == (0, False), said
+
+
+def test_an_untested_failure_is_not_counted_either():
+    rows = [
+        Row(Case(0), "0", "PASS", 0, 1.0),
+        Row(Case(1), "1", "FAIL", 1, 1.0, faults_not_begun=("imu:off@9",)),
+        Row(Case(2), "2", "PASS", 0, 1.0, faults_not_begun=("imu:off@9",)),
+    ]
+    (group,) = summarise(rows)
+    assert (group["n"], group["tested"], group["good"], group["pass_share"]) == (3, 1, 1, 1.0)
+    assert group["faults_not_begun"] == {"imu:off@9": 2}
