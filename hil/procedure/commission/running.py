@@ -21,7 +21,7 @@ from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import NAME as JOURNAL
 from hil.procedure.measurements import Verdict
-from hil.procedure.operator import Operator, Terminal
+from hil.procedure.operator import Operator, Terminal, go_ahead
 from hil.procedure.results import RESULT, Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.commission_page import write_commission_page
@@ -166,7 +166,7 @@ class _Running:
         """Have a person move a real robot to where the next procedures need it."""
         if self._place != place and self._asked.source.real:
             with self._asked.interrupts.heeded():
-                self._asked.operator.ask(PROMPTS[place])
+                go_ahead(self._asked.operator, PROMPTS[place])
         self._place = place
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:
