@@ -67,7 +67,7 @@ def why_again(
         parts: that are in the record now.
     """
     if before is None:
-        return "an older version of hil did not note what it rests on"
+        return "it passed under an older version, which did not note what it rests on"
     return "; ".join(
         (*_of_the_record(before["parts"], parts), *_of_the_bench(stage, before["bench"], config))
     )
