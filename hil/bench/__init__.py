@@ -8,6 +8,7 @@ line and the procedures have.
 from hil.bench.bench import Bench
 from hil.bench.emulation import (
     check_faults,
+    faults_within,
     hidden_truth,
     open_emulation,
     planned_faults,
@@ -31,6 +32,7 @@ __all__ = [
     "check_fault_kind",
     "check_faults",
     "describe_fault",
+    "faults_within",
     "hidden_truth",
     "make_fault",
     "open_bench",

@@ -21,7 +21,7 @@ from hil.devices.looks import Watched, samples_look
 from hil.drivers.serial_url import latency_timer
 from hil.vocabulary.blame import OURS, asked
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import HilError
+from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.finding import Finding, Level
 from hil.vocabulary.interfaces import Device
 from hil.vocabulary.kinds import kinds
@@ -41,6 +41,9 @@ def examine(bench: Bench, *, watch_s: float = _WATCH_S, host: Host = _HERE) -> I
         bench: as `open_bench` returned it; its devices are opened and closed here.
         watch_s: how long each is read.
         host: where the machine tells of itself.
+
+    Raises:
+        Aborted: a person or a signal ended it.
     """
     seen: dict[str, list[Any]] = {}
     try:
@@ -74,6 +77,8 @@ def _examine_one(
     yield from told
     try:
         device.open()
+    except Aborted:
+        raise  # whoever ended it: that says nothing of the device
     except HilError as error:
         yield _slowness_first(told, _failure(device, "open", error))
         return
@@ -86,6 +91,8 @@ def _examine_one(
         _watch(bench, device, _SETTLE_S, [])
         for finding in _looks(bench, kind, device, watch_s, seen):
             yield _slowness_first(told, finding)
+    except Aborted:
+        raise
     except HilError as error:
         yield _slowness_first(told, _failure(device, "read", error))
     finally:

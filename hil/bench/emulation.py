@@ -222,6 +222,21 @@ def supported_faults(config: BenchConfig) -> dict[str, Supported]:
     return dict(world.faults.supported)
 
 
+def faults_within(config: BenchConfig, given: Sequence[str | Fault]) -> tuple[str, ...]:
+    """Of faults, those that name a device which the bench emulates; each as a spec.
+
+    Args:
+        config: the bench; the faults that it names come first.
+        given: further specs or paths of TOML timelines.
+
+    Raises:
+        UsageError, ConfigError: a spec or a file that cannot be read.
+    """
+    faults = tuple(map(_by_kind, read_faults((*config.emulation.faults, *given))))
+    known = supported_faults(config) if faults and config.emulated() else {}
+    return tuple(describe(fault) for fault in faults if fault.device in known)
+
+
 def open_emulation(
     config: BenchConfig,
     *,

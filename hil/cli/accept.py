@@ -33,7 +33,7 @@ def command(
     Doctor, the contract of every device and the age of its samples without motion. Then, when all of it is
     right and somebody has said that the robot is on a stand, the contract of the servos with turning wheels,
     and how late they turn. Ends with 0 if all passed, 3 if the doctor found a device that is wrong, 1 if a
-    promise was broken, 4 if wheels were not allowed to turn or something ended it; each time with a page.
+    promise was broken, 4 if wheels were not allowed to turn, something ended it, or no page could be written.
 
     Example: hil accept --bench my.toml
     """
@@ -41,7 +41,7 @@ def command(
     from hil.procedure.bench_source import BenchSource
     from hil.procedure.interrupts import Interrupts
     from hil.report.acceptance_page import DATA, write_acceptance
-    from hil.vocabulary.errors import ConfigError
+    from hil.vocabulary.errors import EXIT_ABORTED, ConfigError, HilError
     from hil.vocabulary.files import check_folder
 
     folder = results_folder("accept", out, None)
@@ -61,7 +61,11 @@ def command(
                     interrupts=interrupts,
                 )
             )  # fmt: skip
-        told = write_acceptance(folder, told)
+        try:
+            told = write_acceptance(folder, told)
+        except HilError as error:
+            click.echo(f"hil: {error}", err=True)
+            told, code = {**told, "folder": str(folder), "page": None, "data": None}, code or EXIT_ABORTED
         click.echo(json.dumps(told, allow_nan=False) if as_json else _text(told))
     return code
 
@@ -82,5 +86,6 @@ def _text(told: dict[str, Any]) -> str:
             expected = f"expected {finding['expected']}" if finding["expected"] else ""
             if hints := "; ".join(filter(None, (expected, finding["remedy"]))):
                 lines.append(f"       {hints}")
-    lines.append(f"{told['verdict']}: the page to sign is {told['page']}, its data {told['data']}")
+    written = f"the page to sign is {told['page']}, its data {told['data']}"
+    lines.append(f"{told['verdict']}: {written if told['page'] else 'the page to sign could not be written'}")
     return "\n".join(lines)

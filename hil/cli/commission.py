@@ -87,6 +87,8 @@ def _now() -> str:
 
 
 def _text(told: dict[str, Any]) -> str:
+    from hil.bench.held import held_in_words
+
     lines = [
         f"{stage['verdict']:10}{stage['name']:26}{stage.get('why', '')}".rstrip() for stage in told["stages"]
     ]
@@ -100,8 +102,13 @@ def _text(told: dict[str, Any]) -> str:
     if told["stopped"] is not None:
         stopped = told["stopped"]
         lines.append(f"stopped at {stopped['procedure']} ({stopped['verdict']}): {stopped['why']}")
+        if stopped["held"] is not None:
+            lines.append(held_in_words(stopped["held"]))
+        if stopped["held"] is not None and stopped["report"] is None:
+            lines.append("the report of this procedure could not be written")
         lines.append(f"what to do: {stopped['do']}")
     if told["stopped"] is None and not told["wall"]:
         lines.append("no line was driven on a wall: what the record brings is not verified")
-    lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, the page {told['page']}")
+    page = f"the page {told['page']}" if told["page"] else "the page could not be written"
+    lines.append(f"{told['verdict']}: the record of the robot is {told['robot']}, {page}")
     return "\n".join(lines)

@@ -65,6 +65,8 @@ def surplus(count: int, due: float) -> float:
 def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Finding:
     """How many of the samples that were due are good, what the others lack, and whether too many came.
 
+    A device that starts over while it is watched is a failure, however many samples are good.
+
     Args:
         name: of the device.
         statuses: one for each sample.
@@ -78,6 +80,9 @@ def losses(name: str, statuses: Iterable[Status], due: int, remedy: str) -> Find
     if more > MORE_WARNING:
         level: Level = "failure" if more > MORE_FAILURE else "warning"
         return Finding(name, "samples", level, f"{count} samples where {due} are due", _NO_MORE, _WHY_MORE)
+    if Status.RESET in seen:
+        found = f"{seen[Status.RESET]} of {count} samples say that it has restarted"
+        return Finding(name, "samples", "failure", found, "none", "check its supply and cable")
     loss = 1.0 - good / due if due else 1.0
     level = "failure" if loss > LOSS_FAILURE else "warning" if loss > LOSS_WARNING else "ok"
     told = ", ".join(f"{count} {status.value}" for status, count in seen.most_common()) or "no bad samples"

@@ -24,6 +24,7 @@ from hil.bench.contract import (
     delays_in_motion,
     judged,
     punctuality,
+    without_restart,
 )
 from hil.bench.doctor import examine
 from hil.bench.what_opens import open_what_can_be
@@ -202,6 +203,7 @@ class _Running:
             bench, stage.findings = self._opened()
             seen = {f.device for f in stage.findings}
             for finding in examine(bench, watch_s=self._asked.watch_s):
+                self._asked.interrupts.stop_here()
                 stage.findings.append(finding)
                 if finding.device in self._config.devices() and finding.device not in seen:
                     seen.add(finding.device)
@@ -233,14 +235,18 @@ class _Running:
             bench.close()
         self._asked.report(CONTRACT, len(devices), max(len(devices), 1))
         left = f"not asked, because they do not open: {', '.join(sorted(closed))}" if closed else ""
-        self.current.end(why=left)
-        late.end(why=left)
+        for stage in (self.current, late):
+            stage.end()
+            whole = not left or stage.verdict == Verdict.FAIL.value
+            stage.end(None if whole else Verdict.ABORTED, "; ".join(filter(None, (stage.why, left))))
 
     def _one(self, stage: Stage, device: str, promise: str, check: Callable[[], str]) -> None:
         """One check; a signal before it, or within, ends the acceptance."""
         self._asked.interrupts.finish_here()
         with self._asked.interrupts.heeded():
-            stage.findings.append(judged(device, promise, check))
+            finding = judged(device, promise, check)
+            self._asked.interrupts.stop_here()  # a check that was cut short says nothing of the device
+        stage.findings.append(finding)
 
     def _may_turn(self) -> None:
         """Raise `Aborted` unless the servos are emulated, or a person says that the wheels are free."""
@@ -249,12 +255,16 @@ class _Running:
             return
         with asked.interrupts.heeded():
             answer = asked.operator.ask(QUESTION)
-        if answer.strip().lower() not in ("y", "yes"):
-            raise Aborted("the wheels did not turn: nobody has said that the robot is on a stand")
+        if answer.strip().lower() != "yes":
+            raise Aborted(
+                "the wheels did not turn: nobody has said that the robot is on a stand",
+                expected="the word yes",
+                remedy="put it on a stand, then accept again",
+            )
 
     def _turn(self, stage: Stage) -> None:
         """Contract and delays of the servos; the first that fails is the last that moves."""
-        source = self._asked.source.changed(overrides=off_the_wall(self._config))
+        source = self._asked.source.changed(overrides=off_the_wall(self._config)).with_its_faults()
         bench = source.open()
         bench.tells_held = False
         try:
@@ -278,7 +288,8 @@ class _Running:
             if stage.findings[-1].level == "failure":
                 return
         found: list[Finding] = []
-        self._one(stage, "servos", "delays", lambda: _collected(found, delays_in_motion(bench)))
+        delays = without_restart(lambda bench: _collected(found, delays_in_motion(bench)))
+        self._one(stage, "servos", "delays", partial(delays, bench))
         stage.findings += found
         self._asked.report(MOTION, len(IN_MOTION) + 1, len(IN_MOTION) + 1)
 

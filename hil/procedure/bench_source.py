@@ -70,6 +70,16 @@ class BenchSource:
 
         check_faults(self.config, self.faults)
 
+    def with_its_faults(self) -> BenchSource:
+        """The same bench with those faults only that name a device which it emulates.
+
+        For a bench that devices were left out of: `check_faults` refuses the faults of these.
+        """
+        from hil.bench import faults_within
+
+        kept = faults_within(self.config, self.faults)
+        return replace(self, faults=kept, overrides={**self.overrides, "emulation.faults": []})
+
     def open(self, sinks: Sequence[Sink] = ()) -> Bench:
         """A bench, to be used as a context manager; nothing is opened before it is entered."""
         from hil.bench import open_bench

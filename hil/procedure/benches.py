@@ -15,7 +15,7 @@ from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import Entry, Journal
 from hil.procedure.left_benches import LeftBenches
 from hil.procedure.measurements import Measurement
-from hil.procedure.operator import Operator
+from hil.procedure.operator import Operator, go_ahead
 from hil.procedure.outputs import Keep, Notebook
 from hil.procedure.recordings import Recordings
 from hil.procedure.workers import Workers
@@ -122,12 +122,16 @@ class RunBenches(Notebook):
             calibration: another calibration file.
             overrides: further configuration overrides.
             prompt: what to ask of the operator of a real bench instead, also before the first opening.
+
+        Raises:
+            Aborted: the operator says no, or nobody answers.
         """
         again, self._left_behind = self._bench is not None, False
         self.close_bench()
         source = self.source.changed(seed=seed, calibration=calibration, overrides=overrides)
         if source.real and (again or prompt):
-            self.prompt(prompt or "put the robot back to its start pose, then press Enter")
+            question = prompt or "put the robot back to its start pose, then press Enter"
+            self._note_answer(question, go_ahead(self._operator, question))
         bench = source.open()
         self._bench_name = self.left.begin(label)
         bench.tells_held = False
@@ -249,6 +253,8 @@ class RunBenches(Notebook):
 
     def prompt(self, question: str) -> str:
         """Ask the operator; raises `Aborted` when nobody can answer."""
-        answer = self._operator.ask(question)
+        return self._note_answer(question, self._operator.ask(question))
+
+    def _note_answer(self, question: str, answer: str) -> str:
         self._journal.add("answer", {"question": question, "answer": answer})
         return answer

@@ -17,6 +17,8 @@ from hil.vocabulary.files import reason
 from hil.vocabulary.reading import read_text
 
 _MOST_BYTES = 1 << 20
+_YES, _NO = ("", "y", "yes", "ok"), ("n", "no", "stop", "abort", "cancel", "quit", "exit", "q")
+_EXPECTED = "Enter (an empty line), y, yes or ok to go on; no or stop to end it"
 
 
 class Operator(Protocol):
@@ -90,3 +92,23 @@ class Answers(Operator):
         if not self._lines:
             raise Aborted(f"{self._path} has no answer left for {question!r}")
         return self._lines.pop(0)
+
+
+def go_ahead(operator: Operator, question: str) -> str:
+    """The answer of whoever was asked to do something and then press Enter, once it means that it is done.
+
+    Args:
+        operator: who answers.
+        question: what to do, and that Enter goes on.
+
+    Raises:
+        Aborted: the answer is no, or one from a file means neither; or nobody answers.
+    """
+    answer = operator.ask(question)
+    while (word := answer.strip().lower()) not in _YES:
+        if word in _NO:
+            raise Aborted(f"{answer!r} was the answer to {question!r}: nothing moves")
+        if not isinstance(operator, (Terminal, Lines)):
+            raise Aborted(f"{answer!r} is no answer to {question!r}", expected=_EXPECTED)
+        answer = operator.ask(f"{answer!r} is no answer; expected {_EXPECTED}: {question}")
+    return answer

@@ -23,6 +23,8 @@ import pytest
 
 from hil.bench import Bench
 from hil.bench.contract import Subject, at_rest, read_for
+from hil.bench.contract.losses import loses_next_to_nothing
+from hil.bench.contract.stillness import sees_no_motion
 from hil.bench.doctor import examine
 from hil.procedure.bench_source import BenchSource
 from hil.pytest_plugin.selection import plainly, source_of
@@ -37,9 +39,11 @@ __all__ = [
     "pytest_generate_tests",
     "subject",
     "test_a_read_never_waits_for_the_next_sample",
+    "test_a_robot_at_rest_is_seen_to_stand",
     "test_a_sample_is_delivered_once",
     "test_an_open_device_says_what_it_is_and_a_closed_one_says_nothing",
     "test_it_can_be_opened_again",
+    "test_it_loses_next_to_nothing",
     "test_no_data_is_never_a_number",
     "test_reading_a_closed_device_is_a_named_error",
     "test_samples_are_recorded_bit_for_bit",
@@ -151,6 +155,16 @@ def test_reading_a_closed_device_is_a_named_error(subject: Subject) -> None:
 def test_samples_arrive_in_order_with_stamps_that_make_sense(subject: Subject) -> None:
     """Nearly all samples that are due come, are good, and say when they were measured."""
     at_rest.samples_in_time(subject)
+
+
+def test_it_loses_next_to_nothing(subject: Subject) -> None:
+    """As many of the samples that are due are good as `bring_up` asks for, and it does not start over."""
+    loses_next_to_nothing(subject)
+
+
+def test_a_robot_at_rest_is_seen_to_stand(subject: Subject) -> None:
+    """The position that it tells drifts by less than 5 mm/s; devices that tell no position pass."""
+    sees_no_motion(subject)
 
 
 def test_no_data_is_never_a_number(subject: Subject) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hil.report.pages import environment
-from hil.vocabulary.files import refused, write_text
+from hil.vocabulary.files import staged
 
 PAGE, DATA = "accept.html", "accept.json"
 
@@ -25,20 +25,17 @@ def write_acceptance(folder: Path, told: Mapping[str, Any]) -> dict[str, Any]:
         The same with `page`, `data` and `folder`, the paths of what was written.
 
     Raises:
-        DataError: they cannot be written.
+        DataError: they cannot be written; then neither is there.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise refused(folder, error) from None
-    text = json.dumps(told, indent=2, allow_nan=False) + "\n"
-    data = write_text(folder / DATA, text)
+    text = (json.dumps(told, indent=2, allow_nan=False) + "\n").encode()
     page = environment().get_template("acceptance.html").render(
         told=told, rows=[_counted(stage) for stage in told["stages"]],
-        digest=hashlib.sha256(data.read_bytes()).hexdigest(), data=DATA, sentence=_sentence(told["stages"]),
+        digest=hashlib.sha256(text).hexdigest(), data=DATA, sentence=_sentence(told["stages"]),
     )  # fmt: skip
-    path = write_text(folder / PAGE, page)
-    return {**told, "folder": str(folder), "page": str(path), "data": str(data)}
+    with staged(folder) as parts:
+        (parts / DATA).write_bytes(text)
+        (parts / PAGE).write_text(page, encoding="utf-8", errors="backslashreplace")
+    return {**told, "folder": str(folder), "page": str(folder / PAGE), "data": str(folder / DATA)}
 
 
 def _sentence(stages: Sequence[Mapping[str, Any]]) -> str:

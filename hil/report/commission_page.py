@@ -18,7 +18,7 @@ from hil.report.figures import figure_image, save_figure
 from hil.report.pages import duration, environment
 from hil.report.robot_table import part_rows
 from hil.vocabulary.errors import ConfigError
-from hil.vocabulary.files import write_text
+from hil.vocabulary.files import put_whole, refused, write_text
 
 PAGE, FIGURE = "commission.html", "ablation.svg"
 
@@ -42,7 +42,11 @@ def write_commission_page(folder: Path, told: Mapping[str, Any], bench: str, now
         figure=_figure(folder, wall) if wall else None, parts=_parts(Path(told["robot"]), now),
         stages=[s | {"took": duration(s.get("seconds"))} for s in told["stages"]],
     )  # fmt: skip
-    return write_text(folder / PAGE, page)
+    try:
+        put_whole(folder / PAGE, page.encode("utf-8", "backslashreplace"))
+    except OSError as error:
+        raise refused(folder / PAGE, error) from None
+    return folder / PAGE
 
 
 def write_robot_page(path: Path, record: RobotRecord, today: date) -> Path:

@@ -1,23 +1,30 @@
 """`hil accept`: what passes, what fails with device and remedy, and that no wheel turns without a word."""
 
+import errno
 import hashlib
 import json
 import re
 import shutil
+import signal
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from hil.bench.contract import Broken, Subject, losses
 from hil.cli import main
 from hil.config.encoders import SHIPPED_DBC
+from hil.drivers.servos import DynamixelServos
 from hil.procedure import acceptance
 from hil.procedure.acceptance import QUESTION, Acceptance, accept
 from hil.procedure.bench_source import BenchSource
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.operator import Operator
+from hil.report import acceptance_page
 from hil.report.acceptance_page import write_acceptance
-from hil.vocabulary.errors import Aborted
+from hil.ring.loop_timing import LoopStatistics
+from hil.vocabulary.errors import Aborted, DeviceError
 from tests.chromium import CHROMIUM, Browser
 
 SERVOS = '[servos]\nbackend = "emulated"\n'
@@ -169,7 +176,7 @@ def looked(monkeypatch):
 REAL = SERVOS.replace("emulated", "real") + 'port = "/dev/serial/by-id/none"\n'
 
 
-@pytest.mark.parametrize("answer", ["no", "", "on a table", None])
+@pytest.mark.parametrize("answer", ["no", "", "y", "yess", "on a table", None])
 def test_without_consent_no_servo_is_even_opened(looked, bench, tmp_path, answer):
     person = Asked(answer)
     told, code = accept(Acceptance(BenchSource(bench(REAL)), now, operator=person))
@@ -179,7 +186,9 @@ def test_without_consent_no_servo_is_even_opened(looked, bench, tmp_path, answer
     assert "ABORTED" in Path(page).read_text()
 
 
-@pytest.mark.parametrize(("answer", "on_stand", "asked"), [("yes", False, 1), (None, True, 0)])
+@pytest.mark.parametrize(
+    ("answer", "on_stand", "asked"), [("yes", False, 1), (" YES ", False, 1), (None, True, 0)]
+)
 def test_with_consent_the_servos_are_opened(looked, bench, answer, on_stand, asked):
     person = Asked(answer)
     told, code = accept(Acceptance(BenchSource(bench(REAL)), now, on_stand=on_stand, operator=person))
@@ -213,6 +222,125 @@ def test_a_signal_ends_it_with_a_page(bench, monkeypatch):
     assert (code, told["verdict"]) == (4, "ABORTED")
     assert "SIGTERM" in told["stopped"]
     assert stages(told)["contract"]["findings"]
+
+
+IN_A_CHECK = {
+    "at rest": ("contract", "AT_REST", "identity"),
+    "in motion": ("motion", "IN_MOTION", "goals are reached"),
+}
+
+
+@pytest.mark.parametrize(("stage", "promises", "struck"), IN_A_CHECK.values(), ids=IN_A_CHECK)
+@pytest.mark.parametrize("swallowed", [False, True], ids=["heard", "swallowed by a driver"])
+def test_a_signal_within_a_check_is_nobodys_fault(bench, monkeypatch, stage, promises, struck, swallowed):
+    interrupts = Interrupts()
+
+    def check(_):
+        try:
+            interrupts.handle(signal.SIGTERM)
+        except Aborted:
+            if not swallowed:
+                raise
+            raise DeviceError("servos", "does not answer") from None
+        raise AssertionError("the signal was not heeded")
+
+    monkeypatch.setattr(acceptance, promises, {**getattr(acceptance, promises), struck: check})
+    with interrupts.deferred():
+        told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
+    assert (code, told["verdict"], stages(told)[stage]["verdict"]) == (4, "ABORTED", "ABORTED")
+    assert "SIGTERM" in told["stopped"]
+    assert failures(told) == []
+
+
+def test_a_signal_while_the_doctor_looks_is_nobodys_fault(bench, monkeypatch):
+    interrupts = Interrupts()
+    monkeypatch.setattr(DynamixelServos, "read", lambda self: interrupts.handle(signal.SIGTERM))
+    with interrupts.deferred():
+        told, code = accept(Acceptance(BenchSource(bench(SERVOS)), now, interrupts=interrupts))
+    assert (code, told["verdict"], failures(told)) == (4, "ABORTED", [])
+
+
+CAMERA = '[tracker]\nbackend = "emulated"\n'
+SICK = {
+    "a servo that browns out": (SERVOS, "servo.drive_FL:brownout@6+1", "servos", "drive_FL restarted"),
+    "a servo that restarts": (SERVOS, "servo.drive_FL:reset@6", "servos", "drive_FL restarted"),
+    "old answers": (SERVOS + ENCODERS, "servos:delayed", "servos", "encoders 2"),
+    "a servo that loses answers": (SERVOS, "servo.drive_FL:drop", "servos", "due are good"),
+    "encoders that lose frames": (ENCODERS, "encoders:drop", "encoders", "due are good"),
+    "frames cut short": (ENCODERS, "encoders:truncate", "encoders", "due are good"),
+    "a camera that drifts": (CAMERA, "tracker:wrong,drift_x_m_s=0.05", "tracker", "50 mm/s"),
+}
+
+
+@pytest.mark.parametrize(("tables", "fault", "device", "found"), SICK.values(), ids=SICK)
+def test_a_device_that_is_a_little_sick_does_not_pass(bench, tables, fault, device, found):
+    told, code = accept(Acceptance(BenchSource(bench(tables), seed=3, faults=(fault,)), now))
+    assert (code, told["verdict"]) == (1, "FAIL")
+    (failure,) = failures(told)
+    assert failure["device"] == device
+    assert found in failure["found"]
+    assert failure["remedy"]
+
+
+def test_a_device_that_restarts_while_the_doctor_looks_is_named(bench):
+    source = BenchSource(bench('[imu]\nbackend = "emulated"'), faults=("imu:reset@1.5",))
+    told, code = accept(Acceptance(source, now))
+    assert code == 3
+    assert "has restarted" in failures(told)[0]["found"]
+
+
+@pytest.mark.parametrize("busy", [False, True])
+def test_what_a_busy_computer_has_not_heard_is_not_held_against_the_device(monkeypatch, busy):
+    idle = LoopStatistics(cycles=100, late=30 if busy else 0)
+    monkeypatch.setattr(losses, "idle_for", lambda config, seconds: idle)
+    with closing(BenchSource("emulated", faults=("servo.drive_FL:drop",), seed=3).open()) as opened:
+        opened.begin()
+        if busy:
+            assert "too busy" in losses.loses_next_to_nothing(Subject(opened, "servos"))
+        else:
+            with pytest.raises(Broken, match="as bring_up asks for"):
+                losses.loses_next_to_nothing(Subject(opened, "servos"))
+
+
+@pytest.mark.parametrize("named_by", ["--fault", "bench file"])
+def test_faults_of_devices_that_are_not_there_in_motion_do_not_end_it(bench, named_by):
+    tables = [
+        SERVOS, '[load_cells]\nbackend = "emulated"\n[environment]\ntilt_rad = 1.5708\n'
+        'x_range_m = [-5.0, 5.0]\ny_range_m = [-5.0, 5.0]\n',
+    ]  # fmt: skip
+    given = ("load_cells:wrong,factor=0.9",)
+    if named_by == "bench file":
+        tables.append(f"[emulation]\nfaults = {list(given)}")
+    told, _ = accept(Acceptance(BenchSource(bench(*tables), faults=given * (named_by == "--fault")), now))
+    assert stages(told)["motion"]["verdict"] == "PASS", told
+
+
+def test_a_part_that_a_device_was_left_out_of_does_not_read_pass(hil, bench):
+    code, told = hil("--bench", bench(SERVOS, ENCODERS), "--fault", "servos:off")
+    assert code == 3
+    for name in ("contract", "latency"):
+        assert stages(told)[name]["verdict"] == "ABORTED"
+        assert "servos" in stages(told)[name]["why"]
+
+
+def test_a_disk_that_takes_no_page_leaves_the_verdict_and_no_half_of_it(
+    bench, tmp_path, monkeypatch, capsys, looked
+):
+    def full(self, *_, **__):
+        self.touch()
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_text", full)
+    monkeypatch.setattr(acceptance_page.Path, "write_bytes", full)
+    path = tmp_path / "my.toml"
+    with path.open("w") as file:
+        file.write(HEAD + SERVOS)
+    for json_too in ([], ["--json"]):
+        assert main(["accept", "--bench", str(path), "--out", str(tmp_path / "out"), *json_too]) == 4
+        out, err = capsys.readouterr()
+        assert "No space left on device" in err
+        assert (json.loads(out)["verdict"] if json_too else out.splitlines()[-1].split(":")[0]) == "PASS"
+        assert not (tmp_path / "out").exists()
 
 
 def test_on_a_phone_what_is_wrong_is_read_without_scrolling_sideways(hil, bench, tmp_path):

@@ -1,5 +1,6 @@
 """Commissioning: each procedure uses what the others found; the first failure ends it, resuming goes on."""
 
+import errno
 import json
 import signal
 from dataclasses import replace
@@ -8,15 +9,23 @@ from pathlib import Path
 import pytest
 
 from hil.cli import main
+from hil.config import profiles
 from hil.config.loading import load_bench
-from hil.config.record import PARTS, RobotRecord
+from hil.config.record import PARTS, Figure, NewPart, Part, RobotRecord
+from hil.config.record.overlay import identity
 from hil.procedure import BenchSource
 from hil.procedure.ablation import EVERYTHING, NOTHING, settings_of
-from hil.procedure.commission import Commission, commission
-from hil.procedure.commission.running import _Running, found_signs, missed
+from hil.procedure.commission import Commission, commission, running, state
+from hil.procedure.commission.resting import rests_on, why_again
+from hil.procedure.commission.running import _Running, found_signs
 from hil.procedure.commission.stages import STAGES, Stage, placed, stages
 from hil.procedure.commission.state import state_of
+from hil.procedure.commission.stopping import missed
 from hil.procedure.interrupts import Interrupts
+from hil.procedure.measurements import Verdict
+from hil.procedure.operator import Terminal, go_ahead
+from hil.procedure.results import KEEPING, Failure, Result
+from hil.report import commission_page
 from hil.vocabulary.clock import MonotonicClock
 from hil.vocabulary.errors import Aborted, ConfigError
 from hil.vocabulary.progress import WHOLE
@@ -27,6 +36,7 @@ TINY = (
           {"length_m": 0.1, "duration_s": 4.0, "hold_s": 0.5, "cases": ("x_line",), "processes": 1}),
 )  # fmt: skip
 SOURCE = BenchSource("emulated_delivered", seed=1)
+PROFILES = Path(profiles.__file__).parent
 
 
 class Nobody:
@@ -217,6 +227,171 @@ def test_a_signal_ends_it_while_a_person_is_asked_to_move_the_robot(tmp_path):
         real = ("servos",)
 
     given = asked(tmp_path, operator=Struck(), interrupts=interrupts)
-    run = _Running(replace(given, source=Real()), state_of(tmp_path, {}, resume=False), SOURCE.config)
+    there = Real(overrides={"record.folder": str(tmp_path / "robot")})
+    run = _Running(replace(given, source=there), state_of(tmp_path, {}, resume=False), SOURCE.config)
     with interrupts.deferred(), pytest.raises(Aborted, match="SIGTERM"):
         run._moved_to("wall")
+
+
+class Says:
+    """An operator at a terminal, or one whose answers are from a file, who gives these answers."""
+
+    def __init__(self, *answers):
+        self.answers, self.questions = list(answers), []
+
+    def ask(self, question):
+        self.questions.append(question)
+        return self.answers.pop(0)
+
+
+class AtATerminal(Says, Terminal):
+    pass
+
+
+@pytest.mark.parametrize("answer", ["", "y", "Yes", " ok "])
+def test_an_empty_line_or_yes_goes_on(answer):
+    assert go_ahead(Says(answer), "lift it, then press Enter") == answer
+
+
+@pytest.mark.parametrize("answer", ["no", "stop", "N", "abort"])
+def test_no_ends_it(answer):
+    person = AtATerminal(answer)
+    with pytest.raises(Aborted, match="nothing moves"):
+        go_ahead(person, "lift it, then press Enter")
+    assert len(person.questions) == 1
+
+
+def test_anything_else_is_asked_again_and_from_a_file_ends_it():
+    person = AtATerminal("banana", "not yet", "yes")
+    assert go_ahead(person, "lift it, then press Enter") == "yes"
+    assert len(person.questions) == 3
+    assert "banana" in person.questions[1]
+    with pytest.raises(Aborted, match=r"'banana' is no answer to .*; expected Enter"):
+        go_ahead(Says("banana", "yes"), "lift it, then press Enter")
+
+
+def test_a_robot_that_nobody_has_placed_is_not_driven(tmp_path, monkeypatch):
+    """ABORTED with its page, exit code 4, and nothing was opened."""
+    monkeypatch.setattr(BenchSource, "real", ("servos",))
+    monkeypatch.setattr(running, "run_procedure", lambda *_: pytest.fail("something was run"))
+    told, code = commission(asked(tmp_path / "out", operator=Says("no")))
+    assert (told["verdict"], code, told["stopped"]["procedure"]) == ("ABORTED", 4, "tracker_extrinsics")
+    assert "'no' was the answer" in told["stopped"]["why"]
+    assert Path(told["page"]).is_file()
+
+
+CAMERA, ABLATION = TINY
+PART = Part(procedure="tracker_extrinsics", verdict="PASS", measured="2026-11-22T12:00:00", bench="lab")
+
+
+def config_of(**overrides):
+    return SOURCE.changed(overrides=overrides).config
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "repeated"),
+    [
+        ("monitor.mesh_unit_m", 0.001, ()),
+        ("imu.prefetch", False, ("wall_ablation",)),
+        ("tracker.scale_sigma", 0.1, ("tracker_extrinsics", "wall_ablation")),
+        ("robot.mass_kg", 3.3, ("tracker_extrinsics", "wall_ablation")),
+        ("adhesion.rated_force_n", 44.0, ("wall_ablation",)),
+    ],
+)
+def test_what_rests_on_a_key_that_has_changed_is_repeated_and_named(key, value, repeated):
+    now = config_of(**{key: value})
+    before = rests_on(SOURCE.config, {}, None)
+    found = {stage.name: why_again(stage, before, now, {}) for stage in TINY}
+    assert tuple(name for name, why in found.items() if why) == repeated
+    for name in repeated:
+        assert f"the bench file has changed in {key} (" in found[name]
+        assert f"{value!r} now)" in found[name]
+
+
+def test_a_part_that_is_gone_or_another_has_its_procedure_repeated():
+    before = json.loads(json.dumps(rests_on(SOURCE.config, {"camera": PART}, {"parts": ["camera"]})))
+    assert why_again(CAMERA, before, SOURCE.config, {"camera": PART}) == ""
+    assert "camera is no longer in the record" in why_again(CAMERA, before, SOURCE.config, {})
+    other = PART.model_copy(update={"figures": {"scale": Figure(value=1.02)}})
+    assert "is another than it had left" in why_again(CAMERA, before, SOURCE.config, {"camera": other})
+    assert "older version" in why_again(CAMERA, None, SOURCE.config, {"camera": PART})
+
+
+@pytest.fixture
+def passing(monkeypatch):
+    """Procedures that pass at once and leave their part; the names of those that were run."""
+    ran = []
+
+    def run(proc, source, options):
+        ran.append(proc.name)
+        left = [name for name, kind in PARTS.items() if kind.measured_by == proc.name]
+        record = RobotRecord(Path(source.config.record.folder))
+        new = {name: NewPart(PART.model_copy(update={"measured": f"{len(ran)}"})) for name in left}
+        if new:
+            record.add(new, identity(source.config, source.seed), created="2026-11-22", why=proc.name)
+        facts = {"data": {}, "record": {"parts": left} if left else None, "duration_s": 1.0, "held": None}
+        return Result(proc.name, Verdict.PASS, options.folder, [], facts)
+
+    monkeypatch.setattr(running, "run_procedure", run)
+    return ran
+
+
+def test_a_resumed_one_repeats_what_the_record_no_longer_holds_and_what_shows_it(tmp_path, passing):
+    folder = tmp_path / "out"
+    three = (Stage("steering_zero", "floor", 1.0), *TINY)
+    assert commission(asked(folder, order=three))[1] == 0
+    assert passing == ["steering_zero", "tracker_extrinsics", "wall_ablation"]
+    assert commission(asked(folder, order=three, resume=True))[1] == 0
+    assert len(passing) == 3
+    RobotRecord(folder / "robot").apply(1)
+    said = []
+    told, code = commission(
+        asked(folder, order=three, resume=True, report=lambda what, *_: said.append(what))
+    )
+    assert (code, passing[3:]) == (0, ["tracker_extrinsics", "wall_ablation"])
+    assert "tracker_extrinsics again: its part camera is no longer in the record" in said
+    why = {stage["name"]: stage.get("why", "") for stage in told["stages"]}
+    assert why["steering_zero"] == ""
+    assert "repeated: its part camera is no longer" in why["tracker_extrinsics"]
+    assert "tracker_extrinsics is repeated" in why["wall_ablation"]
+    assert set(RobotRecord(folder / "robot").read().parts) == {"zeros", "backlash", "camera"}
+
+
+def test_what_was_left_out_is_run_once_the_bench_has_the_device(tmp_path, passing):
+    path, folder = tmp_path / "my.toml", tmp_path / "out"
+    text = (PROFILES / "emulated_delivered.toml").read_text()
+    path.write_text(text + "\n")
+    zero = (Stage("steering_zero", "floor", 1.0),)
+    with_it = BenchSource(path, seed=1)
+    path.write_text(text.replace('[encoders]\nbackend = "emulated"', ""))
+    told, _ = commission(asked(folder, order=zero, source=BenchSource(path, seed=1)))
+    assert (told["procedures"], passing) == ({"steering_zero": "SKIPPED"}, [])
+    path.write_text(text)
+    commission(asked(folder, order=zero, source=with_it, resume=True))
+    assert passing == ["steering_zero"]
+
+
+def test_on_a_full_disk_it_ends_as_a_run_does(tmp_path, monkeypatch, capsys):
+    """Nothing can be kept: the verdict, how the robot was left and what to do are told all the same."""
+    held = {"state": "HELD", "moved_m": 0.0, "why": "torque on"}
+    problem = Failure("DataError", "result.json: cannot be written", KEEPING, 4)
+
+    def run(proc, source, options):
+        facts = {"data": {}, "held": held, "duration_s": 1.0}
+        return Result(proc.name, Verdict.ERROR, options.folder, [], facts, teardown_errors=(problem,))
+
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(running, "run_procedure", run)
+    monkeypatch.setattr(state, "put_whole", full)
+    monkeypatch.setattr(commission_page, "put_whole", full)
+    folder = tmp_path / "out"
+    assert main(["commission", "--quick", "--out", str(folder)]) == 4
+    out, _ = capsys.readouterr()
+    assert "stopped at bring_up (ERROR): result.json: cannot be written" in out
+    assert "HELD: moved 0.0 mm since the stop; torque on" in out
+    assert "make room on the disk" in out
+    assert "start anew with another --out" in out
+    assert "ERROR: the record of the robot is" in out
+    assert "the page could not be written" in out

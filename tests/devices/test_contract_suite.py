@@ -153,7 +153,7 @@ def test_a_device_of_several_channels_passes_and_tests_of_ones_own_stand_beside(
     package, pytester, monkeypatch
 ):
     """An array with another shape than the channels' is judged by all of them; a bench of its own is open."""
-    suite(package, pytester, monkeypatch, "np.nan").assert_outcomes(passed=11, deselected=10)
+    suite(package, pytester, monkeypatch, "np.nan").assert_outcomes(passed=13, deselected=12)
 
 
 def test_a_number_of_a_channel_that_did_not_answer_is_found(package, pytester, monkeypatch):

@@ -12,7 +12,7 @@ from hil.bench.contract.delays import (
     idle_for,
     punctuality,
 )
-from hil.bench.contract.in_motion import IN_MOTION
+from hil.bench.contract.in_motion import IN_MOTION, without_restart
 from hil.bench.contract.subject import Broken, Subject, due, judged, oldest_s, read_for
 
 __all__ = [
@@ -29,4 +29,5 @@ __all__ = [
     "oldest_s",
     "punctuality",
     "read_for",
+    "without_restart",
 ]

@@ -9,7 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from hil.bench.contract.subject import SHORT_S, WATCH_S, Broken, Subject, due, read_for
+from hil.bench.contract.losses import loses_next_to_nothing
+from hil.bench.contract.stillness import sees_no_motion
+from hil.bench.contract.subject import SHARE, SHORT_S, WATCH_S, Broken, Subject, due, read_for
 from hil.devices.looks import MORE_FAILURE, surplus
 from hil.recording.compare import first_difference
 from hil.recording.cycle_codec import CycleEncoder
@@ -31,8 +33,6 @@ from hil.vocabulary.signals import (
     worst,
 )
 
-SHARE = 0.7
-"""Of the samples that are due: this computer's load may cost some."""
 OLDEST_NS, EARLY_NS = nanoseconds(0.3), nanoseconds(0.001)
 LONGEST_READ_NS = nanoseconds(0.06)
 NOTHING = (Status.TIMEOUT, Status.CRC, Status.PARITY, Status.PROTOCOL)
@@ -226,6 +226,8 @@ AT_REST: Mapping[str, Callable[[Subject], str]] = {
     "opens again": opens_again,
     "closed is a named error": closed_is_a_named_error,
     "samples in time": samples_in_time,
+    "loses next to nothing": loses_next_to_nothing,
+    "sees no motion": sees_no_motion,
     "no data is no number": no_data_is_no_number,
     "delivered once": delivered_once,
     "reads do not wait": reads_do_not_wait,

@@ -25,6 +25,8 @@ from hil.vocabulary.signals import ServoSample, ServoSetpoint, Status, worst
 _TURN_RAD, _RATE_RAD_S, _LASTS_S, _TIMES = 0.07, 1.0, 0.6, 4
 BUSY_SHARE, _IDLE_S = 0.05, 2.0
 _LEAST_S, _MOST_S = 0.005, 0.15
+_APART_S = 0.03
+"""Backlash has the encoders turn some milliseconds after the servos."""
 _BUS = "check baud rates, latency timer and servos.reply_slack_s; then hil run latency, on the wheels"
 
 
@@ -100,6 +102,8 @@ def delays_in_motion(bench: Bench) -> Iterator[Finding]:
         for number in range(_TIMES):
             way = 1.0 if number % 2 == 0 else -1.0
             wheels.append(_rolling_delay_s(bench, start, way * _RATE_RAD_S))
+    if encoders:
+        yield _agreement(1e3 * float(np.median(steering)), 1e3 * float(np.median(encoders)))
     for device, check, found in (
         ("servos", "command to steering", steering), ("encoders", "command to steering", encoders),
         ("servos", "command to wheels", wheels),
@@ -115,6 +119,19 @@ def _delay(device: str, check: str, found_s: Array) -> Finding:
         device, check, "ok" if right else "failure",
         f"{median:.1f} ms (span of {len(found_s)}: {spread:.1f} ms)",
         f"{1e3 * _LEAST_S:g} to {1e3 * _MOST_S:g} ms", "" if right else _BUS,
+    )  # fmt: skip
+
+
+def _agreement(servos_ms: float, encoders_ms: float) -> Finding:
+    """The same turn told by two: who tells it later tells of the past, or stamps its samples too late."""
+    apart_ms = abs(servos_ms - encoders_ms)
+    right = apart_ms <= 1e3 * _APART_S
+    late, other = ("servos", "encoders") if servos_ms > encoders_ms else ("encoders", "servos")
+    return Finding(
+        late if not right else "servos", "servos and encoders tell of one turn", "ok" if right else "failure",
+        f"servos {servos_ms:.1f} ms, encoders {encoders_ms:.1f} ms after the command",
+        f"at most {1e3 * _APART_S:g} ms apart",
+        "" if right else f"the {late} tell it later than the {other}: look for what holds their answers up",
     )  # fmt: skip
 
 

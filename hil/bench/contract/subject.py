@@ -13,11 +13,13 @@ import numpy as np
 from hil.bench.bench import Bench
 from hil.config.bench import BenchConfig
 from hil.vocabulary.clock import NS_PER_S, nanoseconds
-from hil.vocabulary.errors import HilError
+from hil.vocabulary.errors import Aborted, HilError
 from hil.vocabulary.finding import Finding
 from hil.vocabulary.kinds import kinds
 
 WATCH_S, SHORT_S = 1.0, 0.2
+SHARE = 0.7
+"""Of the samples that are due: this computer's load may cost some."""
 _OLDER = 5.0
 
 
@@ -122,10 +124,16 @@ def oldest_s(config: BenchConfig, kind: str) -> float:
 
 
 def judged(device: str, promise: str, check: Callable[[], str]) -> Finding:
-    """The finding of one check: ok with what it measured, or a failure by what it raised."""
+    """The finding of one check: ok with what it measured, or a failure by what it raised.
+
+    Raises:
+        Aborted: a person or a signal ended it, which says nothing of the device.
+    """
     try:
         return Finding(device, promise, "ok", check())
     except Broken as broken:
         return Finding(device, promise, "failure", broken.found, broken.expected, broken.remedy)
+    except Aborted:
+        raise
     except HilError as error:
         return Finding(device, promise, "failure", error.message, error.expected, error.remedy)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections import Counter
 from collections.abc import Mapping
 
 import numpy as np
@@ -54,10 +55,14 @@ class DynamixelServos(Actuators):
         config: port, IDs, expectations, budgets.
         clock: the bench clock; every wait and every stamp is on it.
         name: device name in errors and logs.
+
+    Attributes:
+        restarts: by name, how often servos were found to have started over, since this was made.
     """
 
     def __init__(self, config: ServosConfig, clock: Clock, name: str = "servos") -> None:
         self.name = name
+        self.restarts: Counter[str] = Counter()
         self._config, self._clock = config, clock
         self._bus: Bus | None = None
         self._identity: dict[str, str] = {}
@@ -203,6 +208,7 @@ class DynamixelServos(Actuators):
         state = self._upkeep.judge(reading)
         held = self._goals.still(self._samples.registers(reading))
         lost = [j for j, status in enumerate(reading.status) if status is Status.RESET]
+        self.restarts.update(SERVOS[j] for j in lost)
         if not self._upkeep.torque:
             for j in lost:
                 self._upkeep.restore(j)
@@ -212,6 +218,7 @@ class DynamixelServos(Actuators):
         for j in repaired:
             if state[j][0] == 0:
                 self._samples.turns.restarted(j)
+                self.restarts[SERVOS[j]] += j not in lost
         return repaired
 
     def read_health(self) -> tuple[ServoHealth, ...]:

@@ -7,27 +7,31 @@ what to do. The same code runs in virtual time, at the wire and on the real robo
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from hil.config.bench import BenchConfig
 from hil.config.encoders import EncodersConfig
+from hil.config.record import Part
+from hil.config.recorded import changed_since
 from hil.procedure.bench_source import BenchSource
+from hil.procedure.commission.resting import as_its_file_says, parts_in, rests_on, why_again
 from hil.procedure.commission.stages import PROMPTS, STAGES, Place, Stage, placed, stages
-from hil.procedure.commission.state import PASSED, State, state_of
+from hil.procedure.commission.state import PASSED, RAN_AND_PASSED, State, state_of
+from hil.procedure.commission.stopping import page_of, stopped_at, stopped_before
 from hil.procedure.fragment import NAME as FRAGMENT
 from hil.procedure.interrupts import Interrupts
 from hil.procedure.journal import NAME as JOURNAL
+from hil.procedure.journal import read_journal
 from hil.procedure.measurements import Verdict
-from hil.procedure.operator import Operator, Terminal
+from hil.procedure.operator import Operator, Terminal, go_ahead
 from hil.procedure.results import RESULT, Result
 from hil.procedure.runner import RunOptions, run_procedure
 from hil.report.commission_page import write_commission_page
-from hil.report.run_page import write_run_page
 from hil.vocabulary.clock import Clock
-from hil.vocabulary.errors import ConfigError, HilError
+from hil.vocabulary.errors import EXIT_ABORTED, Aborted, ConfigError, DataError, HilError
 from hil.vocabulary.files import check_folder
 from hil.vocabulary.progress import WHOLE, Report, silent
 from hil.vocabulary.reading import dotted, read_json, read_toml
@@ -93,7 +97,10 @@ def commission(asked: Commission) -> tuple[dict[str, Any], int]:
     run = _Running(replace(asked, source=source), state, config)
     code, stopped = run.all()
     told = summary(state, record, stopped)
-    page = write_commission_page(asked.folder, told, source.config.name, asked.now(), asked.source.seed)
+    try:
+        page = write_commission_page(asked.folder, told, source.config.name, asked.now(), asked.source.seed)
+    except HilError:
+        return told | {"page": None}, code or EXIT_ABORTED
     return told | {"page": str(page)}, code
 
 
@@ -128,6 +135,10 @@ class _Running:
 
     def __init__(self, asked: Commission, state: State, config: BenchConfig) -> None:
         self._asked, self._state, self._config = asked, state, config
+        self._record = Path(str(asked.source.overrides["record.folder"]))
+        self._as_its_file_says = as_its_file_says(asked.source)
+        self._again: dict[str, str] = {}
+        self._ran: list[str] = []
         self._place: Place | None = None
         every = list(stages(config, asked.order))
         self._stages = every
@@ -136,20 +147,56 @@ class _Running:
 
     def all(self) -> tuple[int, dict[str, Any] | None]:
         """Exit code, and where and why it stopped (None at the end)."""
+        self._forget_what_does_not_hold()
         for number, (stage, why) in enumerate(self._stages, start=1):
-            if why:
-                self._state.keep(stage.name, verdict="SKIPPED", why=why)
-                continue
-            if not self._state.passed(stage.name):
-                result = self._one(stage, number)
-                if result.verdict.value not in PASSED:
-                    return result.exit_code, self._stopped(stage, result)
-            self._before += stage.weight
-            self._tell(0.0)
+            try:
+                stopped = self._next(stage, number, why)
+            except HilError as error:
+                if not (self._ran or isinstance(error, (Aborted, DataError))):
+                    raise
+                code = EXIT_ABORTED if isinstance(error, DataError) else error.exit_code
+                return code, stopped_before(stage.name, error, self._asked.folder)
+            if stopped is not None:
+                return stopped
+            if not why:
+                self._before += stage.weight
+                self._tell(0.0)
         return 0, None
+
+    def _forget_what_does_not_hold(self) -> None:
+        """Before anything moves, say what has to be repeated of what has passed."""
+        parts = parts_in(self._record)
+        for stage, _ in self._stages:
+            self._holds(stage, parts)
+
+    def _holds(self, stage: Stage, parts: Mapping[str, Part]) -> bool:
+        """Whether a procedure has passed, and all that it rests on is as it was."""
+        if not self._state.passed(stage.name):
+            return False
+        before = self._state.rests_on.get(stage.name)
+        why = why_again(stage, before, self._as_its_file_says, parts)
+        found_anew = list(dict.fromkeys((*self._again, *self._ran)))
+        if not why and found_anew and stage is self._stages[-1][0]:
+            why = f"it shows what was found, and {', '.join(found_anew)} is repeated"
+        if why:
+            self._again[stage.name] = why
+            self._state.forget(stage.name)
+            self._asked.report(f"{stage.name} again: {why}", 0, 1)
+        return not why
+
+    def _next(self, stage: Stage, number: int, why: str) -> tuple[int, dict[str, Any]] | None:
+        """Run one procedure unless it has passed; exit code, and where and why it stopped, if it did."""
+        if why:
+            self._state.keep(stage.name, verdict="SKIPPED", why=why)
+        elif not self._holds(stage, parts_in(self._record)):
+            result = self._one(stage, number)
+            if result.verdict.value not in PASSED:
+                return result.exit_code, stopped_at(result, self._asked.folder)
+        return None
 
     def _one(self, stage: Stage, number: int) -> Result:
         self._moved_to(stage.place)
+        self._ran.append(stage.name)
         result = self._run(stage, number, {})
         if stage.name == "bring_up" and result.verdict is Verdict.FAIL:
             signs = found_signs(result.folder, self._config)
@@ -159,37 +206,46 @@ class _Running:
         facts: dict[str, Any] = {"verdict": result.verdict.value, "folder": result.folder.name}
         if "wall" in result.facts["data"]:
             facts["wall"] = result.facts["data"]["wall"]
-        self._state.keep(stage.name, **facts, seconds=result.facts["duration_s"])
+        if stage.name in self._again:
+            facts["why"] = f"repeated: {self._again[stage.name]}"
+        if result.verdict.value in RAN_AND_PASSED:
+            found = parts_in(self._record)
+            facts["rests_on"] = rests_on(self._as_its_file_says, found, result.facts["record"])
+        try:
+            self._state.keep(stage.name, **facts, seconds=result.facts["duration_s"])
+        except DataError:
+            if result.verdict.value in PASSED:
+                raise
         return result
 
     def _moved_to(self, place: Place) -> None:
         """Have a person move a real robot to where the next procedures need it."""
         if self._place != place and self._asked.source.real:
             with self._asked.interrupts.heeded():
-                self._asked.operator.ask(PROMPTS[place])
+                go_ahead(self._asked.operator, PROMPTS[place])
         self._place = place
 
     def _run(self, stage: Stage, number: int, overrides: dict[str, object]) -> Result:
         asked = self._asked
-        folder, resume = self._folder(stage, number)
         source = asked.source.changed(overrides={**placed(stage, number, self._config), **overrides})
+        folder, resume = self._folder(stage, number, source.config)
         options = RunOptions(
             folder=folder, clock=asked.clock, started=asked.now(),
             parameters=stage.parameters(asked.quick, source.config), operator=asked.operator,
             report=self._within(stage), resume=resume, interrupts=asked.interrupts,
         )  # fmt: skip
         result = run_procedure(stage.procedure, source, options)
-        write_run_page(result.folder)
+        page_of(result)
         return result
 
-    def _folder(self, stage: Stage, number: int) -> tuple[Path, bool]:
+    def _folder(self, stage: Stage, number: int, config: BenchConfig) -> tuple[Path, bool]:
         """Where the stage's results go, and whether an interrupted run of it is there."""
         base = self._asked.folder / f"{number:02d}_{stage.name}"
         tries = [base, *(base.with_name(f"{base.name}-{k}") for k in range(2, 100))]
         for path in tries:
             if not (path / JOURNAL).exists() and not (path / RESULT).exists():
                 return path, False
-            if self._asked.resume and _unfinished(path):
+            if self._asked.resume and _unfinished(path, config):
                 return path, True
         raise ConfigError(f"{base}: tried a hundred times", remedy="start anew with another --out")
 
@@ -207,37 +263,16 @@ class _Running:
     def _tell(self, within: float) -> None:
         self._asked.report(WHOLE, round(self._before + within), round(self._total))
 
-    def _stopped(self, stage: Stage, result: Result) -> dict[str, Any]:
-        """Where it stopped, why, and what to do."""
-        why = result.error.message if result.error is not None else missed(result.measurements)
-        again = f"hil commission --resume --out {self._asked.folder}"
-        first = f"look at {result.folder / 'report.html'} and mend what it names; then "
-        return {
-            "procedure": stage.name,
-            "verdict": result.verdict.value,
-            "why": why,
-            "report": str(result.folder / "report.html"),
-            "do": f"{'' if result.verdict is Verdict.ABORTED else first}{again}, with the other options as "
-            "before. What was found up to here is in the record and stays.",
-        }
 
-
-def missed(measurements: Sequence[Mapping[str, Any]]) -> str:
-    """What failed, in words: what lies beyond its limits, then what was not measured because of it."""
-    failed = [row for row in measurements if row["outcome"] == "FAIL"]
-    beyond, absent = (
-        [str(r["name"]) for r in failed if (r["value"] is None) == gone] for gone in (False, True)
-    )
-    parts = (("beyond their limits", beyond), ("not measured", absent))
-    return "; ".join(f"{what}: {', '.join(names)}" for what, names in parts if names)
-
-
-def _unfinished(folder: Path) -> bool:
-    """Whether a run was struck down or aborted in a folder."""
-    if not (folder / RESULT).exists():
-        return (folder / JOURNAL).exists()
-    tree = read_json(folder / RESULT)
-    return isinstance(tree, dict) and tree.get("verdict") in ("ABORTED", "ERROR")
+def _unfinished(folder: Path, config: BenchConfig) -> bool:
+    """Whether a run was struck down or aborted in a folder, on a bench as it is now: else it begins anew."""
+    if (folder / RESULT).exists():
+        tree = read_json(folder / RESULT)
+        if not isinstance(tree, dict) or tree.get("verdict") not in ("ABORTED", "ERROR"):
+            return False
+    if not (folder / JOURNAL).exists():
+        return False
+    return not changed_since(read_journal(folder / JOURNAL).header.get("config"), config)
 
 
 def found_signs(folder: Path, config: BenchConfig) -> dict[str, object]:

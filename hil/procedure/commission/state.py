@@ -12,7 +12,8 @@ from hil.vocabulary.files import put_whole
 from hil.vocabulary.reading import read_json
 
 NAME = "commission.json"
-PASSED = ("PASS", "MARGINAL", "SKIPPED")
+RAN_AND_PASSED = ("PASS", "MARGINAL")
+PASSED = (*RAN_AND_PASSED, "SKIPPED")
 
 
 @dataclass
@@ -22,30 +23,41 @@ class State:
     Attributes:
         folder: of the commissioning.
         options: bench, seed, form and the like; a resumed one must have the same.
-        done: by procedure: `verdict`, `folder` (within this one), `why` of one that was left out.
+        done: by procedure: `verdict`, `folder` (within this one), `why` of one that was left out or repeated.
+        rests_on: by procedure that has passed, what it rests on (`resting.rests_on`).
     """
 
     folder: Path
     options: dict[str, Any]
     done: dict[str, dict[str, Any]] = field(default_factory=dict)
+    rests_on: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def passed(self, name: str) -> bool:
-        """Whether a procedure need not run again."""
-        return self.done.get(name, {}).get("verdict") in PASSED
+        """Whether a procedure was run and has passed; one that was left out may have to run by now."""
+        return self.done.get(name, {}).get("verdict") in RAN_AND_PASSED
 
-    def keep(self, name: str, **facts: Any) -> None:
+    def forget(self, name: str) -> None:
+        """That a procedure has passed: it no longer holds."""
+        self.done.pop(name, None)
+        self.rests_on.pop(name, None)
+
+    def keep(self, name: str, rests_on: dict[str, Any] | None = None, **facts: Any) -> None:
         """Note what became of a procedure.
 
         Args:
             name: of the procedure.
+            rests_on: what it rests on, if it has passed.
             facts: JSON values.
 
         Raises:
             DataError: the disk does not take it.
         """
+        self.forget(name)
         self.done[name] = facts
+        if rests_on is not None:
+            self.rests_on[name] = rests_on
         path = self.folder / NAME
-        text = json.dumps({"options": self.options, "done": self.done}, indent=1)
+        text = json.dumps({"options": self.options, "done": self.done, "rests_on": self.rests_on}, indent=1)
         try:
             put_whole(path, text.encode())
         except OSError as error:
@@ -83,4 +95,17 @@ def state_of(folder: Path, options: dict[str, Any], *, resume: bool) -> State:
             f"{path}: the interrupted commissioning differs in {', '.join(different)}",
             remedy="resume with the same options, or start anew",
         )
-    return State(folder, options, tree["done"])
+    return State(folder, options, tree["done"], _whole(tree.get("rests_on")))
+
+
+def _whole(rests_on: object) -> dict[str, dict[str, Any]]:
+    """By procedure, what was noted whole; nothing of what an older version left, or what cannot be read."""
+    if not isinstance(rests_on, dict):
+        return {}
+    return {
+        name: entry
+        for name, entry in rests_on.items()
+        if isinstance(entry, dict)
+        and isinstance(entry.get("bench"), dict)
+        and isinstance(entry.get("parts"), dict)
+    }

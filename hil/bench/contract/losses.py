@@ -1,0 +1,51 @@
+"""Whether a device loses samples, or starts over, while it is watched: by the limit that `bring_up` has.
+
+What comes late is not lost. In real time a device may be watched more often, and the best time counts; where
+this computer turns out to be busy, what it has not heard is not held against the device.
+"""
+
+from __future__ import annotations
+
+from hil.bench.contract.delays import BUSY_SHARE, idle_for
+from hil.bench.contract.subject import SHARE, Broken, Subject, due, read_for
+from hil.vocabulary.kinds import kinds
+from hil.vocabulary.signals import Status, worst
+
+_SETTLE_S, _WATCH_S, _TIMES, _IDLE_S = 0.6, 2.0, 3, 1.0
+_AT_THE_ENDS = 1
+
+
+def loses_next_to_nothing(subject: Subject) -> str:
+    """Of the samples that are due as many are good as `bring_up` asks for; none says that it began anew.
+
+    It begins to count when the device has had time to start, as the doctor does.
+    """
+    limit, real_time = kinds()[subject.kind].delivered, subject.anew is None
+    share, told = 0.0, ""
+    for _ in range(_TIMES if real_time else 1):
+        good, wanted = _watched(subject)
+        if not told or good / (wanted - _AT_THE_ENDS) > share:
+            share, told = good / (wanted - _AT_THE_ENDS), f"{good} of {wanted:.0f} due are good"
+        if share >= limit:
+            return told
+    if real_time and share >= SHARE:
+        idle = idle_for(subject.bench.config, _IDLE_S)
+        if idle.late > BUSY_SHARE * idle.cycles:
+            return f"{told}; this computer is too busy to say whether the others were lost"
+    raise Broken(
+        f"{told} ({share:.0%})", f"{limit:.0%} or more in {_WATCH_S:g} s, as bring_up asks for",
+        "check cable, plugs, termination and supply; `hil doctor` says more",
+    )  # fmt: skip
+
+
+def _watched(subject: Subject) -> tuple[int, float]:
+    """How many samples were good, and how many were due, in one time of watching."""
+    with subject.opened() as device:
+        read_for(subject.bench, device, _SETTLE_S)
+        samples = read_for(subject.bench, device, _WATCH_S)
+    states = [worst(s) for s in samples]
+    if again := states.count(Status.RESET):
+        found = f"{again} of {len(states)} samples say that it has restarted"
+        raise Broken(found, "none", "check its supply and cable")
+    wanted = due(subject.bench, subject.kind, samples, _WATCH_S)
+    return states.count(Status.OK), max(_AT_THE_ENDS + 1.0, wanted)

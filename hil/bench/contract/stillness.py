@@ -1,0 +1,35 @@
+"""Whether what says where the robot is (camera, motion capture) sees it stand while it stands."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hil.bench.contract.subject import Broken, Subject, read_for
+from hil.vocabulary.clock import NS_PER_S
+from hil.vocabulary.kinds import kinds
+
+_WATCH_S, _FEWEST = 2.0, 20
+MOST_M_S = 0.005
+"""Cameras at rest drift by less than 1 mm/s; a robot that is let go creeps down its wall faster than this."""
+
+
+def sees_no_motion(subject: Subject) -> str:
+    """The position that a device tells of a robot at rest drifts by less than 5 mm/s."""
+    witness = kinds()[subject.kind].witness
+    if witness is None or not witness.is_place:
+        return "tells no place"
+    with subject.opened() as device:
+        samples = read_for(subject.bench, device, _WATCH_S)
+    seen = [(s.stamp.t_ns, place) for s in samples if (place := witness.value(s)) is not None]
+    if len(seen) < _FEWEST:
+        raise Broken(f"{len(seen)} usable places in {_WATCH_S:g} s", f"{_FEWEST}", "see `samples in time`")
+    t_s = (np.array([t_ns for t_ns, _ in seen]) - seen[0][0]) / NS_PER_S
+    drift = np.polyfit(t_s, np.array([place for _, place in seen]), 1)[0]
+    speed_m_s = float(np.linalg.norm(drift))
+    told = f"{1e3 * speed_m_s:.2g} mm/s"
+    if speed_m_s > MOST_M_S:
+        raise Broken(
+            f"the robot moves at {told} by what it says", f"at most {1e3 * MOST_M_S:g} mm/s while it stands",
+            "have the robot stand still; clean the lenses, light the scene, look at markers and rigid body",
+        )  # fmt: skip
+    return told
