@@ -4,6 +4,7 @@ import json
 
 import pytest
 
+from hil.calibration.artefact import CalibrationFile, save_calibration
 from hil.cli import main
 from hil.config.loading import load_bench
 from hil.config.record import Figure, Part, RobotRecord
@@ -92,6 +93,33 @@ def test_a_bench_that_names_no_seed_is_no_way_round_the_robot_of_the_record(tmp_
     capsys.readouterr()
     assert apply(tmp_path / "robot", tmp_path / "4" / FILES[1], bench("climber 1")) == EXIT_USAGE
     assert "of seed 4" in refused(capsys)
+
+
+def calibrated(path, robot):
+    """A calibration that has passed its validation; of this robot, or of nobody's."""
+    told = load_bench("emulated").robot
+    parameters = {"x_w_m": told.wheel_x_m, "y_w_m": told.wheel_y_m, "r_m": told.wheel_radius_m}
+    file = CalibrationFile(
+        schema=1, version=1, created="2026-01-01T00:00:00+00:00", method="lm", setting="recommended",
+        model="exact", signal="velocity", parameters=parameters, nominal=parameters, std={},
+        twist_correction=((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)), cost_before=1.0,
+        cost_after=0.5, recordings={}, verdict="PASS", robot=robot,
+    )  # fmt: skip
+    save_calibration(path, file)
+    return path
+
+
+def test_a_calibration_says_whose_it_is_too(tmp_path, bench, capsys):
+    first = identity(load_bench("emulated", overrides={"robot.name": "climber 1"}), 0)
+    source = calibrated(tmp_path / "calibration.toml", first)
+    assert apply(tmp_path / "second", source, bench("climber 2"), "--of-this-robot") == EXIT_USAGE
+    assert "robot.name: 'climber 1' in the record, 'climber 2' here" in refused(capsys)
+    assert apply(tmp_path / "first", source, bench("climber 1")) == EXIT_PASS
+    capsys.readouterr()
+    older = calibrated(tmp_path / "older.toml", None)
+    assert apply(tmp_path / "third", older, bench("climber 1")) == EXIT_USAGE
+    assert "does not say of which robot it is" in refused(capsys)
+    assert apply(tmp_path / "third", older, bench("climber 1"), "--of-this-robot") == EXIT_PASS
 
 
 @pytest.mark.parametrize("alone", [False, True], ids=["beside its result", "alone"])
