@@ -32,7 +32,13 @@ from hil.procedures.parts.bring_up_jogs import (
     jog_steering,
     reversed_names,
 )
-from hil.procedures.parts.bring_up_report import draw_clocks, draw_directions, draw_streams, stream_table
+from hil.procedures.parts.bring_up_report import (
+    draw_clocks,
+    draw_directions,
+    draw_streams,
+    note_exchanged,
+    stream_table,
+)
 from hil.procedures.parts.bring_up_streams import Stream, judge_stream
 from hil.procedures.parts.latency_fit import integrated
 from hil.ring.motion import Motion
@@ -42,6 +48,8 @@ from hil.vocabulary.kinds import kinds
 from hil.vocabulary.signals import KINDS, WHEELS, Status
 
 _DEG = float(np.degrees(1.0))
+_PUSHES = 0.5
+"""Least cosine between where a drive pushes and where it should."""
 
 
 class Parameters(BaseModel):
@@ -144,7 +152,7 @@ def _of_directions(p: Parameters) -> Iterator[Measurement]:
             )  # fmt: skip
         for way in ("straight", "across"):
             yield Measurement(
-                f"drive_{wheel}.{way}", "1", low=0.5, marginal=0.1,
+                f"drive_{wheel}.{way}", "1", low=_PUSHES, marginal=0.1,
                 rationale="cosine of push and expected push; -1: reversed, near 0: another wheel",
             )  # fmt: skip
     yield Measurement("steering.crosstalk", "1", high=0.1, rationale="turn of an axis that was not commanded")
@@ -316,6 +324,7 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
             ctx.measure(f"drive_{wheel}.{way}", cosine)
     draw_directions(ctx, (straight, across))
     signs, config = find_signs(straight, across, steer), ctx.source.config
+    named = note_exchanged(ctx, straight, across, steer)
     told = reversed_names(signs.drive, "drive") + reversed_names(signs.steer, "steering")
     values: dict[str, dict[str, Any]] = {
         "alignment": {
@@ -327,7 +336,10 @@ def _measure_drives(ctx: Context, straight: DriveJogs, across: DriveJogs, steer:
     if "encoders" in ctx.parameters.devices and encoders is not None:
         told += reversed_names(signs.encoder, "encoder")
         values["encoders"] = {"sign": _turned(encoders.sign, signs.encoder)}
-    ctx.note("Directions: " + (", ".join(told) if told else "all as configured") + ".")
+    told = [name for name in told if name.split()[1] not in named]
+    others = "all others" if named else "all"
+    if told or named or min(straight.agreement().min(), across.agreement().min()) >= _PUSHES:
+        ctx.note("Directions: " + (", ".join(told) if told else f"{others} as configured") + ".")
     write_fragment(ctx, values, "Signs as found by small motions; unclear ones are left as they were.")
 
 

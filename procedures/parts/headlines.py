@@ -36,12 +36,13 @@ def bring_up(v: Mapping[str, float]) -> str:
     """How many devices answered, and whether they go the right way."""
     told = ("_response", ".straight", ".across")
     ways = {name: value for name, value in v.items() if name.endswith(told)}
-    turned = sum(value < 0 for value in ways.values())
-    unclear = sum(0 <= value < _CLEAR for value in ways.values())
+    turned = sum(value <= -_CLEAR for value in ways.values())
+    unclear = sum(abs(value) < _CLEAR for value in ways.values())
     way = "whatever moved went the right way" if ways else "nothing was moved"
     if turned or unclear:
         both = ((turned, "reversed"), (unclear, "not as expected"))
-        way = " and ".join(f"{count} of their directions are {how}" for count, how in both if count)
+        found = " and ".join(f"{count} {how}" for count, how in both if count)
+        way = found.replace(" ", " of their directions are ", 1)
     return f"{v['devices']:.0f} kinds of device answered, and {way}."
 
 

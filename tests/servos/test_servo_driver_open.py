@@ -142,7 +142,7 @@ def test_an_eeprom_that_does_not_fit_is_told_and_left_alone(servo_bench, joint, 
     [
         ({0: 3, 4: 1}, "drive_FL (ID 1) and steer_FL (ID 5) have each other's operating mode"),
         ({2: 3, 4: 1}, "drive_BR (ID 3) and steer_FL (ID 5) have"),
-        ({0: 3, 1: 3, 4: 1, 5: 1}, "drive_FL (ID 1), drive_BL (ID 2) and steer_FL (ID 5), steer_BL (ID 6) have"),
+        ({0: 3, 1: 3, 4: 1, 5: 1}, "drive_FL (ID 1), drive_BL (ID 2) and steer_FL (ID 5), steer_BL (ID 6)"),
         ({0: 3}, "nothing is written"), ({4: 1}, "nothing is written"),
         ({0: 3, 1: 3, 4: 1}, "nothing is written"), ({0: 4, 4: 1}, "nothing is written"),
     ],
