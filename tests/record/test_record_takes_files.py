@@ -81,7 +81,7 @@ def test_what_another_robot_has_left_is_refused(tmp_path, bench, name, capsys):
         assert apply(tmp_path / "robot", tmp_path / "run" / name, bench("climber 2"), *more) == EXIT_USAGE
         message = refused(capsys)
         assert "of another robot" in message
-        assert "robot.name: 'climber 1' in the record, 'climber 2' here" in message
+        assert "robot.name: 'climber 1' in the file, 'climber 2' here" in message
     assert not RobotRecord(tmp_path / "robot").exists()
 
 
@@ -113,7 +113,7 @@ def test_a_calibration_says_whose_it_is_too(tmp_path, bench, capsys):
     first = identity(load_bench("emulated", overrides={"robot.name": "climber 1"}), 0)
     source = calibrated(tmp_path / "calibration.toml", first)
     assert apply(tmp_path / "second", source, bench("climber 2"), "--of-this-robot") == EXIT_USAGE
-    assert "robot.name: 'climber 1' in the record, 'climber 2' here" in refused(capsys)
+    assert "robot.name: 'climber 1' in the file, 'climber 2' here" in refused(capsys)
     assert apply(tmp_path / "first", source, bench("climber 1")) == EXIT_PASS
     capsys.readouterr()
     older = calibrated(tmp_path / "older.toml", None)

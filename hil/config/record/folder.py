@@ -250,9 +250,19 @@ def check_robot(file: RecordFile, robot: Identity, path: Path) -> None:
     )  # fmt: skip
 
 
-def check_robot_is(there: Identity, here: Identity, message: str, remedy: str) -> None:
-    """Refuse what is of another robot; raises `ConfigError` with everything that differs."""
-    problems = tuple(there.differences(here))
+def check_robot_is(
+    there: Identity, here: Identity, message: str, remedy: str, place: str = "in the record"
+) -> None:
+    """Refuse what is of another robot; raises `ConfigError` with everything that differs.
+
+    Args:
+        there: whose it is.
+        here: the robot that is to have it.
+        message: of the error.
+        remedy: of the error.
+        place: where it says whose it is.
+    """
+    problems = tuple(there.differences(here, place))
     if problems:
         raise ConfigError(message, problems=problems, remedy=remedy)
 

@@ -65,6 +65,7 @@ class Origin:
             check_robot_is(
                 self.robot, robot, f"{path}: of another robot; nothing of it was applied",
                 "take a file that was measured on this robot, or name the bench file of that one",
+                "in the file",
             )  # fmt: skip
         elif not of_this_robot:
             raise ConfigError(

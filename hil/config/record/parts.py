@@ -183,8 +183,8 @@ class Identity(_Model):
     wheel_y_m: Four
     wheel_radius_m: Four
 
-    def differences(self, other: Identity) -> Iterator[str]:
-        """What another robot has otherwise: `key: value here, value there`; unknown counts as alike."""
+    def differences(self, other: Identity, place: str = "in the record") -> Iterator[str]:
+        """What another robot has otherwise: `key: value PLACE, value here`; unknown counts as alike."""
         for key in Identity.model_fields:
             mine, theirs = getattr(self, key), getattr(other, key)
             if mine is None or theirs is None or mine == theirs:
@@ -193,7 +193,7 @@ class Identity(_Model):
                 abs(a - b) < _SAME_M for a, b in zip(mine, theirs, strict=True)
             ):
                 continue
-            yield f"{_KEYS[key]}: {_shown(mine)} in the record, {_shown(theirs)} here"
+            yield f"{_KEYS[key]}: {_shown(mine)} {place}, {_shown(theirs)} here"
 
 
 _KEYS = {
